@@ -1,0 +1,25 @@
+"""Everything that can go wrong for a known reason, under one root.
+
+Each message is one line that says what is wrong, where, and what to do about it.
+The command line prints it as it stands and exits with ``exit_code``.
+"""
+
+
+class MotionStereoError(Exception):
+    """Root of all errors that a user can cause and mend."""
+
+    exit_code = 1
+
+
+class SettingsError(MotionStereoError):
+    """A parameter has no sensible meaning as given."""
+
+    exit_code = 2
+
+
+class InputError(MotionStereoError):
+    """A recording, rig or other input file cannot be used."""
+
+
+class OutputError(MotionStereoError):
+    """A result cannot be written where it should go."""

@@ -1,0 +1,216 @@
+"""Every parameter of the processing once: default, range, unit, help.
+
+The command line, the configuration file, run.json and the README's tables derive from the
+dataclasses declared with :func:`param`, here and in ``simulate``.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, field, fields
+from typing import Any
+
+from motionstereo_cli.errors import SettingsError
+
+
+@dataclass(frozen=True, slots=True)
+class Param:
+    """What one parameter may be.
+
+    Attributes:
+        name: field name, as in the configuration file and run.json.
+        kind: ``bool``, ``int``, ``float`` or ``str``.
+        default: its value where nobody sets it.
+        help: one sentence for users.
+        unit: unit of the number, empty where it is a plain number or a choice.
+        low, high: inclusive range of a number, None where open.
+        choices: allowed strings, empty where any.
+
+    """
+
+    name: str
+    kind: type
+    default: Any
+    help: str
+    unit: str
+    low: float | None
+    high: float | None
+    choices: tuple[str, ...]
+
+    @property
+    def flag(self) -> str:
+        """The name as a command-line option."""
+        return "--" + self.name.replace("_", "-")
+
+    @property
+    def range(self) -> str:
+        """The allowed values in words, empty where everything of its kind is allowed."""
+        if self.choices:
+            return " | ".join(self.choices)
+        if self.low is None and self.high is None:
+            return ""
+        if self.high is None:
+            return f"at least {self.low:g}"
+        return f"{self.low:g} to {self.high:g}"
+
+    def parse(self, value: object) -> Any:
+        """Return ``value`` (perhaps text) as this parameter's kind, within its range.
+
+        Raises:
+            SettingsError: it is of another kind, not a number, or out of range.
+
+        """
+        wanted = {bool: "true or false", int: "a whole number", float: "a number", str: "text"}
+        try:
+            if self.kind is bool and not isinstance(value, bool):
+                raise ValueError
+            if self.kind in (int, float) and isinstance(value, bool):
+                raise ValueError
+            if self.kind is int and isinstance(value, float) and not value.is_integer():
+                raise ValueError
+            parsed = self.kind(value)
+        except (TypeError, ValueError, OverflowError):
+            raise self._error(value, f"give {wanted[self.kind]}") from None
+        if self.choices and parsed not in self.choices:
+            raise self._error(value, f"choose {self.range}")
+        if self.kind in (int, float) and not (
+            math.isfinite(parsed)
+            and (self.low is None or parsed >= self.low)
+            and (self.high is None or parsed <= self.high)
+        ):
+            raise self._error(value, f"give {self.range or 'a finite number'}")
+        return parsed
+
+    def _error(self, value: object, advice: str) -> SettingsError:
+        unit = f" {self.unit}" if self.unit else ""
+        return SettingsError(f"{self.flag} cannot be {value!r}: {advice}{unit}")
+
+
+def param(
+    default: Any,
+    help: str,
+    *,
+    unit: str = "",
+    low: float | None = None,
+    high: float | None = None,
+    choices: tuple[str, ...] = (),
+) -> Any:
+    """Declare a dataclass field that :func:`params` describes and :func:`checked` verifies."""
+    meta = {"help": help, "unit": unit, "low": low, "high": high, "choices": choices}
+    return field(default=default, metadata=meta)
+
+
+def params(settings: type) -> Iterator[Param]:
+    """Yield the declared parameters of a dataclass, in order."""
+    for item in fields(settings):
+        yield Param(item.name, type(item.default), item.default, **item.metadata)
+
+
+def checked(settings: Any) -> None:
+    """Verify each parameter of a dataclass instance; for its ``__post_init__``.
+
+    Raises:
+        SettingsError: a value is of the wrong kind or out of range.
+
+    """
+    for item in params(type(settings)):
+        object.__setattr__(settings, item.name, item.parse(getattr(settings, item.name)))
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """What the processing of a stereo stream depends on, besides the frames and the rig.
+
+    Raises:
+        SettingsError: a value is out of range, or two values contradict each other.
+
+    """
+
+    # Equation (4): grey-level bands.
+    blur_px: float = param(
+        1.0, "Gaussian blur before the bands (0 = none).", unit="px", low=0, high=20
+    )
+    bands: int = param(8, "Number n of grey-level bands.", low=2, high=256)
+    grey_min: int = param(0, "Grey level where the first band begins.", low=0, high=254)
+    grey_max: int = param(255, "Grey level where the last band ends.", low=1, high=255)
+    # Equation (3): motion.
+    least_jump: int = param(
+        6,
+        "Least change of grey from frame to frame for a change of band to count as motion.",
+        unit="grey levels",
+        low=0,
+        high=255,
+    )
+    # Equations (1) and (2): charge.
+    charge_mode: str = param(
+        "permanency",
+        "permanency: motion charges fully (eq. 2); general: it adds --charge-gain (eq. 1).",
+        choices=("permanency", "general"),
+    )
+    charge_max: int = param(255, "Charge at saturation, Chmax.", low=1, high=255)
+    charge_min: int = param(0, "Charge at rest, Chmin; it never matches.", low=0, high=254)
+    charge_gain: int = param(255, "Charge C added by motion (general mode alone).", low=1, high=255)
+    charge_leak: int = param(
+        16, "Charge D lost in a frame without motion.", unit="charge per frame", low=1, high=255
+    )
+    # Disparity.
+    matcher: str = param(
+        "trails",
+        "trails: pair runs of equal charge by their ends; "
+        "regions: largest connected region of equal charge at each displacement.",
+        choices=("trails", "regions"),
+    )
+    match_on: str = param(
+        "charge-band",
+        "What makes two pixels equal: their charge, or their charge and their band.",
+        choices=("charge", "charge-band"),
+    )
+    max_disparity: int = param(
+        64,
+        "Largest disparity looked for; the nearest depth found follows.",
+        unit="px",
+        low=1,
+        high=2048,
+    )
+
+    def __post_init__(self) -> None:
+        checked(self)
+        if self.grey_min >= self.grey_max:
+            raise SettingsError(
+                f"--grey-min {self.grey_min} is not below --grey-max {self.grey_max}"
+            )
+        if self.charge_min >= self.charge_max:
+            raise SettingsError(
+                f"--charge-min {self.charge_min} is not below --charge-max {self.charge_max}"
+            )
+
+    @classmethod
+    def preset(cls, name: str, **overrides: Any) -> Settings:
+        """Return a named preset, with some values replaced.
+
+        Raises:
+            SettingsError: no such preset, or a value is out of range.
+
+        """
+        if name not in PRESETS:
+            raise SettingsError(f"there is no preset {name!r}: choose {' | '.join(PRESETS)}")
+        return cls(**{**PRESETS[name], **overrides})
+
+
+#: Named sets of values; what they leave out keeps its default.
+PRESETS: dict[str, dict[str, Any]] = {
+    "default": {},
+    "paper": {
+        "blur_px": 0.0,
+        "bands": 8,
+        "grey_min": 0,
+        "grey_max": 255,
+        "least_jump": 0,
+        "charge_mode": "permanency",
+        "charge_max": 255,
+        "charge_min": 0,
+        "charge_leak": 16,
+        "match_on": "charge",
+    },
+}

@@ -1,0 +1,1 @@
+"""The paper, one section a file: pure functions of arrays."""
