@@ -174,6 +174,17 @@ class Settings:
         high=2048,
     )
 
+    # Guidance.
+    steer_strips: int = param(
+        16, "Number of vertical strips the heading chooses among.", low=1, high=256
+    )
+    steer_gain: float = param(
+        0.3,
+        "Share of the way from the last heading to the new one taken in a frame (1 = at once).",
+        low=0.01,
+        high=1,
+    )
+
     def __post_init__(self) -> None:
         checked(self)
         if self.grey_min >= self.grey_max:

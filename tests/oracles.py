@@ -1,0 +1,126 @@
+"""The matchers once more, slow and obvious: loops over pixels, rows, trails and pairs."""
+
+import itertools
+from collections import Counter, defaultdict
+
+import numpy as np
+
+
+def match_regions(right, left, max_disparity):
+    """The paper's words: displace, find regions of equal units, keep the largest."""
+    height, width = right.shape
+    best = {"right": {}, "left": {}}
+    for d in range(max_disparity + 1):
+        equal = {
+            (y, x)
+            for y in range(height)
+            for x in range(width - d)
+            if right[y, x] > 0 and right[y, x] == left[y, x + d]
+        }
+        while equal:
+            region, todo = set(), [equal.pop()]
+            while todo:
+                y, x = todo.pop()
+                region.add((y, x))
+                for place in ((y - 1, x), (y + 1, x), (y, x - 1), (y, x + 1)):
+                    if place in equal:
+                        equal.remove(place)
+                        todo.append(place)
+            for y, x in region:
+                for view, place in (("right", (y, x)), ("left", (y, x + d))):
+                    if len(region) > best[view].get(place, (0, None))[0]:
+                        best[view][place] = (len(region), d)
+    result = np.full(right.shape, np.nan, np.float32)
+    for (y, x), (_, d) in best["right"].items():
+        if best["left"][y, x + d][1] == d:
+            result[y, x] = d
+    return result
+
+
+def trails_of(units):
+    """All (row, start, stop, unit) of maximal runs of one unit."""
+    found = []
+    for y, row in enumerate(units.tolist()):
+        x = 0
+        for unit, run in itertools.groupby(row):
+            length = len(list(run))
+            if unit:
+                found.append((y, x, x + length, unit))
+            x += length
+    return found
+
+
+def pairs_of(right, left, width, max_disparity):
+    """All (right trail, left trail, disparity at start, disparity at stop) that may be."""
+    found = []
+    for r in right:
+        for l in left:  # noqa: E741
+            if r[0] != l[0] or r[3] != l[3] or not 0 <= l[1] - r[1] <= max_disparity:
+                continue
+            start, stop = l[1] - r[1], l[2] - r[2]
+            start_is_cut = r[1] == 0 or l[1] == 0
+            stop_is_cut = r[2] == width or l[2] == width
+            if start_is_cut and stop_is_cut:
+                continue
+            if start_is_cut:
+                start = stop
+            if stop_is_cut:
+                stop = start
+            if not (0 <= start <= max_disparity and 0 <= stop <= max_disparity):
+                continue
+            if abs(start - stop) <= max(2, 0.3 * max(r[2] - r[1], l[2] - l[1])):
+                found.append((r, l, start, stop))
+    return found
+
+
+def match_trails(right, left, max_disparity, block_px, max_ratio):
+    """Pairs vote at both ends, the best wins, and winners correct one another."""
+    width = right.shape[1]
+    pairs = pairs_of(trails_of(right), trails_of(left), width, max_disparity)
+
+    def block(row, column):
+        return row // block_px[0], column // block_px[1]
+
+    def ends(pair):
+        (row, start, stop, _), _, at_start, at_stop = pair
+        return (block(row, start), at_start), (block(row, stop - 1), at_stop)
+
+    def tally(pairs):
+        return Counter(end for pair in pairs for end in ends(pair))
+
+    def around(votes, place, disparity):
+        return sum(
+            votes[(place[0] + i, place[1] + j), disparity] for i in (-1, 0, 1) for j in (-1, 0, 1)
+        )
+
+    votes = tally(pairs)
+    support = {
+        pair: sum(around(votes, place, d + k) for place, d in ends(pair) for k in (-1, 0, 1))
+        for pair in pairs
+    }
+    rivals = {0: defaultdict(list), 1: defaultdict(list)}
+    for pair in pairs:
+        for side in (0, 1):
+            rivals[side][pair[side]].append(support[pair])
+
+    def wins(pair):
+        others = [sorted(rivals[side][pair[side]], reverse=True) for side in (0, 1)]
+        for ranked in others:
+            if support[pair] < ranked[0] or (len(ranked) > 1 and ranked[1] == ranked[0]):
+                return False
+        return len(others[0]) == 1 or others[0][1] <= max_ratio * support[pair]
+
+    won = [pair for pair in pairs if wins(pair)]
+    votes = tally(won)
+    result = np.full(right.shape, np.nan, np.float32)
+    for pair in won:
+        at = []
+        for place, disparity in ends(pair):
+            near = {k: around(votes, place, disparity + k) for k in range(-2, 3)}
+            total = sum(near.values())
+            at.append(disparity + sum(k * n for k, n in near.items()) / total)
+        row, start, stop, _ = pair[0]
+        for x in range(start, stop):
+            share = (x + 0.5 - start) / (stop - start)
+            result[row, x] = at[0] * (1 - share) + at[1] * share
+    return result

@@ -1,0 +1,101 @@
+"""The matchers against slow oracles, hand-worked rows, and scenes shifted by a known amount."""
+
+import numpy as np
+import oracles
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from motionstereo_cli.stages.regions import match_regions
+from motionstereo_cli.stages.trails import find_trails, match_trails, without_speckles
+
+rows = arrays(np.uint16, (5, 13), elements=st.integers(0, 3), fill=st.nothing())
+
+
+def units(*rows):
+    return np.array(rows, np.uint16)
+
+
+class TestTrails:
+    def test_a_trail_is_a_maximal_run_of_one_unit(self):
+        found = find_trails(units([0, 5, 5, 7, 0, 7], [7, 7, 7, 7, 7, 7]))
+        assert found.row.tolist() == [0, 0, 0, 1]
+        assert found.start.tolist() == [1, 3, 5, 0]
+        assert found.stop.tolist() == [3, 4, 6, 6]
+        assert found.unit.tolist() == [5, 7, 7, 7]
+
+    @given(rows)
+    def test_trails_are_the_oracles(self, image):
+        found = find_trails(image)
+        quadruples = zip(found.row, found.start, found.stop, found.unit, strict=True)
+        assert [tuple(map(int, q)) for q in quadruples] == oracles.trails_of(image)
+
+    def test_a_slanted_trail_runs_from_one_disparity_to_another(self):
+        right = units([0, 0, 9, 9, 9, 9, 0, 0, 0, 0, 0, 0])
+        left = units([0, 0, 0, 0, 0, 9, 9, 9, 9, 9, 9, 0])  # starts 3, stops 5 px to the right
+        found = match_trails(right, left, 8, block_px=(1, 1), speckle_px=0)
+        assert np.isnan(found[0, [0, 1, 6, 7]]).all()
+        assert found[0, 2:6] == pytest.approx([3.25, 3.75, 4.25, 4.75])
+
+    def test_a_trail_cut_by_the_border_takes_the_disparity_of_its_other_end(self):
+        right = units([9, 9, 9, 0, 0, 0, 0, 0])
+        left = units([0, 9, 9, 9, 9, 9, 9, 0])
+        found = match_trails(right, left, 6, block_px=(1, 1), speckle_px=0)
+        assert found[0, :3].tolist() == [4, 4, 4]
+
+    def test_a_trail_with_two_equal_partners_stays_unknown(self):
+        right = units([0, 9, 9, 0, 0, 0, 0, 0, 0])
+        left = units([0, 0, 9, 9, 0, 9, 9, 0, 0])
+        assert np.isnan(match_trails(right, left, 6, block_px=(1, 1), speckle_px=0)).all()
+
+    @settings(max_examples=300)
+    @given(rows, rows, st.integers(1, 14), st.integers(1, 6), st.integers(1, 8))
+    def test_matches_are_the_oracles(self, right, left, reach, block_rows, block_columns):
+        block = (block_rows, block_columns)
+        found = match_trails(right, left, reach, block_px=block, max_ratio=0.9, speckle_px=0)
+        wanted = oracles.match_trails(right, left, reach, block, 0.9)
+        np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-4)
+
+    def test_nothing_charged_gives_nothing(self):
+        nothing = np.zeros((6, 9), np.uint16)
+        assert np.isnan(match_trails(nothing, nothing, 4)).all()
+
+    def test_speckles_go_and_patches_stay(self):
+        disparity = np.full((20, 20), np.nan, np.float32)
+        disparity[2:12, 2:12] = 7.25
+        disparity[15, 15] = 7.25
+        kept = without_speckles(disparity, 50)
+        assert np.isnan(kept[15, 15])
+        assert (kept[2:12, 2:12] == 7.25).all()
+
+
+class TestRegions:
+    def test_each_pixel_keeps_the_displacement_of_its_largest_region(self):
+        right = units([0, 1, 2, 3, 0, 0, 0, 0])
+        left = units([0, 0, 0, 1, 2, 3, 1, 0])  # whole at 2; the 1 alone also at 5
+        found = match_regions(right, left, 6)
+        assert found[0, 1:4].tolist() == [2, 2, 2]
+        assert np.isnan(found[0, [0, 4, 5, 6, 7]]).all()
+
+    @settings(max_examples=200)
+    @given(rows, rows, st.integers(0, 12))
+    def test_matches_are_the_oracles(self, right, left, max_disparity):
+        np.testing.assert_array_equal(
+            match_regions(right, left, max_disparity),
+            oracles.match_regions(right, left, max_disparity),
+        )
+
+
+@pytest.mark.parametrize("match", [match_trails, match_regions])
+@settings(max_examples=40, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), shift=st.integers(0, 20))
+def test_the_disparity_of_a_shifted_view_is_the_shift(match, seed, shift):
+    """A right view full of distinct trails, and a left view that is the same, displaced."""
+    random = np.random.default_rng(seed)
+    wide = np.repeat(random.integers(1, 1000, (24, 20)), 4, axis=1).astype(np.uint16)
+    right, left = wide[:, shift : shift + 50], wide[:, :50]
+    found = match(right, left, 24)
+    known = ~np.isnan(found)
+    assert known[:, : 50 - shift - 4].mean() > 0.9
+    assert np.abs(found[known] - shift).max() < 0.02

@@ -1,0 +1,198 @@
+"""Each equation of the paper against hand-worked arrays and properties."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from motionstereo_cli.stages.bands import band_table, bands, blur
+from motionstereo_cli.stages.charge import accumulate, permanency
+from motionstereo_cli.stages.depth import depth
+from motionstereo_cli.stages.guidance import heading, nearest, steadied, strip_nearness
+from motionstereo_cli.stages.motion import motion
+from motionstereo_cli.stages.units import units
+
+NAN = float("nan")
+
+
+def u8(*rows):
+    return np.array(rows, np.uint8)
+
+
+def f32(*rows):
+    return np.array(rows, np.float32)
+
+
+class TestBands:
+    def test_eight_bands_of_the_full_range_are_32_levels_each(self):
+        table = band_table(8)
+        assert list(table[[0, 31, 32, 63, 64, 223, 224, 255]]) == [1, 1, 2, 2, 3, 7, 8, 8]
+
+    def test_a_range_that_does_not_start_at_zero_still_gives_bands_1_to_n(self):
+        # floor((GL - 50) * 4 / 101) + 1: steps at 50 + 25.25, 50.5 and 75.75
+        table = band_table(4, 50, 150)
+        assert list(table[[50, 75, 76, 100, 101, 125, 126, 150]]) == [1, 1, 2, 2, 3, 3, 4, 4]
+
+    def test_levels_outside_the_range_fall_into_the_first_or_last_band(self):
+        table = band_table(4, 50, 150)
+        assert (table[0], table[49], table[151], table[255]) == (1, 1, 4, 4)
+
+    def test_256_bands_do_not_overflow(self):
+        grey = np.arange(256, dtype=np.uint8).reshape(16, 16)
+        assert np.array_equal(bands(grey, band_table(256)), grey.astype(int) + 1)
+
+    @given(st.integers(2, 256), st.integers(0, 254), st.data())
+    def test_bands_are_the_equation_and_never_fall(self, n, low, data):
+        high = data.draw(st.integers(low + 1, 255))
+        table = band_table(n, low, high).astype(int)
+        assert np.all(np.diff(table) >= 0)
+        assert table[0] == 1
+        assert table[255] <= n
+        level = data.draw(st.integers(low, high))
+        assert table[level] == int(np.floor((level - low) * n / (high - low + 1))) + 1
+
+    def test_blur_of_zero_changes_nothing_and_else_smooths(self):
+        grey = u8([0, 0, 200, 0, 0])
+        assert blur(grey, 0) is grey
+        assert blur(grey, 1.0)[0, 2] < 200
+
+
+class TestMotion:
+    def test_motion_is_a_change_of_band(self):
+        moved = motion(u8([1, 2, 3]), u8([1, 3, 3]), u8([0, 40, 70]), u8([9, 70, 90]))
+        assert moved.tolist() == [[False, True, False]]
+
+    def test_a_change_below_the_least_jump_does_not_count(self):
+        # 31 -> 32 and 29 -> 36 both cross from band 1 to 2; only the second jumps by 6 or more
+        moved = motion(u8([2, 2]), u8([1, 1]), u8([32, 36]), u8([31, 29]), least_jump=6)
+        assert moved.tolist() == [[False, True]]
+
+    def test_the_least_jump_itself_counts_both_ways(self):
+        moved = motion(u8([2, 1]), u8([1, 2]), u8([36, 30]), u8([30, 36]), least_jump=6)
+        assert moved.tolist() == [[True, True]]
+
+
+images = arrays(np.uint8, (3, 4))
+masks = arrays(np.bool_, (3, 4))
+
+
+class TestCharge:
+    def test_permanency_by_hand(self):
+        charge = permanency(u8([0, 20, 255, 9]), np.array([[True, False, False, False]]))
+        assert charge.tolist() == [[255, 4, 239, 0]]
+
+    def test_general_by_hand(self):
+        charge = u8([0, 20, 250, 9])
+        moved = np.array([[True, False, True, False]])
+        result = accumulate(charge, moved, charge_max=252, charge_min=5, gain=30, leak=16)
+        assert result.tolist() == [[30, 5, 252, 5]]
+
+    @given(images, masks, st.integers(0, 254), st.integers(1, 255), st.data())
+    def test_both_modes_are_their_equations(self, charge, moved, low, leak, data):
+        high = data.draw(st.integers(low + 1, 255))
+        gain = data.draw(st.integers(1, 255))
+        charge = np.clip(charge, low, high).astype(np.uint8)
+        limits = {"charge_max": high, "charge_min": low, "leak": leak}
+        leaked = np.maximum(charge.astype(int) - leak, low)
+        gained = np.minimum(charge.astype(int) + gain, high)
+        memory = permanency(charge, moved, **limits)
+        general = accumulate(charge, moved, gain=gain, **limits)
+        assert np.array_equal(memory, np.where(moved, high, leaked))
+        assert np.array_equal(general, np.where(moved, gained, leaked))
+        for result in (memory, general):
+            assert result.dtype == np.uint8
+            assert result.min() >= low
+            assert result.max() <= high
+
+    @given(st.integers(0, 254), st.integers(1, 255), st.data())
+    def test_forgets_exactly_after_the_time_the_leak_gives_it(self, low, leak, data):
+        high = data.draw(st.integers(low + 1, 255))
+        lasts = -(-(high - low) // leak)
+        charge = permanency(
+            u8([low]), np.array([[True]]), charge_max=high, charge_min=low, leak=leak
+        )
+        at_rest = np.array([[False]])
+        for _ in range(lasts - 1):
+            charge = permanency(charge, at_rest, charge_max=high, charge_min=low, leak=leak)
+            assert charge[0, 0] > low
+        charge = permanency(charge, at_rest, charge_max=high, charge_min=low, leak=leak)
+        assert charge[0, 0] == low
+
+    def test_inputs_are_not_edited(self):
+        charge, moved = u8([7, 8]), np.array([[True, False]])
+        permanency(charge, moved)
+        accumulate(charge, moved)
+        assert charge.tolist() == [[7, 8]]
+        assert moved.tolist() == [[True, False]]
+
+
+class TestUnits:
+    def test_pixels_at_rest_have_no_unit(self):
+        assert units(u8([10, 11]), 10).tolist() == [[0, 11 * 256]]
+
+    def test_equal_charge_of_another_band_is_another_unit(self):
+        by_band = units(u8([9, 9, 9]), 0, u8([1, 2, 1]))
+        assert by_band[0, 0] == by_band[0, 2] != by_band[0, 1]
+
+    def test_the_largest_charge_and_band_fit(self):
+        unit = units(u8([255]), 0, np.array([[256]], np.uint16))
+        assert unit.tolist() == [[255 * 256 + 255]]
+
+    @given(images, images)
+    def test_units_are_equal_where_charge_and_band_are(self, charge, band):
+        band = np.maximum(band, 1)
+        flat = units(charge, 0, band).reshape(-1)
+        pairs = list(zip(charge.reshape(-1).tolist(), band.reshape(-1).tolist(), strict=True))
+        for a in range(len(pairs)):
+            for b in range(a):
+                if pairs[a][0] and pairs[b][0]:
+                    assert (flat[a] == flat[b]) == (pairs[a] == pairs[b])
+
+
+class TestDepth:
+    def test_by_hand(self):
+        z = depth(f32([10, 20, NAN, 0]), focal_px=500, baseline_m=0.1)
+        assert np.array_equal(z, f32([5, 2.5, NAN, NAN]), equal_nan=True)
+
+    def test_doffs_are_added_to_the_disparity(self):
+        z = depth(f32([10, -40, 0]), focal_px=500, baseline_m=0.1, doffs_px=40)
+        assert np.array_equal(z, f32([1.0, NAN, 1.25]), equal_nan=True)
+
+
+class TestGuidance:
+    def test_a_strip_is_as_near_as_all_but_a_fifth_of_it(self):
+        near = np.full((10, 4), NAN, np.float32)
+        near[:, 0] = np.arange(1, 11)
+        near[0, 2] = 5
+        strips = strip_nearness(near, 2, least_share=0.2)
+        assert strips[0] == pytest.approx(8.2)
+        assert np.isnan(strips[1])
+
+    def test_heads_for_the_farthest_strip(self):
+        assert heading(f32([40, 40, 2, 40])[0:4].ravel()) == pytest.approx(2.5 / 4, abs=1e-3)
+
+    def test_two_equally_far_neighbours_share_the_heading(self):
+        assert heading(np.float32([40, 2, 2, 40])) == pytest.approx(2.0 / 4, abs=1e-3)
+
+    def test_unknown_strips_are_neither_chosen_nor_weighed(self):
+        assert heading(np.float32([NAN, 9, NAN, 30])) == pytest.approx(1.5 / 4)
+        assert heading(np.float32([NAN, NAN])) is None
+
+    @given(arrays(np.float32, 7, elements=st.floats(0, 100, width=32)))
+    def test_the_mirrored_scene_gives_the_mirrored_heading(self, strips):
+        strips = strips + np.arange(7, dtype=np.float32) / 64  # no ties
+        if len(np.unique(strips)) == 7:
+            assert heading(strips[::-1]) == pytest.approx(1 - heading(strips), abs=1e-5)
+
+    def test_steadied_goes_a_share_of_the_way(self):
+        assert steadied(None, 0.7, 0.3) == 0.7
+        assert steadied(0.5, 0.7, 0.25) == pytest.approx(0.55)
+
+    def test_the_nearest_thing_is_not_one_stray_pixel(self):
+        near = np.full((20, 20), 4, np.float32)
+        near[0, 0] = 60
+        assert nearest(near, 0.1) == 4
+        near[:3] = 30
+        assert nearest(near, 0.1) == 30
+        assert nearest(np.full((4, 4), NAN, np.float32), 0.1) is None
