@@ -1,0 +1,83 @@
+"""Calibration files.
+
+A rig file holds one ``key: value`` line for each attribute of :class:`~motionstereo_cli.types.Rig`
+(``doffs`` may be left out) and ``#`` comments. That is a subset of YAML, and of what OpenCV
+writes. It is read here line by line because OpenCV's reader cannot name the line at fault and
+keeps the first of two equal keys without a word.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import MISSING, fields
+from pathlib import Path
+
+from motionstereo_cli.errors import InputError
+from motionstereo_cli.sinks.files import write_whole
+from motionstereo_cli.types import Rig
+
+_WHOLE = frozenset({"width", "height"})
+_POSITIVE = frozenset({"width", "height", "focal_px", "baseline_m"})
+
+
+def read_rig(path: Path) -> Rig:
+    """Read a rig file.
+
+    Raises:
+        InputError: the file cannot be read, or a value is missing, unknown, given twice, not a
+            finite number, or not positive where it must be.
+
+    """
+    try:
+        text = path.read_text(encoding="utf-8-sig", errors="replace")
+    except OSError as error:
+        raise InputError(f"cannot read the rig {path}: {error.strerror}") from error
+    keys = [item.name for item in fields(Rig)]
+    values: dict[str, float] = {}
+    for line in text.splitlines():
+        content = line.partition("#")[0].strip()
+        if not content or content.startswith(("%YAML", "---", "...")):
+            continue
+        key, colon, value = (part.strip() for part in content.partition(":"))
+        if not colon:
+            raise InputError(f"{path}: {content!r} is not a 'key: value' line")
+        if key not in keys:
+            raise InputError(f"{path}: unknown key {key!r}: the keys are {', '.join(keys)}")
+        if key in values:
+            raise InputError(f"{path}: {key} is given twice: keep one")
+        values[key] = _number(path, key, value)
+    for item in fields(Rig):
+        if item.default is MISSING and item.name not in values:
+            raise InputError(f"{path}: {item.name} is missing: add a line '{item.name}: value'")
+    return Rig(**{key: int(n) if key in _WHOLE else n for key, n in values.items()})  # type: ignore[arg-type]
+
+
+def format_rig(rig: Rig) -> str:
+    """Return a rig as the text of a rig file; reading it gives the same rig exactly."""
+    return "".join(f"{item.name}: {getattr(rig, item.name)!r}\n" for item in fields(Rig))
+
+
+def write_rig(path: Path, rig: Rig) -> None:
+    """Write a rig file.
+
+    Raises:
+        OutputError: the file cannot be written.
+
+    """
+    write_whole(path, format_rig(rig).encode())
+
+
+def _number(path: Path, key: str, text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    wanted = "a positive " if key in _POSITIVE else "a finite "
+    wanted += "whole number" if key in _WHOLE else "number"
+    if not (
+        math.isfinite(value)
+        and (value > 0 or key not in _POSITIVE)
+        and (value.is_integer() or key not in _WHOLE)
+    ):
+        raise InputError(f"{path}: {key} cannot be {text!r}: give {wanted}")
+    return value
