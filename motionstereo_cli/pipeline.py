@@ -68,7 +68,15 @@ def match(right: Units, left: Units, settings: Settings) -> Real:
     """Return the disparity of the right view's units, (height, width) float32, NaN = unknown."""
     if settings.matcher == "regions":
         return match_regions(right, left, settings.max_disparity)
-    return match_trails(right, left, settings.max_disparity)
+    return match_trails(
+        right,
+        left,
+        settings.max_disparity,
+        block_px=(settings.vote_rows, settings.vote_columns),
+        max_ratio=settings.max_ratio,
+        speckle_px=settings.speckle_px,
+        gap_px=settings.gap_px,
+    )
 
 
 class Memory:

@@ -174,6 +174,31 @@ class Settings:
         high=2048,
     )
 
+    # Disparity by trails.
+    vote_rows: int = param(
+        8, "Height of the blocks in which trails vote together.", unit="px", low=1, high=256
+    )
+    vote_columns: int = param(8, "Width of these blocks.", unit="px", low=1, high=256)
+    max_ratio: float = param(
+        0.9,
+        "Largest support of a trail's second best partner, as a share of the best one's.",
+        low=0,
+        high=1,
+    )
+    speckle_px: int = param(
+        100,
+        "Connected patches of disparity of fewer pixels are dropped (0 = none).",
+        unit="px",
+        low=0,
+        high=1_000_000,
+    )
+    gap_px: int = param(
+        16,
+        "Widest gap in a row, between matched trails of like disparity, that is filled.",
+        unit="px",
+        low=0,
+        high=1024,
+    )
     # Guidance.
     steer_strips: int = param(
         16, "Number of vertical strips the heading chooses among.", low=1, high=256

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from motionstereo_cli.stages.regions import match_regions
-from motionstereo_cli.stages.trails import find_trails, match_trails, without_speckles
+from motionstereo_cli.stages.trails import filled, find_trails, match_trails, without_speckles
 
 rows = arrays(np.uint16, (5, 13), elements=st.integers(0, 3), fill=st.nothing())
 
@@ -34,26 +34,28 @@ class TestTrails:
     def test_a_slanted_trail_runs_from_one_disparity_to_another(self):
         right = units([0, 0, 9, 9, 9, 9, 0, 0, 0, 0, 0, 0])
         left = units([0, 0, 0, 0, 0, 9, 9, 9, 9, 9, 9, 0])  # starts 3, stops 5 px to the right
-        found = match_trails(right, left, 8, block_px=(1, 1), speckle_px=0)
+        found = match_trails(right, left, 8, block_px=(1, 1), speckle_px=0, gap_px=0)
         assert np.isnan(found[0, [0, 1, 6, 7]]).all()
         assert found[0, 2:6] == pytest.approx([3.25, 3.75, 4.25, 4.75])
 
     def test_a_trail_cut_by_the_border_takes_the_disparity_of_its_other_end(self):
         right = units([9, 9, 9, 0, 0, 0, 0, 0])
         left = units([0, 9, 9, 9, 9, 9, 9, 0])
-        found = match_trails(right, left, 6, block_px=(1, 1), speckle_px=0)
+        found = match_trails(right, left, 6, block_px=(1, 1), speckle_px=0, gap_px=0)
         assert found[0, :3].tolist() == [4, 4, 4]
 
     def test_a_trail_with_two_equal_partners_stays_unknown(self):
         right = units([0, 9, 9, 0, 0, 0, 0, 0, 0])
         left = units([0, 0, 9, 9, 0, 9, 9, 0, 0])
-        assert np.isnan(match_trails(right, left, 6, block_px=(1, 1), speckle_px=0)).all()
+        assert np.isnan(match_trails(right, left, 6, block_px=(1, 1), speckle_px=0, gap_px=0)).all()
 
     @settings(max_examples=300)
     @given(rows, rows, st.integers(1, 14), st.integers(1, 6), st.integers(1, 8))
     def test_matches_are_the_oracles(self, right, left, reach, block_rows, block_columns):
         block = (block_rows, block_columns)
-        found = match_trails(right, left, reach, block_px=block, max_ratio=0.9, speckle_px=0)
+        found = match_trails(
+            right, left, reach, block_px=block, max_ratio=0.9, speckle_px=0, gap_px=0
+        )
         wanted = oracles.match_trails(right, left, reach, block, 0.9)
         np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-4)
 
@@ -68,6 +70,15 @@ class TestTrails:
         kept = without_speckles(disparity, 50)
         assert np.isnan(kept[15, 15])
         assert (kept[2:12, 2:12] == 7.25).all()
+
+    def test_short_gaps_between_like_disparities_are_filled(self):
+        nan = np.nan
+        row = np.array([[nan, 4, nan, nan, nan, 6, nan, 9, nan]], np.float32)
+        everywhere = np.ones(row.shape, bool)
+        wanted = [[nan, 4, 4.5, 5, 5.5, 6, nan, 9, nan]]  # 6 and 9 are not one surface
+        np.testing.assert_array_equal(filled(row, everywhere, 3), wanted)
+        np.testing.assert_array_equal(filled(row, everywhere, 2), row)
+        np.testing.assert_array_equal(filled(row, ~everywhere, 3), row)
 
 
 class TestRegions:

@@ -87,9 +87,10 @@ def match_trails(
     left: NDArray[np.uint16],
     max_disparity: int,
     *,
-    block_px: tuple[int, int] = (8, 16),
+    block_px: tuple[int, int] = (8, 8),
     max_ratio: float = 0.9,
     speckle_px: int = 100,
+    gap_px: int = 16,
 ) -> NDArray[np.float32]:
     """Return the disparity of each right pixel, (height, width) float32 px, NaN = unknown.
 
@@ -97,7 +98,8 @@ def match_trails(
     neighbouring rows agree on the true ones. A pair's support is the votes at its two ends. A
     pair wins if it is the best for both its trails and stands out from the second best. Then the
     winners alone vote again, and each end takes the centroid of the votes around it, which makes
-    it sub-pixel. Between the ends disparity runs linearly.
+    it sub-pixel. Between the ends disparity runs linearly, as it does through short gaps between
+    trails of like disparity.
 
     Args:
         right, left: units of the two views, (height, width) uint16, 0 = at rest.
@@ -105,6 +107,7 @@ def match_trails(
         block_px: height and width of the blocks that vote together.
         max_ratio: largest support of a trail's second best pair as a share of the best's.
         speckle_px: connected patches of fewer pixels are dropped.
+        gap_px: widest gap between matched trails of one row that is filled.
     """
     shape = (right.shape[0], right.shape[1])
     trails = find_trails(right)
@@ -115,7 +118,8 @@ def match_trails(
     won = winners(pairs, support(blocks.votes(places, pairs), places, pairs), max_ratio)
     pairs, places = pairs.only(won), places[:, won]
     refined = centroids(blocks.votes(places, pairs), places, pairs)
-    return without_speckles(painted(trails, pairs.right, refined, shape), speckle_px)
+    disparity = without_speckles(painted(trails, pairs.right, refined, shape), speckle_px)
+    return filled(disparity, right > 0, gap_px)
 
 
 def find_trails(units: NDArray[np.uint16]) -> Trails:
@@ -178,17 +182,18 @@ def winners(pairs: Pairs, support: Reals, max_ratio: float) -> NDArray[np.bool_]
     best = is_best(pairs.right, support)
     second = np.zeros(pairs.right.max(initial=-1) + 1, np.float32)
     np.maximum.at(second, pairs.right[~best], support[~best])
-    clear: NDArray[np.bool_] = second[pairs.right] <= max_ratio * support
-    return best & is_best(pairs.left, support) & clear
+    won: NDArray[np.bool_] = best & is_best(pairs.left, support)
+    won &= second[pairs.right] <= max_ratio * support
+    return won
 
 
 def is_best(trail: Ints, support: Reals) -> NDArray[np.bool_]:
     """Return which pairs alone have the largest support for their trail, (pairs,) bool."""
     largest = np.zeros(trail.max(initial=-1) + 1, np.float32)
     np.maximum.at(largest, trail, support)
-    best = support == largest[trail]
-    alone: NDArray[np.bool_] = np.bincount(trail[best], minlength=len(largest))[trail] == 1
-    return best & alone
+    best: NDArray[np.bool_] = support == largest[trail]
+    best &= np.bincount(trail[best], minlength=len(largest))[trail] == 1
+    return best
 
 
 def centroids(votes: Reals, places: Ints, pairs: Pairs) -> Reals:
@@ -245,3 +250,29 @@ def without_speckles(disparity_px: NDArray[np.float32], least_px: int) -> NDArra
     sixteenths = np.where(np.isnan(disparity_px), -16, disparity_px * 16).astype(np.int16)
     cv2.filterSpeckles(sixteenths, -16, least_px, 16)
     return np.where(sixteenths < 0, np.float32(np.nan), disparity_px)
+
+
+def filled(
+    disparity_px: NDArray[np.float32], where: NDArray[np.bool_], gap_px: int
+) -> NDArray[np.float32]:
+    """Return a disparity image with gaps in its rows filled linearly from side to side.
+
+    Trails of a pixel or two often find no partner, for noise splits them in one view alone. A gap
+    is filled where it is short and the disparities on its two sides agree within 2 px.
+
+    Args:
+        disparity_px: (height, width) float32, NaN = unknown.
+        where: pixels that may be filled, (height, width) bool.
+        gap_px: widest gap that is filled.
+    """
+    known = ~np.isnan(disparity_px)
+    column = np.arange(disparity_px.shape[1], dtype=np.int32)
+    before = np.maximum.accumulate(np.where(known, column, -1), axis=1)
+    after = np.minimum.accumulate(np.where(known, column, len(column))[:, ::-1], axis=1)[:, ::-1]
+    bridged = (before >= 0) & (after < len(column)) & (after - before <= gap_px + 1)
+    y, x = np.nonzero(bridged & where & ~known)
+    a, b = before[y, x], after[y, x]
+    low, step = disparity_px[y, a], disparity_px[y, b] - disparity_px[y, a]
+    result = disparity_px.copy()
+    result[y, x] = np.where(np.abs(step) <= 2, low + step * ((x - a) / (b - a)), np.nan)
+    return result
