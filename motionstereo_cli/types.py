@@ -25,7 +25,6 @@ class Rig:
         cx, cy: principal point of the left camera in px; the right one's is (cx + doffs, cy).
         doffs: x of the right principal point minus x of the left one in px, so that
             depth = focal_px * baseline_m / (disparity + doffs), as Middlebury has it.
-
     """
 
     width: int
@@ -47,7 +46,6 @@ class StereoFrame:
             index where the source has no time.
         time_s: the same in seconds, None where the source has no time.
         left, right: (height, width) uint8 grey levels 0..255; not to be written to.
-
     """
 
     index: int
@@ -69,7 +67,6 @@ class Steering:
             without a rig.
         depth_m: depth in the direction of the heading; None without a rig or where unknown.
         nearest_m: depth of the nearest thing; None without a rig or where unknown.
-
     """
 
     status: str
@@ -92,7 +89,6 @@ class FrameResult:
         depth_m: (height, width) float32, NaN = unknown; None without a rig.
         steering: heading for this frame.
         charged, matched: shares of the image, 0..1, that carry charge and have a disparity.
-
     """
 
     frame: StereoFrame

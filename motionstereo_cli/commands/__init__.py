@@ -1,1 +1,21 @@
 """The command line: one file a command."""
+
+from __future__ import annotations
+
+import click
+
+from motionstereo_cli import __version__
+from motionstereo_cli.commands.figure import figure
+from motionstereo_cli.commands.run import run
+from motionstereo_cli.commands.simulate import simulate
+
+
+@click.group(context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(__version__, message="motionstereo %(version)s")
+def cli() -> None:
+    """Depth and steering from what moves in two stereo videos."""
+
+
+cli.add_command(run)
+cli.add_command(figure)
+cli.add_command(simulate)

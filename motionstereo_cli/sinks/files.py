@@ -16,15 +16,17 @@ def part_of(path: Path) -> Path:
 
 
 @contextlib.contextmanager
-def reported(path: Path) -> Iterator[None]:
+def reported(path: Path | str) -> Iterator[None]:
     """Turn the system's errors while writing ``path`` into one that names it.
 
     Raises:
         OutputError: the block raised an OSError (full disk, no permission, ...).
-
+        BrokenPipeError: as it stands, for a reader that has gone is no failure.
     """
     try:
         yield
+    except BrokenPipeError:
+        raise
     except OSError as error:
         raise OutputError(f"cannot write {path}: {error.strerror or error}") from error
 
@@ -34,7 +36,6 @@ def write_whole(path: Path, content: bytes) -> None:
 
     Raises:
         OutputError: the file cannot be written.
-
     """
     part = part_of(path)
     with reported(path):

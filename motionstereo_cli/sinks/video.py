@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 from fractions import Fraction
 from pathlib import Path
@@ -34,7 +35,6 @@ class VideoWriter:
 
     Raises:
         OutputError: the file cannot be written.
-
     """
 
     def __init__(self, path: Path, time_base: Fraction, *, quality: int = 18) -> None:
@@ -46,7 +46,10 @@ class VideoWriter:
         self._last_pts: int | None = None
         with reported(path):
             self._container = av.open(
-                str(part_of(path)), "w", format="matroska" if self._lossless else "mp4"
+                str(part_of(path)),
+                "w",
+                format="matroska" if self._lossless else "mp4",
+                options={"fflags": "+bitexact"},  # no random identifiers
             )
 
     def write(self, image: NDArray[np.uint8], pts: int) -> None:
@@ -56,7 +59,6 @@ class VideoWriter:
 
         Raises:
             OutputError: the file cannot be written.
-
         """
         frame = self._grey_frame(image) if image.ndim == 2 else self._rgb_frame(image)
         if self._last_pts is not None:
@@ -68,24 +70,35 @@ class VideoWriter:
                 self._stream = self._add_stream(frame.width, frame.height)
             self._container.mux(self._stream.encode(frame))
 
+    def finish(self) -> None:
+        """Complete the file, still under its ``.part`` name.
+
+        Raises:
+            OutputError: the file cannot be written.
+        """
+        stream, self._stream = self._stream, None
+        with reported(self.path):
+            try:
+                if stream is not None:
+                    self._container.mux(stream.encode(None))
+            finally:
+                self._container.close()
+
     def close(self, *, keep: bool = True) -> None:
         """Complete the file and give it its name; with ``keep=False``, remove it instead.
 
         Raises:
             OutputError: the file cannot be written.
-
         """
-        part = part_of(self.path)
-        with reported(self.path):
-            try:
-                if keep and self._stream is not None:
-                    self._container.mux(self._stream.encode(None))
-            finally:
+        if keep:
+            self.finish()
+            with reported(self.path):
+                os.replace(part_of(self.path), self.path)
+        else:
+            with contextlib.suppress(OSError):  # what is left to write does not matter
                 self._container.close()
-            if keep:
-                os.replace(part, self.path)
-            else:
-                part.unlink(missing_ok=True)
+            with reported(self.path):
+                part_of(self.path).unlink(missing_ok=True)
 
     def _add_stream(self, width: int, height: int) -> Any:
         # The rate is a label alone: the time stamps say when each frame is shown.
@@ -96,7 +109,8 @@ class VideoWriter:
         stream.time_base = stream.codec_context.time_base = self._time_base
         stream.codec_context.thread_count = 1
         if not self._lossless:
-            stream.options = {"crf": str(self._quality), "preset": "veryfast"}
+            # x264's macroblock tree is not repeatable with AVX2: it reads unset memory.
+            stream.options = {"crf": str(self._quality), "preset": "veryfast", "mbtree": "0"}
             stream.codec_context.color_range = 1  # limited
         return stream
 

@@ -1,0 +1,70 @@
+"""The entry point: runs a command and turns its end into an exit code and one line."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import traceback
+from collections.abc import Sequence
+from types import FrameType
+
+import click
+
+from motionstereo_cli.commands import cli
+from motionstereo_cli.commands.run import INTERRUPTED_EXIT_CODE
+from motionstereo_cli.errors import MotionStereoError
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the command line and return its exit code.
+
+    0 done, 1 failed, 2 usage, 3 done but the input was damaged, 130 interrupted. Where the
+    reader of a pipe has gone, there is nothing left to do: 0, without a word.
+
+    No traceback is shown unless the environment has ``MOTIONSTEREO_DEBUG=1``.
+
+    Args:
+        args: arguments after the program's name; the process's own if None.
+    """
+    signal.signal(signal.SIGTERM, _interrupt)
+    given = list(sys.argv[1:] if args is None else args)
+    try:
+        # Not cli(), which has exit codes of its own for Ctrl-C and closed pipes.
+        with cli.make_context("motionstereo", given or ["--help"]) as context:
+            return cli.invoke(context) or 0
+    except click.exceptions.Exit as done:  # --help, --version
+        return done.exit_code
+    except BrokenPipeError:
+        # The interpreter flushes standard output once more on its way out.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    except (KeyboardInterrupt, Exception) as error:
+        return _fail(error)
+
+
+def _fail(error: BaseException) -> int:
+    """Say in one line what went wrong, and return the exit code for it."""
+    match error:
+        case KeyboardInterrupt() | click.Abort():
+            message, exit_code = "interrupted", INTERRUPTED_EXIT_CODE
+        case click.ClickException():
+            message, exit_code = error.format_message(), error.exit_code
+        case MotionStereoError():
+            message, exit_code = str(error), error.exit_code
+        case OSError():
+            message, exit_code = str(error), 1
+        case _:
+            message, exit_code = f"internal: {type(error).__name__}: {error}", 1
+    if os.environ.get("MOTIONSTEREO_DEBUG") == "1":
+        traceback.print_exception(error)
+    click.echo(f"error: {' '.join(message.split())}", err=True)
+    return exit_code
+
+
+def _interrupt(signal_number: int, frame: FrameType | None) -> None:
+    raise KeyboardInterrupt
+
+
+if __name__ == "__main__":
+    sys.exit(main())

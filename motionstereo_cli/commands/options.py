@@ -1,0 +1,119 @@
+"""Options that commands share: declared parameters, and the configuration file."""
+
+from __future__ import annotations
+
+import difflib
+import functools
+import tomllib
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any
+
+import click
+
+from motionstereo_cli.errors import SettingsError
+from motionstereo_cli.settings import PRESETS, Param, Settings, params
+
+
+def settings_options(settings: type) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """Give a command an option for each parameter of a dataclass, and ``--config``.
+
+    The command receives the values that were given, on the command line or in the configuration
+    file, as one dict ``chosen``; what is not in it keeps the default of the dataclass or preset.
+    """
+    declared = list(params(settings))
+
+    def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
+        def collect(**values: Any) -> Any:
+            given = {item.name: values.pop(item.name) for item in declared}
+            chosen = {name: value for name, value in given.items() if value is not None}
+            return command(chosen=chosen, **values)
+
+        collected: Callable[..., Any] = functools.update_wrapper(collect, command)
+        for item in reversed(declared):
+            collected = _option(item)(collected)
+        return _config_option(collected)
+
+    return decorate
+
+
+def processing_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Give a command the options of the processing; it receives them as one ``settings``."""
+
+    def collect(*, preset: str, chosen: dict[str, Any], **values: Any) -> Any:
+        return command(settings=Settings.preset(preset, **chosen), **values)
+
+    collected: Callable[..., Any] = functools.update_wrapper(collect, command)
+    return _preset_option(settings_options(Settings)(collected))
+
+
+_preset_option = click.option(
+    "--preset",
+    type=click.Choice(list(PRESETS)),
+    default="default",
+    show_default=True,
+    help="Values for the options below where they are not given.",
+)
+
+
+def near_match(name: str, known: Iterable[str]) -> str:
+    """Return `` (did you mean ...?)`` for a mistyped name, or nothing."""
+    matches = difflib.get_close_matches(name, list(known), n=1)
+    return f" (did you mean {matches[0]!r}?)" if matches else ""
+
+
+def _option(item: Param) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    # No default here: only then can a preset tell what was given from what was not.
+    if item.kind is bool:
+        flags = f"{item.flag}/--no-{item.flag.removeprefix('--')}"
+        return click.option(flags, item.name, default=None, help=_help(item))
+    kind = {int: "INTEGER", float: "NUMBER", str: "TEXT"}[item.kind]
+    metavar = f"[{'|'.join(item.choices)}]" if item.choices else kind
+    return click.option(item.flag, item.name, type=item.parse, metavar=metavar, help=_help(item))
+
+
+def _help(item: Param) -> str:
+    default = "on" if item.default is True else "off" if item.default is False else item.default
+    facts = [item.unit, "" if item.choices else item.range, f"default {default}"]
+    return f"{item.help}  [{'; '.join(fact for fact in facts if fact)}]"
+
+
+_config_option = click.option(
+    "--config",
+    type=click.Path(exists=True, dir_okay=False, path_type=Path),
+    is_eager=True,
+    expose_value=False,
+    callback=lambda ctx, _, path: _read_config(ctx, path) if path else None,
+    help="TOML file with a value for any of these options, such as max-disparity = 96; "
+    "the command line wins.",
+)
+
+
+def _read_config(ctx: click.Context, path: Path) -> None:
+    """Make the values of a configuration file the defaults of the command's options."""
+    try:
+        values = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise click.UsageError(f"{path}: cannot be read as TOML: {error}", ctx) from None
+    options = {
+        option.name: option
+        for option in ctx.command.params
+        if isinstance(option, click.Option) and option.expose_value and option.name
+    }
+    defaults = {}
+    for key, value in values.items():
+        name = key.replace("-", "_")
+        if name not in options:
+            raise click.UsageError(f"{path}: unknown key {key!r}{near_match(name, options)}", ctx)
+        option = options[name]
+        # click takes a lone text for a list of letters where an option may be repeated.
+        defaults[name] = [value] if option.multiple and isinstance(value, str) else value
+        try:
+            option.type_cast_value(ctx, defaults[name])
+        except click.UsageError as error:
+            raise click.UsageError(f"{path}: {error.format_message()}", ctx) from None
+        except SettingsError as error:
+            raise SettingsError(f"{path}: {error}") from None
+        except TypeError:
+            raise click.UsageError(f"{path}: {key} cannot be {value!r}: give text", ctx) from None
+    ctx.default_map = defaults

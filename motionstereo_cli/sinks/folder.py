@@ -1,0 +1,139 @@
+"""The output folder: where a run may write, and what it may remove there."""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import json
+import os
+import re
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+from motionstereo_cli.errors import OutputError
+from motionstereo_cli.sinks import SAVES
+from motionstereo_cli.sinks.files import part_of, reported, write_whole
+
+#: Tells what a run wrote. Written last; until then its ``.part`` lists what is being written.
+RECORD = "run.json"
+_PROGRAM = "motionstereo"
+_NUMBERED = re.compile(r"(\d{6,})\.png(\.part)?")
+
+
+def prepare(
+    out: Path, save: Sequence[str], *, overwrite: bool = False, inputs: Iterable[Path] = ()
+) -> None:
+    """Make the output folder ready for a run.
+
+    With ``overwrite``, exactly the files that a former run wrote are removed, as its record
+    has them. A file of anybody else is neither removed nor written over.
+
+    Args:
+        out: the folder; made where it is missing.
+        save: names of the outputs, from :data:`~motionstereo_cli.sinks.SAVES`.
+        overwrite: accept a folder that is not empty.
+        inputs: files and folders that the run reads.
+
+    Raises:
+        OutputError: the folder is not empty, cannot be written, or holds an input or somebody
+            else's file where the run would write.
+    """
+    with reported(out):
+        out.mkdir(parents=True, exist_ok=True)
+        if not overwrite and any(out.iterdir()):
+            raise OutputError(f"{out} is not empty: give another folder, or --overwrite")
+        former = _written(out)
+        present = _present(out, RECORD).union(*(_present(out, SAVES[name].path) for name in save))
+        for path in sorted(present - former):
+            raise OutputError(f"{path} is not from a former run: move it or give another folder")
+        taken = {path.resolve() for path in inputs}
+        for path in former.union(out / SAVES[name].path for name in save):
+            for place in (path, path.parent):
+                if place.resolve() in taken:
+                    raise OutputError(f"{place} is an input of this run: give another folder")
+        for path in former:
+            path.unlink()
+        _remove_empty_folders(out)
+        part_of(out / RECORD).write_bytes(_json(_head(save)))
+
+
+def complete(out: Path, save: Sequence[str], record: dict[str, Any]) -> None:
+    """Write the record of a run that is done.
+
+    Args:
+        out: the folder.
+        save: names of the outputs.
+        record: what to say besides the outputs; its ``counts.written`` is the number of frames.
+
+    Raises:
+        OutputError: the record cannot be written.
+    """
+    write_whole(out / RECORD, _json(_head(save) | record))
+
+
+def tidy(out: Path) -> None:
+    """Remove what a run that failed left, if it left nothing of use."""
+    with contextlib.suppress(OSError):
+        if _written(out) == {part_of(out / RECORD)}:
+            part_of(out / RECORD).unlink()
+            _remove_empty_folders(out)
+
+
+def _head(save: Sequence[str]) -> dict[str, Any]:
+    outputs = {
+        name: {"path": SAVES[name].path.format(0), "what": SAVES[name].what} for name in save
+    }
+    return {"program": _PROGRAM, "outputs": outputs}
+
+
+def _json(record: dict[str, Any]) -> bytes:
+    return json.dumps(record, indent=2, allow_nan=False).encode() + b"\n"
+
+
+def _written(out: Path) -> set[Path]:
+    """Return the files present that former runs wrote, complete or not."""
+    written: set[Path] = set()
+    for path in (out / RECORD, part_of(out / RECORD)):
+        try:
+            record = json.loads(path.read_bytes())
+            if record["program"] != _PROGRAM:
+                continue
+            names = SAVES.keys() & record["outputs"].keys()
+            frames = int(record["counts"]["written"]) if "counts" in record else None
+        except (OSError, ValueError, LookupError, TypeError, AttributeError):
+            continue  # not a record of ours
+        written.add(path)
+        for name in names:
+            present = _present(out, SAVES[name].path)
+            written |= _up_to(frames, present) if "{" in SAVES[name].path else present
+    return written
+
+
+def _present(out: Path, path: str) -> set[Path]:
+    """Return what stands where an output would go, complete or not."""
+    target = out / path
+    if "{" not in path:
+        return {place for place in (target, part_of(target)) if os.path.lexists(place)}
+    folder = target.parent
+    if folder.is_dir():
+        return {place for place in folder.iterdir() if _NUMBERED.fullmatch(place.name)}
+    return {folder} if os.path.lexists(folder) else set()
+
+
+def _up_to(frames: int | None, present: set[Path]) -> set[Path]:
+    """Return the images of the first frames; of all up to the first gap if frames is None."""
+    matches = {path: _NUMBERED.fullmatch(path.name) for path in present}
+    numbers = {path: int(match[1]) for path, match in matches.items() if match}
+    if frames is None:  # the run was cut off
+        found = set(numbers.values())
+        frames = next(number for number in itertools.count() if number not in found)
+    return {path for path, number in numbers.items() if number < frames}
+
+
+def _remove_empty_folders(out: Path) -> None:
+    for save in SAVES.values():
+        folder = (out / save.path).parent
+        if folder != out:
+            with contextlib.suppress(OSError):  # missing, or not empty
+                folder.rmdir()

@@ -1,0 +1,105 @@
+"""The steering table."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import os
+from pathlib import Path
+from typing import BinaryIO
+
+from motionstereo_cli.sinks.files import part_of, reported
+from motionstereo_cli.types import FrameResult
+
+HEADER = "frame,pts,time_s,status,steer,steer_rad,depth_m,nearest_m,charged,matched"
+
+
+def steering_row(result: FrameResult) -> str:
+    """Return one row of the table, without its line end.
+
+    time_s has 6 decimals (microseconds), depth_m and nearest_m have 3 (mm), all other real
+    numbers 4. An empty cell is unknown. No cell can need quotes.
+    """
+    frame, steering = result.frame, result.steering
+    return ",".join(
+        [
+            str(frame.index),
+            str(frame.pts),
+            _cell(frame.time_s, 6),
+            steering.status,
+            _cell(steering.steer, 4),
+            _cell(steering.steer_rad, 4),
+            _cell(steering.depth_m, 3),
+            _cell(steering.nearest_m, 3),
+            _cell(result.charged, 4),
+            _cell(result.matched, 4),
+        ]
+    )
+
+
+class SteeringStream:
+    """The steering table on a binary stream, such as standard output: RFC 4180, but for LF.
+
+    Each row is passed on at once, for a reader that steers by it.
+
+    Args:
+        stream: where to write; it stays open.
+        name: what messages call it.
+
+    Raises:
+        OutputError: the stream cannot be written.
+        BrokenPipeError: whoever read the stream has gone.
+    """
+
+    def __init__(self, stream: BinaryIO, name: Path | str) -> None:
+        self._stream = stream
+        self._name = name
+        self._write_line(HEADER)
+
+    def write(self, result: FrameResult) -> None:
+        """Append the row of a frame."""
+        self._write_line(steering_row(result))
+
+    def close(self) -> None:
+        """Do nothing: every row has been passed on, and the stream is another's."""
+
+    def abandon(self, *, keep: bool) -> None:
+        """Do nothing: what has been passed on cannot be taken back."""
+
+    def _write_line(self, line: str) -> None:
+        with reported(self._name):
+            self._stream.write(line.encode("ascii") + b"\n")
+            self._stream.flush()
+
+
+class SteeringFile(SteeringStream):
+    """The steering table as a file that bears its name only when it is complete.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        with reported(path):
+            self._file = part_of(path).open("wb")
+        super().__init__(self._file, path)
+
+    def close(self) -> None:
+        """Complete the table and give it its name."""
+        with reported(self._path):
+            self._file.close()
+            os.replace(part_of(self._path), self._path)
+
+    def abandon(self, *, keep: bool) -> None:
+        """Leave the table under its ``.part`` name or, without ``keep``, remove it."""
+        with contextlib.suppress(OSError):  # a row that could not be written is tried again
+            self._file.close()
+        if not keep:
+            part_of(self._path).unlink(missing_ok=True)
+
+
+def _cell(value: float | None, decimals: int) -> str:
+    if value is None or not math.isfinite(value):
+        return ""
+    return f"{value:z.{decimals}f}"  # z: no -0.0000

@@ -1,0 +1,453 @@
+"""The command from outside: exit codes, one line on stderr, and what it leaves on disk."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import pty
+import shutil
+import subprocess
+import sys
+import termios
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+
+import av
+import click
+import cv2
+import numpy as np
+import pytest
+
+from motionstereo_cli.__main__ import main
+from motionstereo_cli.commands import cli
+from motionstereo_cli.commands.options import settings_options
+from motionstereo_cli.errors import OutputError
+from motionstereo_cli.settings import Settings, param, params
+from motionstereo_cli.sinks.video import VideoWriter
+
+COMMAND = [sys.executable, "-m", "motionstereo_cli"]
+FRAMES, WIDTH, HEIGHT, DISPARITY = 12, 96, 64, 6
+RIG = "width: 96\nheight: 64\nfocal_px: 80\nbaseline_m: 0.1\ncx: 47.5\ncy: 31.5\n"
+
+
+@pytest.fixture(scope="session")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with left.mp4, right.mp4 and rig.yaml: bars that move 2 px a frame."""
+    folder = tmp_path_factory.mktemp("recording")
+    columns = np.arange(WIDTH + DISPARITY + 2 * FRAMES)
+    levels = np.random.default_rng(5).integers(0, 256, len(columns) // 9 + 1)
+    scene = np.broadcast_to(levels[columns // 9], (HEIGHT, len(columns))).astype(np.uint8)
+    for side, shift in (("left", 0), ("right", DISPARITY)):
+        video = VideoWriter(folder / f"{side}.mp4", Fraction(1, 50))
+        for index in range(FRAMES):
+            start = 2 * index + shift
+            video.write(np.ascontiguousarray(scene[:, start : start + WIDTH]), index)
+        video.close()
+    (folder / "rig.yaml").write_text(RIG)
+    return folder
+
+
+@pytest.fixture
+def run_args(recording: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> list[str]:
+    """Arguments of a run, in an empty current folder."""
+    monkeypatch.chdir(tmp_path)
+    return ["run", str(recording / "left.mp4"), str(recording / "right.mp4")]
+
+
+@pytest.fixture
+def rig(recording: Path) -> list[str]:
+    return ["--rig", str(recording / "rig.yaml")]
+
+
+def called(*args: str) -> subprocess.CompletedProcess[str]:
+    """Run the command in a process of its own."""
+    return subprocess.run([*COMMAND, *args], capture_output=True, text=True, check=False)
+
+
+def names(out: Path) -> set[str]:
+    return {str(path.relative_to(out)) for path in out.rglob("*") if not path.is_dir()}
+
+
+def images(folder: str, count: int = FRAMES) -> set[str]:
+    return {f"{folder}/{index:06d}.png" for index in range(count)}
+
+
+# A run that goes well.
+
+
+def test_run_writes_what_the_contract_says(run_args, rig, recording):
+    done = called(*run_args, *rig, "-o", "out")
+    assert (done.returncode, done.stdout) == (0, "")
+    assert [line.split(":")[0] for line in done.stderr.splitlines()] == ["note", "note"]
+    assert "12 frames in" in done.stderr
+    assert done.stderr.endswith(
+        "note: results in out: steering.csv, depth/, charge.mp4, depth.mp4, run.json\n"
+    )
+    out = Path("out")
+    streams = {"steering.csv", "charge.mp4", "depth.mp4", "run.json"}
+    assert names(out) == streams | images("depth")
+
+    rows = list(csv.DictReader((out / "steering.csv").open()))
+    assert [row["frame"] for row in rows] == [str(index) for index in range(FRAMES)]
+    assert [float(row["time_s"]) for row in rows] == [index / 50 for index in range(FRAMES)]
+    assert rows[0]["status"] == "blind"
+    assert rows[-1]["status"] == "ok"
+    depth_mm = cv2.imread(str(out / "depth/000011.png"), cv2.IMREAD_UNCHANGED)
+    assert depth_mm.shape == (HEIGHT, WIDTH)
+    assert np.median(depth_mm[depth_mm > 0]) == pytest.approx(80 * 0.1 / DISPARITY * 1000, rel=0.05)
+
+    record = json.loads((out / "run.json").read_text())
+    assert record["counts"]["written"] == FRAMES
+    assert record["rig"]["focal_px"] == 80
+    assert record["settings"]["bands"] == 8
+    assert record["outputs"]["depth"]["path"] == "depth/000000.png"
+    assert record["inputs"]["left"]["bytes"] == (recording / "left.mp4").stat().st_size
+    assert len(record["inputs"]["right"]["sha256"]) == 64
+    assert Fraction(record["time_base"]) > 0
+    assert record["damage"] == []
+
+
+def test_without_a_rig_disparity_takes_the_place_of_depth(run_args, capsys):
+    assert main(run_args) == 0
+    assert "disparity/ takes the place of depth/" in capsys.readouterr().err
+    assert images("disparity") <= names(Path("motionstereo_out"))
+    assert not Path("motionstereo_out/depth").exists()
+    assert json.loads(Path("motionstereo_out/run.json").read_text())["rig"] is None
+
+
+def test_save_picks(run_args, rig):
+    assert main([*run_args, *rig, "--save", "charge,disparity", "--save", "steering"]) == 0
+    streams = {"steering.csv", "charge.mp4", "run.json"}
+    assert names(Path("motionstereo_out")) == streams | images("disparity")
+
+
+def test_the_table_on_stdout_is_the_same_and_nothing_is_written(run_args, rig):
+    done = called(*run_args, *rig, "-o", "-")
+    assert done.returncode == 0
+    assert not list(Path().iterdir())
+    assert main([*run_args, *rig, "--save", "steering"]) == 0
+    assert done.stdout == Path("motionstereo_out/steering.csv").read_text()
+
+
+def test_the_same_run_gives_the_same_bytes_but_for_the_timing(run_args, rig):
+    for out in ("one", "two"):
+        assert main([*run_args, *rig, "-o", out]) == 0
+    assert names(Path("one")) == names(Path("two"))
+    for name in names(Path("one")) - {"run.json"}:
+        assert Path("one", name).read_bytes() == Path("two", name).read_bytes(), name
+    one, two = (json.loads(Path(out, "run.json").read_text()) for out in ("one", "two"))
+    assert one | {"timing": None} == two | {"timing": None}
+
+
+# Damage, interruption, closed pipes.
+
+
+def test_a_shorter_side_ends_the_run_with_a_warning_and_exit_code_3(run_args, capsys):
+    short = VideoWriter(Path("short.mp4"), Fraction(1, 50))
+    for index in range(5):
+        short.write(np.full((HEIGHT, WIDTH), 20 * index, np.uint8), index)
+    short.close()
+    assert main([*run_args[:2], "short.mp4"]) == 3
+    lines = capsys.readouterr().err.splitlines()
+    assert any(line.startswith("warning: ") and "left.mp4" in line for line in lines)
+    record = json.loads(Path("motionstereo_out/run.json").read_text())
+    assert record["counts"]["written"] == 5
+    assert [f"warning: {line}" for line in record["damage"]] == [
+        line for line in lines if line.startswith("warning: ")
+    ]
+
+
+CUT_AT_FRAME_7 = """
+import os, signal, sys
+import motionstereo_cli.run as library
+from motionstereo_cli.__main__ import main
+
+whole = library.process
+
+def cut(*args):
+    for result in whole(*args):
+        if result.frame.index == 7:
+            os.kill(os.getpid(), signal.Signals[sys.argv[1]])
+        yield result
+
+library.process = cut
+signal.signal(signal.SIGINT, signal.default_int_handler)
+sys.exit(main(sys.argv[2:]))
+"""
+
+
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM"])
+def test_an_interrupted_run_keeps_what_is_complete(run_args, rig, name):
+    args = [sys.executable, "-c", CUT_AT_FRAME_7, name, *run_args, *rig, "-o", "out"]
+    done = subprocess.run(args, capture_output=True, text=True, check=False)
+    assert done.returncode == 130
+    assert done.stderr.splitlines()[-1].startswith("error: interrupted after 7 frames")
+    parts = {"steering.csv.part", "charge.mp4.part", "depth.mp4.part", "run.json.part"}
+    assert names(Path("out")) == parts | images("depth", 7)
+    assert Path("out/steering.csv.part").read_text().count("\n") == 1 + 7
+    with av.open("out/charge.mp4.part") as video:
+        assert len(list(video.decode(video=0))) == 7
+    # And --overwrite knows what was left.
+    assert main([*run_args, "-o", "out", "--overwrite", "--save", "steering"]) == 0
+    assert names(Path("out")) == {"steering.csv", "run.json"}
+
+
+def test_a_closed_pipe_ends_quietly(run_args):
+    reader, writer = os.pipe()
+    os.close(reader)
+    with os.fdopen(writer, "wb") as pipe:
+        done = subprocess.run(
+            [*COMMAND, *run_args, "-o", "-"], stdout=pipe, stderr=subprocess.PIPE, check=False
+        )
+    assert (done.returncode, done.stderr) == (0, b"")
+
+
+def test_a_full_disk_behind_stdout_is_one_line(run_args):
+    with Path("/dev/full").open("wb") as full:
+        done = subprocess.run(
+            [*COMMAND, *run_args, "-o", "-"], stdout=full, stderr=subprocess.PIPE, check=False
+        )
+    assert done.returncode == 1
+    assert done.stderr == b"error: cannot write the steering table: No space left on device\n"
+
+
+def test_an_output_that_fails_midway_leaves_no_part(run_args, monkeypatch, capsys):
+    def full(path: Path, content: bytes) -> None:
+        if path.name == "000004.png":
+            raise OutputError(f"cannot write {path}: No space left on device")
+        path.write_bytes(content)
+
+    monkeypatch.setattr("motionstereo_cli.sinks.images.write_whole", full)
+    assert main(run_args) == 1
+    assert "error: cannot write motionstereo_out/disparity/000004.png" in capsys.readouterr().err
+    assert names(Path("motionstereo_out")) == {"run.json.part"} | images("disparity", 4)
+
+
+# Bad input: one line, the right exit code, nothing written.
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--bands", "1"], "--bands cannot be '1': give 2 to 256"),
+        (["--charge-leak", "0"], "--charge-leak cannot be '0'"),
+        (["--blur-px", "nan"], "--blur-px cannot be 'nan'"),
+        (["--max-disparity", "-4"], "--max-disparity cannot be '-4'"),
+        (["--max-disparity", "many"], "give a whole number px"),
+        (["--grey-min", "200", "--grey-max", "100"], "--grey-min 200 is not below"),
+        (["--matcher", "sgbm"], "choose trails | regions"),
+        (["--preset", "paper2"], "paper2"),
+        (["--save", "steering,dept"], "--save knows no 'dept' (did you mean 'depth'?)"),
+        (["--save", ""], "choose from steering, depth"),
+        (["--save", "charge", "-o", "-"], "-o - writes the steering table alone"),
+        (["--speed", "9"], "--speed"),
+        (["--config", "none.toml"], "none.toml"),
+    ],
+)
+def test_nonsense_options(run_args, capsys, options, said):
+    assert main([*run_args, *options]) == 2
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert captured.err.startswith("error: ")
+    assert captured.err.count("\n") == 1
+    assert said in captured.err
+    assert not list(Path().iterdir())
+
+
+def test_bad_input_from_outside(run_args):
+    """In a process of its own: exit code and stderr as a shell sees them."""
+    done = called("run", "none.mp4", run_args[2])
+    assert (done.returncode, done.stdout) == (1, "")
+    assert done.stderr.startswith("note: ")
+    assert done.stderr.splitlines()[1].startswith("error: ")
+    assert "none.mp4" in done.stderr
+    assert called(*run_args, "--bands", "1").returncode == 2
+
+
+def test_a_rig_of_another_size(run_args, capsys):
+    Path("rig.yaml").write_text(RIG.replace("96", "640"))
+    assert main([*run_args, "--rig", "rig.yaml"]) == 1
+    assert "the rig is for 640x64 but the recordings are 96x64" in capsys.readouterr().err
+    assert names(Path()) == {"rig.yaml"}
+
+
+def test_a_folder_with_something_in_it(run_args, capsys):
+    Path("out").mkdir()
+    Path("out/notes.txt").touch()
+    assert main([*run_args, "-o", "out"]) == 1
+    assert "error: out is not empty" in capsys.readouterr().err
+    assert names(Path("out")) == {"notes.txt"}
+
+
+@pytest.mark.parametrize("out", ["file", "file/out", "/proc/motionstereo"])
+def test_a_folder_that_cannot_be_written(run_args, capsys, out):
+    Path("file").touch()
+    assert main([*run_args, "-o", out]) == 1
+    assert f"error: cannot write {out}: " in capsys.readouterr().err
+    assert names(Path()) == {"file"}
+
+
+def test_overwrite_keeps_the_files_of_strangers_and_the_input(recording, tmp_path):
+    shutil.copytree(recording, tmp_path / "out")
+    out = tmp_path / "out"
+    (out / "notes.txt").write_text("mine")
+    before = {path.name: path.read_bytes() for path in out.iterdir()}
+    args = ["run", str(out / "left.mp4"), str(out / "right.mp4"), "-o", str(out), "--overwrite"]
+    assert main(args) == 0
+    assert main([*args, "--save", "steering"]) == 0
+    assert names(out) == {*before, "steering.csv", "run.json"}
+    assert before == {name: (out / name).read_bytes() for name in before}
+
+
+def test_an_unexpected_error_is_one_line_unless_debugging(run_args, monkeypatch, capsys):
+    def broken(*args: object) -> None:
+        raise ZeroDivisionError("by nought")
+
+    monkeypatch.setattr("motionstereo_cli.run.process", broken)
+    assert main([*run_args, "--save", "steering"]) == 1
+    assert capsys.readouterr().err == "error: internal: ZeroDivisionError: by nought\n"
+    monkeypatch.setenv("MOTIONSTEREO_DEBUG", "1")
+    assert main([*run_args, "--save", "steering"]) == 1
+    assert "Traceback" in capsys.readouterr().err
+
+
+# Presets and the configuration file.
+
+
+def settings_used(args: list[str]) -> dict[str, object]:
+    assert main([*args, "--save", "steering", "--overwrite"]) == 0
+    settings = json.loads(Path("motionstereo_out/run.json").read_text())["settings"]
+    assert isinstance(settings, dict)
+    return settings
+
+
+def test_the_command_line_wins_over_the_file_and_the_file_over_the_preset(run_args):
+    Path("my.toml").write_text('preset = "paper"\nbands = 12\ncharge-leak = 8\nmatch_on = "charge"')
+    used = settings_used([*run_args, "--config", "my.toml", "--bands", "16"])
+    assert (used["bands"], used["charge_leak"]) == (16, 8)
+    assert (used["blur_px"], used["least_jump"], used["match_on"]) == (0, 0, "charge")
+    used = settings_used([*run_args, "--config", "my.toml", "--preset", "default"])
+    assert (used["bands"], used["blur_px"]) == (12, 1.0)
+
+
+def test_the_file_may_hold_every_kind_of_option(run_args, recording):
+    Path("my.toml").write_text(
+        f'out = "here"\nsave = ["charge", "depth"]\nrig = "{recording / "rig.yaml"}"\n'
+        "overwrite = true\nblur-px = 2"
+    )
+    assert main([*run_args, "--config", "my.toml"]) == 0
+    assert names(Path("here")) == {"charge.mp4", "run.json"} | images("depth")
+    Path("my.toml").write_text('out = "here"\nsave = "steering"\noverwrite = true')
+    assert main([*run_args, "--config", "my.toml"]) == 0
+    assert names(Path("here")) == {"steering.csv", "run.json"}
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("band = 4", "my.toml: unknown key 'band' (did you mean 'bands'?)"),
+        ("config = 'x'", "my.toml: unknown key 'config'"),
+        ("bands = 1", "my.toml: --bands cannot be 1: give 2 to 256"),
+        ("bands = 2.5", "my.toml: --bands cannot be 2.5: give a whole number"),
+        ("blur-px = nan", "my.toml: --blur-px cannot be nan"),
+        ("overwrite = 'perhaps'", "my.toml: "),
+        ("out = 3", "my.toml: out cannot be 3: give text"),
+        ("[bands]", "my.toml: --bands cannot be {}"),
+        ("save = 'nothing'", "--save knows no 'nothing'"),
+        ("bands", "my.toml: cannot be read as TOML"),
+    ],
+)
+def test_a_bad_file_is_pointed_at(run_args, capsys, text, said):
+    Path("my.toml").write_text(text)
+    assert main([*run_args, "--config", "my.toml"]) == 2
+    assert f"error: {said}" in capsys.readouterr().err
+    assert names(Path()) == {"my.toml"}
+
+
+@dataclass(frozen=True)
+class Switches:
+    """Parameters with a switch, which run has not."""
+
+    wet: bool = param(True, "Rain.")
+    speed: float = param(1.5, "Speed.", unit="m/s", low=0)
+
+
+@pytest.mark.parametrize(
+    ("args", "expected"),
+    [
+        ([], {}),
+        (["--no-wet"], {"wet": False}),
+        (["--wet", "--speed", "0"], {"wet": True, "speed": 0.0}),
+    ],
+)
+def test_settings_options_pass_on_what_was_given_alone(args, expected):
+    received = {}
+
+    @click.command()
+    @settings_options(Switches)
+    def command(chosen: dict[str, object]) -> None:
+        received.update(chosen)
+
+    command.main(args, standalone_mode=False)
+    assert received == expected
+    texts = [option.help for option in command.params if isinstance(option, click.Option)]
+    assert texts[1:] == ["Rain.  [default on]", "Speed.  [m/s; at least 0; default 1.5]"]
+
+
+# Help and start-up.
+
+
+def commands() -> list[tuple[str, click.Command]]:
+    return sorted(cli.commands.items())
+
+
+@pytest.mark.parametrize(("name", "command"), commands())
+def test_every_command_and_option_has_help(name, command, capsys):
+    assert command.help
+    for option in command.params:
+        if isinstance(option, click.Option):
+            assert option.help, option.name
+    assert main([name, "--help"]) == 0
+    assert f"motionstereo {name}" in capsys.readouterr().out
+
+
+def test_run_has_an_option_for_each_setting():
+    options = {option.name for option in cli.commands["run"].params}
+    assert {item.name for item in params(Settings)} <= options
+
+
+def test_no_arguments_show_the_help(capsys):
+    assert main([]) == 0
+    assert "run" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("args", [["--version"], ["run", "--help"]])
+def test_help_and_version_load_nothing_heavy(args):
+    script = (
+        "import sys\nfrom motionstereo_cli.__main__ import main\n"
+        f"code = main({args})\n"
+        "heavy = {'numpy', 'cv2', 'av', 'imageio', 'tqdm'} & sys.modules.keys()\n"
+        "sys.exit(f'loaded {heavy}' if heavy else code)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, check=False
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_progress_shows_on_a_terminal_alone(run_args):
+    terminal, stderr = pty.openpty()
+    termios.tcsetwinsize(stderr, (24, 100))
+    done = subprocess.run(
+        [*COMMAND, *run_args, "--save", "steering"], stderr=stderr, stdout=stderr, check=False
+    )
+    os.close(stderr)
+    shown = os.read(terminal, 100_000).decode()
+    os.close(terminal)
+    assert done.returncode == 0
+    assert f"{FRAMES}/{FRAMES}" in shown
+    assert "frame/s" in shown
+    done = called(*run_args, "--save", "steering", "--overwrite")
+    assert f"{FRAMES}/{FRAMES}" not in done.stderr

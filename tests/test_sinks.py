@@ -1,0 +1,430 @@
+"""Results on disk: exact text, images and videos read back, and whose files are whose."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from fractions import Fraction
+from pathlib import Path
+
+import av
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from motionstereo_cli.errors import OutputError
+from motionstereo_cli.sinks import DEFAULT_SAVES, SAVES, available
+from motionstereo_cli.sinks.files import part_of, reported, write_whole
+from motionstereo_cli.sinks.folder import complete, prepare, tidy
+from motionstereo_cli.sinks.images import (
+    depth_images,
+    depth_png,
+    disparity_images,
+    disparity_png,
+)
+from motionstereo_cli.sinks.previews import charge_video, depth_colours, depth_video
+from motionstereo_cli.sinks.steering import SteeringFile, SteeringStream
+from motionstereo_cli.sinks.threaded import Threaded
+from motionstereo_cli.types import FrameResult, Steering, StereoFrame
+
+BLIND = Steering("blind", None, None, None, None)
+NAN = float("nan")
+
+
+def frame_result(
+    index: int = 0,
+    *,
+    pts: int | None = None,
+    time_s: float | None = None,
+    steering: Steering = BLIND,
+    charge: np.ndarray | None = None,
+    disparity_px: np.ndarray | None = None,
+    depth_m: np.ndarray | None = None,
+    charged: float = 0.0,
+    matched: float = 0.0,
+) -> FrameResult:
+    grey = np.zeros((4, 6), np.uint8)
+    return FrameResult(
+        frame=StereoFrame(index, index if pts is None else pts, time_s, grey, grey),
+        bands=grey,
+        motion=grey > 0,
+        charge=grey if charge is None else charge,
+        disparity_px=np.full((4, 6), NAN, np.float32) if disparity_px is None else disparity_px,
+        depth_m=depth_m,
+        steering=steering,
+        charged=charged,
+        matched=matched,
+    )
+
+
+def decoded(path: Path) -> list[tuple[float, np.ndarray]]:
+    """Times in s and RGB images of a video."""
+    with av.open(str(path)) as container:
+        return [(f.time, f.to_ndarray(format="rgb24")) for f in container.decode(video=0)]
+
+
+# Steering table.
+
+
+def test_the_steering_table_to_the_letter(tmp_path):
+    sink = SteeringFile(tmp_path / "steering.csv")
+    sink.write(frame_result(0))
+    held = Steering("held", -0.00001, 0.12345, 2.71849, 0.0006)
+    sink.write(frame_result(1, pts=512, time_s=1 / 30, steering=held, charged=1 / 3, matched=1))
+    odd = Steering("ok", 1.0, None, float("inf"), NAN)
+    sink.write(frame_result(2, pts=-7, time_s=-0.25, steering=odd))
+    sink.close()
+    assert (tmp_path / "steering.csv").read_bytes() == (
+        b"frame,pts,time_s,status,steer,steer_rad,depth_m,nearest_m,charged,matched\n"
+        b"0,0,,blind,,,,,0.0000,0.0000\n"
+        b"1,512,0.033333,held,0.0000,0.1235,2.718,0.001,0.3333,1.0000\n"
+        b"2,-7,-0.250000,ok,1.0000,,,,0.0000,0.0000\n"
+    )
+
+
+def test_rows_are_passed_on_at_once_but_the_name_comes_last(tmp_path):
+    path = tmp_path / "steering.csv"
+    sink = SteeringFile(path)
+    sink.write(frame_result(0))
+    assert part_of(path).read_text().count("\n") == 2
+    assert not path.exists()
+    sink.close()
+    assert [each.name for each in tmp_path.iterdir()] == ["steering.csv"]
+
+
+@pytest.mark.parametrize("keep", [True, False])
+def test_an_abandoned_table_never_gets_its_name(tmp_path, keep):
+    path = tmp_path / "steering.csv"
+    sink = SteeringFile(path)
+    sink.write(frame_result(0))
+    sink.abandon(keep=keep)
+    assert list(tmp_path.iterdir()) == ([part_of(path)] if keep else [])
+
+
+def test_a_full_disk_is_named_and_a_gone_reader_is_no_failure():
+    no_space = pytest.raises(OutputError, match="cannot write out: No space left")
+    with Path("/dev/full").open("wb", buffering=0) as full, no_space:
+        SteeringStream(full, "out")
+    with pytest.raises(BrokenPipeError), reported("out"):
+        raise BrokenPipeError
+
+
+# Images.
+
+
+def test_depth_in_mm_by_hand():
+    depth_m = np.float32([[NAN, 2.71, 0.0, 0.0004], [65.535, 65.536, np.inf, -1.0]])
+    expected = [[0, 2710, 1, 1], [65535, 0, 0, 0]]
+    np.testing.assert_array_equal(depth_png(depth_m), np.uint16(expected))
+
+
+def test_disparity_as_kitti_has_it_by_hand():
+    disparity_px = np.float32([[NAN, 1.0, 0.0, 0.001], [65535 / 256, 256.0, 12.5, 0.25]])
+    expected = [[0, 256, 1, 1], [65535, 0, 3200, 64]]
+    np.testing.assert_array_equal(disparity_png(disparity_px), np.uint16(expected))
+
+
+@given(arrays(np.float32, (3, 4), elements=st.floats(0, 300, width=32) | st.just(NAN)))
+def test_disparity_survives_to_half_a_step(disparity_px):
+    stored = disparity_png(disparity_px)
+    known = disparity_px <= np.float32(65535 / 256)
+    np.testing.assert_array_equal(stored > 0, known)
+    error_px = np.abs(stored[known] / 256 - disparity_px[known])
+    assert (error_px <= np.where(stored[known] == 1, 1 / 256, 1 / 512) + 1e-6).all()
+
+
+def test_numbered_images_read_back(tmp_path):
+    out = tmp_path / "with {braces}"
+    out.mkdir()
+    values = np.linspace(0.5, 60, 24, dtype=np.float32).reshape(4, 6)
+    result = frame_result(7, disparity_px=values, depth_m=values)
+    for sink in (
+        depth_images(out / SAVES["depth"].path),
+        disparity_images(out / SAVES["disparity"].path),
+    ):
+        sink.write(result)
+        sink.close()
+    depth_mm = cv2.imread(str(out / "depth/000007.png"), cv2.IMREAD_UNCHANGED)
+    disparity = cv2.imread(str(out / "disparity/000007.png"), cv2.IMREAD_UNCHANGED)
+    assert depth_mm.dtype == disparity.dtype == np.uint16
+    np.testing.assert_array_equal(depth_mm, np.rint(values * 1000))
+    np.testing.assert_array_equal(disparity, np.rint(values * 256))
+    assert len(list(out.rglob("*"))) == 4
+
+
+def test_a_file_that_cannot_be_written_leaves_nothing(tmp_path):
+    (tmp_path / "taken.png").mkdir()
+    with pytest.raises(OutputError, match=r"taken\.png: Is a directory"):
+        write_whole(tmp_path / "taken.png", b"x")
+    assert [each.name for each in tmp_path.iterdir()] == ["taken.png"]
+
+
+# Videos.
+
+
+def test_the_charge_video_gives_the_charge_back_at_the_same_times(tmp_path):
+    charges = [np.full((48, 64), level, np.uint8) for level in (0, 15, 127, 239, 255)]
+    for charge in charges:
+        charge[:24] = 255 - charge[:24]
+    sink = charge_video(tmp_path / "charge.mp4", Fraction(1, 1000))
+    stamps = [40, 80, 95, 95, 400]  # uneven, and one that does not come after the one before
+    for index, (pts, charge) in enumerate(zip(stamps, charges, strict=True)):
+        sink.write(frame_result(index, pts=pts, charge=charge))
+    sink.close()
+    read = decoded(tmp_path / "charge.mp4")
+    assert [round(time_s, 6) for time_s, _ in read] == [0.04, 0.08, 0.095, 0.096, 0.4]
+    for charge, (_, rgb) in zip(charges, read, strict=True):
+        # Rows by the seam between the halves are the codec's to blur.
+        off_seam = np.r_[:20, 28:48]
+        assert np.abs(rgb[off_seam].mean(axis=2) - charge[off_seam]).max() <= 4
+
+
+def test_depth_colours_are_red_near_blue_far_black_unknown():
+    disparity_px = np.float32([[NAN, 0.0, 1.0, 8.0, 64.0, 70.0]])
+    unknown, zero, far, middle, near, nearer = depth_colours(disparity_px, 64)[0].astype(int)
+    assert unknown.tolist() == [0, 0, 0]
+    assert zero.tolist() == far.tolist()
+    assert near.tolist() == nearer.tolist()
+    assert far[2] == far.max() > 100  # blue
+    assert middle[1] == middle.max() > 200  # the middle of the log scale is green
+    assert near[0] == near.max() > 100  # red
+    assert depth_colours(disparity_px, 1).shape == (1, 6, 3)
+
+
+def test_the_depth_video_keeps_colours_and_pads_odd_sizes(tmp_path):
+    disparity_px = np.full((31, 45), NAN, np.float32)
+    disparity_px[:, 16:32] = 2
+    disparity_px[:, 32:] = 60
+    sink = depth_video(tmp_path / "depth.mp4", Fraction(1, 25), 64)
+    sink.write(frame_result(disparity_px=disparity_px))
+    sink.close()
+    [(_, rgb)] = decoded(tmp_path / "depth.mp4")
+    assert rgb.shape == (32, 46, 3)
+    for column in (8, 24, 40):
+        expected = depth_colours(disparity_px, 64)[16, column].astype(int)
+        assert np.abs(rgb[16, column] - expected).max() <= 16
+
+
+def test_an_interrupted_video_can_be_played_under_its_part_name(tmp_path):
+    path = tmp_path / "charge.mp4"
+    sink = charge_video(path, Fraction(1, 25))
+    for index in range(3):
+        sink.write(frame_result(index))
+    sink.abandon(keep=True)
+    assert len(decoded(part_of(path))) == 3
+    assert not path.exists()
+
+
+def test_a_video_given_up_leaves_nothing(tmp_path):
+    sink = charge_video(tmp_path / "charge.mp4", Fraction(1, 25))
+    sink.write(frame_result(0))
+    sink.abandon(keep=False)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_video_that_outgrows_the_disk_names_the_path_and_goes(tmp_path):
+    script = """
+import resource, sys
+from fractions import Fraction
+from pathlib import Path
+import numpy as np
+from motionstereo_cli.errors import OutputError
+from motionstereo_cli.sinks.video import VideoWriter
+video = VideoWriter(Path(sys.argv[1]), Fraction(1, 25))
+noise = np.random.default_rng(0)
+resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000))
+try:
+    for index in range(60):
+        video.write(noise.integers(0, 256, (48, 64), np.uint8), index)
+    video.close()
+except OutputError as error:
+    video.close(keep=False)
+    sys.exit(str(error))
+"""
+    path = tmp_path / "charge.mp4"
+    done = subprocess.run(
+        [sys.executable, "-c", script, path], capture_output=True, text=True, check=False
+    )
+    assert done.stderr == f"cannot write {path}: File too large\n"
+    assert not list(tmp_path.iterdir())
+
+
+# Threads.
+
+
+class Listing:
+    """A sink that notes what happens to it, and fails at one frame."""
+
+    def __init__(self, fails_at: int | None = None) -> None:
+        self.events: list[object] = []
+        self._fails_at = fails_at
+
+    def write(self, result: FrameResult) -> None:
+        if result.frame.index == self._fails_at:
+            raise OutputError("no room")
+        self.events.append(result.frame.index)
+
+    def close(self) -> None:
+        self.events.append("closed")
+
+    def abandon(self, *, keep: bool) -> None:
+        self.events.append(("abandoned", keep))
+
+
+def test_a_threaded_sink_writes_all_in_order_and_closes_once():
+    inner = Listing()
+    sink = Threaded(inner)
+    for index in range(50):
+        sink.write(frame_result(index))
+    sink.close()
+    sink.abandon(keep=False)
+    assert inner.events == [*range(50), "closed"]
+
+
+def test_an_error_in_the_thread_stops_the_stream():
+    inner = Listing(fails_at=3)
+    sink = Threaded(inner)
+
+    def write_all() -> None:
+        for index in range(1000):
+            sink.write(frame_result(index))
+
+    with pytest.raises(OutputError, match="no room"):
+        write_all()
+    sink.abandon(keep=False)
+    assert inner.events == [0, 1, 2, ("abandoned", False)]
+
+
+def test_an_error_at_the_last_frame_is_raised_by_close():
+    inner = Listing(fails_at=1)
+    sink = Threaded(inner)
+    sink.write(frame_result(0))
+    sink.write(frame_result(1))
+    with pytest.raises(OutputError, match="no room"):
+        sink.close()
+    sink.abandon(keep=True)
+    assert inner.events == [0, ("abandoned", True)]
+
+
+# The output folder.
+
+
+def a_run(out: Path, save: tuple[str, ...], frames: int, *, done: bool = True) -> None:
+    """Leave what a run leaves, complete or cut off."""
+    prepare(out, save, overwrite=True)
+    for name in save:
+        path = out / SAVES[name].path
+        path.parent.mkdir(exist_ok=True)
+        if "{" in path.name:
+            for index in range(frames):
+                path.with_name(path.name.format(index)).write_bytes(b"image")
+        else:
+            (path if done else part_of(path)).write_bytes(b"stream")
+    if done:
+        complete(out, save, {"counts": {"written": frames}})
+
+
+def names(out: Path) -> set[str]:
+    return {str(path.relative_to(out)) for path in out.rglob("*") if not path.is_dir()}
+
+
+def test_every_default_is_an_output_and_depth_needs_a_rig():
+    assert set(DEFAULT_SAVES) <= SAVES.keys()
+    assert available(DEFAULT_SAVES, rig=True) == DEFAULT_SAVES
+    assert available(["depth", "charge", "disparity"], rig=False) == ("disparity", "charge")
+
+
+def test_a_folder_with_anything_in_it_is_refused(tmp_path):
+    (tmp_path / "notes.txt").touch()
+    with pytest.raises(OutputError, match="not empty"):
+        prepare(tmp_path, ["steering"])
+    assert names(tmp_path) == {"notes.txt"}
+
+
+@pytest.mark.parametrize("done", [True, False])
+def test_overwrite_removes_what_a_run_wrote_and_nothing_else(tmp_path, done):
+    a_run(tmp_path, ("steering", "depth", "charge"), 3, done=done)
+    strangers = {"notes.txt", "depth/000004.png", "depth/mine.png", "depth.mp4", "disparity/a.png"}
+    for stranger in strangers:
+        path = tmp_path / stranger
+        path.parent.mkdir(exist_ok=True)
+        path.write_bytes(b"mine")
+    prepare(tmp_path, ["steering", "charge"], overwrite=True)
+    assert names(tmp_path) == {*strangers, "run.json.part"}
+
+
+def test_overwrite_leaves_no_empty_folder_of_a_former_run(tmp_path):
+    a_run(tmp_path, ("depth",), 3)
+    prepare(tmp_path, ["steering"], overwrite=True)
+    assert not (tmp_path / "depth").exists()
+
+
+@pytest.mark.parametrize(
+    "stranger",
+    ["steering.csv", "steering.csv.part", "depth/000000.png", "depth", "run.json", "run.json.part"],
+)
+def test_nobody_elses_file_is_written_over(tmp_path, stranger):
+    path = tmp_path / stranger
+    path.parent.mkdir(exist_ok=True)
+    path.write_text('{"program": "another"}')
+    with pytest.raises(OutputError, match="not from a former run"):
+        prepare(tmp_path, ["steering", "depth"], overwrite=True)
+    assert names(tmp_path) == {stranger}
+
+
+@pytest.mark.parametrize("record", ["[]", "{", '{"program": "motionstereo", "outputs": 3}'])
+def test_a_record_that_makes_no_sense_gives_no_right_to_remove(tmp_path, record):
+    (tmp_path / "run.json").write_text(record)
+    (tmp_path / "steering.csv").touch()
+    with pytest.raises(OutputError, match="not from a former run"):
+        prepare(tmp_path, ["steering"], overwrite=True)
+    assert names(tmp_path) == {"run.json", "steering.csv"}
+
+
+def test_a_record_cannot_point_outside_the_folder(tmp_path):
+    out = tmp_path / "out"
+    out.mkdir()
+    (tmp_path / "steering.csv").touch()
+    outputs = {"../steering": {"path": "../steering.csv"}, "steering": {"path": "../steering.csv"}}
+    (out / "run.json").write_text(
+        json.dumps({"program": "motionstereo", "outputs": outputs, "counts": {"written": 1}})
+    )
+    prepare(out, ["steering"], overwrite=True)
+    assert (tmp_path / "steering.csv").exists()
+
+
+@pytest.mark.parametrize("taken", ["charge.mp4", "depth", "."])
+def test_an_input_is_not_harmed(tmp_path, taken):
+    a_run(tmp_path, ("steering", "depth", "charge"), 2)
+    before = names(tmp_path)
+    with pytest.raises(OutputError, match="is an input of this run"):
+        prepare(tmp_path, ["depth"], overwrite=True, inputs=[tmp_path / taken])
+    assert names(tmp_path) == before
+
+
+def test_an_input_elsewhere_in_the_folder_stays(tmp_path):
+    (tmp_path / "left.mp4").touch()
+    prepare(tmp_path, ["steering"], overwrite=True, inputs=[tmp_path / "left.mp4"])
+    assert names(tmp_path) == {"left.mp4", "run.json.part"}
+
+
+def test_an_output_folder_that_cannot_be(tmp_path):
+    (tmp_path / "file").touch()
+    for out in (tmp_path / "file", tmp_path / "file/out"):
+        with pytest.raises(OutputError, match=f"cannot write {out}"):
+            prepare(out, ["steering"], overwrite=True)
+
+
+def test_a_failed_run_leaves_its_record_only_beside_images(tmp_path):
+    prepare(tmp_path, ["depth"])
+    (tmp_path / "depth").mkdir()
+    (tmp_path / "depth/000000.png").touch()
+    tidy(tmp_path)
+    assert names(tmp_path) == {"run.json.part", "depth/000000.png"}
+    (tmp_path / "depth/000000.png").unlink()
+    tidy(tmp_path)
+    assert not list(tmp_path.iterdir())
