@@ -1,0 +1,115 @@
+"""Every parameter of the rendered scenes once: default, range, unit, help."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+
+from motionstereo_cli.errors import SettingsError
+from motionstereo_cli.settings import checked, param
+from motionstereo_cli.types import Rig
+
+#: Shares of one side's way that are straight and turn: the paper's 100 and 25 frames of 125.
+STRAIGHT_SHARE, TURN_SHARE = 0.8, 0.2
+
+#: Frames are numbered with six digits.
+_MOST_FRAMES = 1_000_000
+
+#: Room that a turning camera must keep from the inner corner, in m.
+_LEAST_ROOM_M = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class SimulateSettings:
+    """What a rendered recording depends on.
+
+    Raises:
+        SettingsError: a value is out of range, or values contradict each other.
+    """
+
+    scene: str = param(
+        "corridor",
+        "corridor: a robot's way round a square corridor; "
+        "cards: textured cards that cross, approach and recede before a textured wall.",
+        choices=("corridor", "cards"),
+    )
+    frames: str = param(
+        "500",
+        "How many frames, or which: 250:350 is 250 to 349. In the corridor a round takes 500, "
+        "of each 125 the last 25 are a turn.",
+    )
+    width: int = param(320, "Width of the images, even.", unit="px", low=16, high=4096)
+    height: int = param(240, "Height of the images, even.", unit="px", low=16, high=4096)
+    focal_px: float = param(
+        0.0, "Focal length (0 = 0.87 of the width).", unit="px", low=0, high=100_000
+    )
+    baseline_m: float = param(0.12, "Distance between the cameras.", unit="m", low=0.001, high=1)
+    frame_rate: float = param(30.0, "Frames per second.", unit="Hz", low=1, high=1000)
+    corridor_width_m: float = param(
+        3.0, "From inner to outer wall (corridor alone).", unit="m", low=0.5, high=20
+    )
+    corridor_length_m: float = param(
+        20.0,
+        "Way of the robot along one side and its turn, 125 frames (corridor alone).",
+        unit="m",
+        low=5,
+        high=100,
+    )
+    pan: bool = param(False, "Swing the camera from side to side (cards alone).")
+    noise_sigma: float = param(
+        0.0, "Standard deviation of the sensor noise.", unit="grey levels", low=0, high=100
+    )
+    seed: int = param(0, "Seed of the paint and of the noise.", low=0)
+    lossless: bool = param(False, "Write FFV1 in Matroska (.mkv) instead of H.264 (.mp4).")
+
+    def __post_init__(self) -> None:
+        checked(self)
+        if self.width % 2 or self.height % 2:
+            raise SettingsError(
+                f"--width {self.width} --height {self.height}: give even numbers, for H.264"
+            )
+        if self.focal_px and self.focal_px < self.width / 5:
+            raise SettingsError(
+                f"--focal-px {self.focal_px:g} is too short for a width of {self.width} px: "
+                f"give at least {self.width / 5:g}"
+            )
+        if not 1 <= len(self.frame_range) <= _MOST_FRAMES:
+            raise SettingsError(f"--frames {self.frames}: give 1 to {_MOST_FRAMES} frames")
+        # The inner corner comes nearest to the turning robot in the middle of the turn.
+        radius_m = TURN_SHARE * self.corridor_length_m / (math.pi / 2)
+        room_m = (_LEAST_ROOM_M + self.baseline_m / 2) / math.sqrt(2)
+        least_m = 2 * (room_m + radius_m * (1 - math.sqrt(0.5)))
+        if not least_m <= self.corridor_width_m <= self.corridor_length_m / 2:
+            raise SettingsError(
+                f"--corridor-width-m {self.corridor_width_m:g} does not suit a corridor length of "
+                f"{self.corridor_length_m:g} m: give {least_m:.2f} to "
+                f"{self.corridor_length_m / 2:g} m"
+            )
+
+    @property
+    def frame_range(self) -> range:
+        """The scene's frame numbers to render.
+
+        Raises:
+            SettingsError: ``frames`` is neither a number nor a range.
+        """
+        match = re.fullmatch(r"(?:(\d{1,9}):)?(\d{1,9})", self.frames)
+        if match is None:
+            raise SettingsError(
+                f"--frames cannot be {self.frames!r}: give a number such as 500 "
+                "or a range such as 250:350"
+            )
+        return range(int(match[1] or 0), int(match[2]))
+
+    @property
+    def rig(self) -> Rig:
+        """The stereo camera; its principal points are the middle of the image."""
+        return Rig(
+            width=self.width,
+            height=self.height,
+            focal_px=self.focal_px or 0.87 * self.width,
+            baseline_m=self.baseline_m,
+            cx=(self.width - 1) / 2,
+            cy=(self.height - 1) / 2,
+        )

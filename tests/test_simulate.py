@@ -1,0 +1,447 @@
+"""Rendered scenes: geometry, light, noise, truth and files, each against something independent."""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+
+import av
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, reject
+from hypothesis import settings as profile
+from hypothesis import strategies as st
+
+from motionstereo_cli.errors import OutputError, SettingsError
+from motionstereo_cli.rig import read_rig
+from motionstereo_cli.simulate import write as write_module
+from motionstereo_cli.simulate.camera import EYE_HEIGHT_M, Camera, Pose, stereo_cameras
+from motionstereo_cli.simulate.cards import CARDS, WALL_M, Cards, card_state, pan_pose
+from motionstereo_cli.simulate.corridor import HEIGHT_M, Corridor
+from motionstereo_cli.simulate.scenes import render_scene
+from motionstereo_cli.simulate.settings import SimulateSettings
+from motionstereo_cli.simulate.write import simulate
+from motionstereo_cli.types import Rig
+
+RIG = SimulateSettings().rig
+
+
+def small(**values):
+    return SimulateSettings(**{"width": 64, "height": 48, "frames": "3", **values})
+
+
+def warped(left, disparity_px):
+    """The left image seen from the right camera; NaN where it looks past the left image."""
+    height, width = left.shape
+    u, v = np.meshgrid(np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32))
+    source_u = u + disparity_px
+    seen = cv2.remap(left.astype(np.float32), source_u, v, cv2.INTER_CUBIC)
+    return np.where(source_u <= width - 1, seen, np.nan)
+
+
+def finer(camera: Camera, times: int) -> Camera:
+    """The same camera with each pixel cut into times x times."""
+    return Camera(
+        camera.width * times,
+        camera.height * times,
+        camera.focal_px * times,
+        (camera.cx + 0.5) * times - 0.5,
+        (camera.cy + 0.5) * times - 0.5,
+        camera.left_m,
+    )
+
+
+# The corridor.
+
+
+def test_end_of_the_corridor_has_the_depth_worked_out_by_hand():
+    # 16 m straight, then a quarter circle of 4 m: its radius is 8 / pi. The robot starts 8 m
+    # before the middle of the side; the end wall is 8 m + the radius + half of 3 m beyond it.
+    corridor = Corridor()
+    depth = corridor.render(corridor.path(0), stereo_cameras(RIG)[1]).depth_m
+    assert depth[118:122, 158:162] == pytest.approx(16 + 8 / math.pi + 1.5)
+
+
+def test_walls_floor_and_ceiling_have_the_depths_of_similar_triangles():
+    corridor = Corridor()
+    right = stereo_cameras(RIG)[1]
+    depth = corridor.render(corridor.path(250), right).depth_m
+    f = RIG.focal_px
+    # The right camera is 0.06 m nearer to the right wall.
+    assert depth[120, 319] == pytest.approx(f * (1.5 - 0.06) / (319 - right.cx))
+    assert depth[120, 0] == pytest.approx(f * (1.5 + 0.06) / right.cx)
+    assert depth[239, 160] == pytest.approx(f * EYE_HEIGHT_M / (239 - right.cy))
+    assert depth[0, 160] == pytest.approx(f * (HEIGHT_M - EYE_HEIGHT_M) / right.cy)
+
+
+def test_the_robot_drives_as_in_the_paper():
+    corridor = Corridor()
+    poses = [corridor.path(frame) for frame in range(501)]
+    steps = [math.dist((a.x_m, a.y_m), (b.x_m, b.y_m)) for a, b in pairwise(poses)]
+    turns = np.array([math.remainder(b.yaw_rad - a.yaw_rad, math.tau) for a, b in pairwise(poses)])
+    turning = np.arange(500) % 125 >= 100
+    assert steps == pytest.approx(np.full(500, 0.16), rel=1e-3)  # a chord is short of its arc
+    assert turns[~turning] == pytest.approx(0)
+    assert turns[turning] == pytest.approx(math.pi / 2 / 25)  # positive: to the left
+    assert (poses[500].x_m, poses[500].y_m) == pytest.approx((poses[0].x_m, poses[0].y_m))
+    assert poses[500].yaw_rad == pytest.approx(0)
+
+
+def marched_depth(corridor, pose, camera, u_px, v_px):
+    """Slow oracle: walk along one ray until it leaves free space, then bisect."""
+    lateral, up = (camera.cx - u_px) / camera.focal_px, (camera.cy - v_px) / camera.focal_px
+    cos, sin = math.cos(pose.yaw_rad), math.sin(pose.yaw_rad)
+
+    def free(depth_m):
+        left_m = camera.left_m + depth_m * lateral
+        x_m = pose.x_m + depth_m * cos - left_m * sin
+        y_m = pose.y_m + depth_m * sin + left_m * cos
+        inside = corridor.inner_m < max(abs(x_m), abs(y_m)) < corridor.outer_m
+        return inside and 0 < EYE_HEIGHT_M + depth_m * up < HEIGHT_M
+
+    far = 0.0
+    while free(far):
+        near, far = far, far + 0.002
+    for _ in range(30):
+        middle = (near + far) / 2
+        near, far = (middle, far) if free(middle) else (near, middle)
+    return near
+
+
+@pytest.mark.parametrize("frame", [0, 60, 110, 265, 340, 355, 365, 370, 499])
+def test_depth_agrees_with_a_ray_walked_step_by_step(frame):
+    corridor = Corridor(width_m=2.5, length_m=18)
+    rng = np.random.default_rng(frame)
+    exact = corridor.path(frame)
+    pose = Pose(exact.x_m + 0.1, exact.y_m - 0.1, exact.yaw_rad + rng.uniform(-3, 3))
+    for camera in stereo_cameras(RIG):
+        depth = corridor.render(pose, camera).depth_m
+        rows, columns = rng.integers(0, 240, 10), rng.integers(0, 320, 10)
+        oracle = [
+            marched_depth(corridor, pose, camera, *uv) for uv in zip(columns, rows, strict=True)
+        ]
+        assert depth[rows, columns] == pytest.approx(oracle, rel=1e-5)
+
+
+@pytest.mark.parametrize("frame", [0, 300, 355, 372])
+def test_a_pixel_is_the_mean_of_its_area(frame):
+    corridor = Corridor()
+    pose, camera = corridor.path(frame), stereo_cameras(RIG)[0]
+    grey = corridor.render(pose, camera).grey
+    fine = corridor.render(pose, finer(camera, 6)).grey
+    mean = fine.reshape(240, 6, 320, 6).mean(axis=(1, 3))
+    error = np.abs(grey - mean)
+    assert error.mean() < 0.02
+    assert np.quantile(error, 0.999) < 2  # slanted edges: one depth stands for half a column
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        SimulateSettings(width=480, height=320, frames="300:301"),
+        SimulateSettings(width=480, height=320, frames="360:361"),
+        SimulateSettings(width=480, height=320, frames="40:41", scene="cards"),
+        SimulateSettings(width=480, height=320, frames="75:76", scene="cards", pan=True),
+    ],
+)
+def test_left_image_moved_by_the_true_disparity_is_the_right_image(settings):
+    shot = next(render_scene(settings))
+    error = np.abs(warped(shot.left, shot.disparity_px) - shot.right)
+    assert np.nanmedian(error) < 1
+    assert (error[np.isfinite(error)] < 8).mean() > 0.95  # the rest is hidden from the left camera
+    for wrong in (-1, 1):
+        moved = np.abs(warped(shot.left, shot.disparity_px + wrong) - shot.right)
+        assert np.nanmean(moved) > 1.5 * np.nanmean(error)
+
+
+def test_remote_parts_are_darker_and_brighten_as_they_come_near():
+    corridor = Corridor()
+    camera = stereo_cameras(RIG)[1]
+    views = [corridor.render(corridor.path(frame), camera) for frame in (300, 325, 349)]
+    for view in views:
+        centre = view.grey[:119, 160]  # the ceiling, from overhead to the end
+        ceiling = centre[view.depth_m[:119, 160] < view.depth_m[119, 160] - 0.5]
+        assert np.all(np.diff(ceiling) < 0)
+    ends = [np.median(view.grey[118:122, 150:170]) for view in views]
+    assert ends[0] < ends[1] < ends[2]
+
+
+def test_windows_are_on_outer_walls_alone_and_doors_on_all():
+    openings = Corridor(seed=3).openings
+    assert {o.wall for o in openings if o.kind == "window"} == {0, 1, 2, 3}
+    assert {o.wall for o in openings if o.kind == "door"} == set(range(8))
+    for wall in range(8):
+        ends = [m for o in openings if o.wall == wall for m in (o.start_m, o.stop_m)]
+        assert ends == sorted(ends)
+
+
+def test_walls_are_smooth_between_openings_and_openings_are_where_they_are_said_to_be():
+    corridor = Corridor()
+    camera = stereo_cameras(RIG)[1]
+    for opening in corridor.openings:
+        if opening.wall != 0:
+            continue
+        # Look squarely at the wall y = -outer from 1.5 m, once at its opening's either end.
+        for end_m in (opening.start_m, opening.stop_m):
+            x_m = end_m - corridor.outer_m
+            view = corridor.render(Pose(x_m, -corridor.outer_m + 1.5, -math.pi / 2), camera)
+            row = np.abs(np.diff(view.grey[118]))
+            column = camera.cx + camera.focal_px * camera.left_m / 1.5  # of x_m
+            edge = round(column)
+            assert row[edge - 4 : edge + 4].max() > 20
+    bare = corridor.render(Pose(-corridor.outer_m + 0.4, -corridor.outer_m + 1.5, -1.6), camera)
+    assert np.abs(np.diff(bare.grey[118, 100:220])).max() < 1
+
+
+def test_the_seed_decides_on_the_paint():
+    same, again, other = (Corridor(seed=seed).openings for seed in (1, 1, 2))
+    assert same == again
+    assert same != other
+
+
+# The cards.
+
+
+@given(st.sampled_from(CARDS), st.floats(0, 1000))
+def test_a_card_keeps_its_speed_and_its_bounds(card, time_s):
+    step_s = 1e-4
+    before, after = card_state(card, time_s), card_state(card, time_s + step_s)
+    places = [(s.y_m if card.axis else s.x_m) for s in (before, after)]
+    assert card.low_m <= min(places)
+    assert max(places) <= card.high_m
+    speed = before.leftward_m_s if card.axis else -before.closing_m_s
+    assert abs(speed) == abs(card.speed_m_s)
+    if speed == (after.leftward_m_s if card.axis else -after.closing_m_s):
+        assert (places[1] - places[0]) / step_s == pytest.approx(speed, abs=1e-6)
+
+
+def test_a_card_begins_as_declared_and_turns_round():
+    receding = next(card for card in CARDS if card.name == "receding")
+    state = card_state(receding, 0)
+    assert (state.x_m, state.closing_m_s) == pytest.approx((1.6, -0.7))
+    # 2.6 m away and 1.3 m back at 0.7 m/s.
+    back = card_state(receding, 3.9 / 0.7)
+    assert (back.x_m, back.closing_m_s) == pytest.approx((2.9, 0.7))
+
+
+@pytest.mark.parametrize("pan", [False, True])
+def test_true_depth_is_that_of_the_nearest_card(pan):
+    time_s = 2.3
+    pose = pan_pose(time_s) if pan else Pose(0, 0, 0)
+    camera = stereo_cameras(RIG)[1]
+    depth = Cards(RIG.focal_px).render(pose, camera, time_s).depth_m
+    cos, sin = math.cos(pose.yaw_rad), math.sin(pose.yaw_rad)
+    rng = np.random.default_rng(0)
+    seen = set()
+    for row, column in zip(rng.integers(0, 240, 400), rng.integers(0, 320, 400), strict=True):
+        lateral = (camera.cx - column) / camera.focal_px
+        up = (camera.cy - row) / camera.focal_px
+        hits = [((WALL_M - camera.left_m * -sin) / (cos - lateral * sin), "wall")]
+        for card in CARDS:
+            state = card_state(card, time_s)
+            z = (state.x_m - camera.left_m * -sin) / (cos - lateral * sin)
+            y_m = camera.left_m * cos + z * (sin + lateral * cos)
+            z_m = EYE_HEIGHT_M + z * up
+            if abs(y_m - state.y_m) < card.width_m / 2 and abs(z_m - state.z_m) < card.height_m / 2:
+                hits.append((z, card.name))
+        seen.add(min(hits)[1])
+        assert depth[row, column] == pytest.approx(min(hits)[0], rel=1e-5)
+    assert len(seen) >= 4
+
+
+@pytest.mark.parametrize("width", [320, 640])
+def test_textures_do_not_alias(width):
+    # A pixel sampled at its centre is next to the mean of its area.
+    rig = SimulateSettings(width=width, height=width * 3 // 4).rig
+    cards, camera = Cards(rig.focal_px), stereo_cameras(rig)[0]
+    grey = cards.render(Pose(0, 0, 0), camera, 0).grey
+    fine = cards.render(Pose(0, 0, 0), finer(camera, 4), 0).grey
+    mean = fine.reshape(rig.height, 4, width, 4).mean(axis=(1, 3))
+    assert grey.std() > 30  # contrasty
+    assert np.corrcoef(grey.ravel(), mean.ravel())[0, 1] > 0.99
+
+
+def test_disparities_of_the_cards_scene_suit_a_search_of_64_px():
+    settings = SimulateSettings(width=480, height=320, frames="300", scene="cards")
+    disparity = settings.rig.focal_px * settings.rig.baseline_m
+    depths = [card_state(c, t / 30).x_m for c in CARDS for t in range(300)] + [WALL_M]
+    assert disparity / max(depths) > 5
+    assert disparity / min(depths) < 50
+
+
+def test_panning_moves_the_wall_a_few_pixels_a_frame():
+    moved = [
+        abs(pan_pose((t + 1) / 30).yaw_rad - pan_pose(t / 30).yaw_rad) * 0.87 * 480
+        for t in range(120)
+    ]
+    assert 2 < max(moved) < 5
+
+
+# Noise and frames.
+
+
+def test_noise_has_its_sigma_and_differs_between_cameras_and_frames():
+    clean = list(render_scene(SimulateSettings(frames="2")))
+    noisy = list(render_scene(SimulateSettings(frames="2", noise_sigma=3.0)))
+    grains = [
+        getattr(n, side).astype(float) - getattr(c, side)
+        for n, c in zip(noisy, clean, strict=True)
+        for side in ("left", "right")
+    ]
+    for grain in grains:
+        assert grain.std() == pytest.approx(math.hypot(3, math.sqrt(1 / 12)), rel=0.05)
+        assert abs(grain.mean()) < 0.05
+    correlation = np.corrcoef([grain.ravel() for grain in grains])
+    assert np.abs(correlation - np.eye(4)).max() < 0.03
+
+
+@pytest.mark.parametrize("scene", ["corridor", "cards"])
+def test_a_frame_is_the_same_alone_and_in_a_run(scene):
+    run = list(render_scene(small(scene=scene, frames="98:103", noise_sigma=2, pan=True)))
+    alone = next(render_scene(small(scene=scene, frames="101:102", noise_sigma=2, pan=True)))
+    assert [shot.frame for shot in run] == [98, 99, 100, 101, 102]
+    for one, other in zip(run[3], alone, strict=True):
+        assert np.array_equal(one, other) if isinstance(one, np.ndarray) else one == other
+
+
+def test_nonsense_is_refused_in_one_line():
+    for values, said in (
+        ({"frames": "0"}, "--frames"),
+        ({"frames": "9:5"}, "--frames"),
+        ({"frames": "-3"}, "--frames"),
+        ({"frames": "ten"}, "--frames"),
+        ({"frames": "9999999999"}, "--frames"),
+        ({"frames": "2000000"}, "--frames"),
+        ({"width": 321}, "--width"),
+        ({"height": 241}, "--height"),
+        ({"focal_px": 10}, "--focal-px"),
+        ({"focal_px": math.nan}, "--focal-px"),
+        ({"baseline_m": 0}, "--baseline-m"),
+        ({"corridor_width_m": 1.0}, "--corridor-width-m"),
+        ({"corridor_width_m": 12.0}, "--corridor-width-m"),
+        ({"scene": "beach"}, "--scene"),
+        ({"noise_sigma": -1}, "--noise-sigma"),
+        ({"seed": -1}, "--seed"),
+    ):
+        with pytest.raises(SettingsError, match=said) as caught:
+            SimulateSettings(**values)
+        assert "\n" not in str(caught.value)
+
+
+@profile(deadline=None, max_examples=40)
+@given(st.floats(5, 100), st.floats(0.5, 20), st.floats(0.001, 1), st.floats(0, 125))
+def test_both_cameras_stay_in_any_corridor_that_is_accepted(length_m, width_m, baseline_m, frame):
+    try:
+        SimulateSettings(
+            corridor_length_m=length_m, corridor_width_m=width_m, baseline_m=baseline_m
+        )
+    except SettingsError:
+        reject()
+    corridor = Corridor(width_m, length_m)
+    pose = corridor.path(frame)
+    for side in (-0.5, 0.5):
+        x_m, y_m = np.array([pose.x_m, pose.y_m]) + side * baseline_m * pose.left
+        assert corridor.inner_m + 0.09 < max(abs(x_m), abs(y_m)) < corridor.outer_m - 0.09
+
+
+# Files.
+
+
+def decoded(path):
+    with av.open(str(path)) as container:
+        return [frame.to_ndarray()[: frame.height] for frame in container.decode(video=0)]
+
+
+def contents(folder):
+    return {p.relative_to(folder): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
+
+
+def test_files_hold_what_was_rendered(tmp_path):
+    settings = small(frames="248:252", lossless=True, noise_sigma=1, frame_rate=25)
+    calls = []
+    simulate(tmp_path, settings, progress=lambda: calls.append(1))
+    shots = list(render_scene(settings))
+    names = {str(path) for path in contents(tmp_path)}
+    assert names == {"left.mkv", "right.mkv", "rig.yaml", "poses.txt"} | {
+        f"disparity/{number:06d}.png" for number in range(4)
+    }
+    assert len(calls) == 4
+    assert np.array_equal(decoded(tmp_path / "left.mkv"), [shot.left for shot in shots])
+    assert np.array_equal(decoded(tmp_path / "right.mkv"), [shot.right for shot in shots])
+    for number, shot in enumerate(shots):
+        png = cv2.imread(str(tmp_path / f"disparity/{number:06d}.png"), cv2.IMREAD_UNCHANGED)
+        assert png.dtype == np.uint16
+        assert np.array_equal(png, np.rint(256 * shot.disparity_px))
+    assert read_rig(tmp_path / "rig.yaml") == Rig(64, 48, 0.87 * 64, 0.12, 31.5, 23.5)
+    poses = np.loadtxt(tmp_path / "poses.txt")
+    assert poses[:, 0] == pytest.approx([9.92, 9.96, 10.0, 10.04])
+    assert poses[:, 1:3] == pytest.approx(
+        np.array([(s.pose.x_m, s.pose.y_m) for s in shots]), abs=1e-6
+    )
+    assert 2 * np.arctan2(poses[:, 6], poses[:, 7]) == pytest.approx(
+        [s.pose.yaw_rad for s in shots]
+    )
+    assert np.all(poses[:, 3] == EYE_HEIGHT_M)
+    assert np.all(poses[:, 4:6] == 0)
+
+
+def test_h264_is_close_to_what_was_rendered(tmp_path):
+    settings = small(frames="3")
+    simulate(tmp_path, settings)
+    for luma, shot in zip(decoded(tmp_path / "right.mp4"), render_scene(settings), strict=True):
+        grey = (luma.astype(float) - 16) * 255 / 219
+        assert np.abs(grey - shot.right).mean() < 3
+
+
+@pytest.mark.parametrize("lossless", [False, True])
+def test_same_settings_give_the_same_bytes(tmp_path, lossless):
+    for name in ("a", "b"):
+        simulate(tmp_path / name, small(noise_sigma=1.5, lossless=lossless))
+    simulate(tmp_path / "c", small(noise_sigma=1.5, lossless=lossless, seed=1))
+    a, b, c = (contents(tmp_path / name) for name in "abc")
+    assert a == b
+    assert a != c
+
+
+def test_a_folder_in_use_is_refused(tmp_path):
+    (tmp_path / "notes.txt").write_text("mine")
+    with pytest.raises(OutputError, match="not empty"):
+        simulate(tmp_path, small())
+    assert len(contents(tmp_path)) == 1
+    with pytest.raises(OutputError, match="cannot write"):
+        simulate(tmp_path / "notes.txt", small())
+
+
+def test_overwrite_replaces_a_simulation_and_nothing_else(tmp_path):
+    simulate(tmp_path, small(frames="5", lossless=True))
+    (tmp_path / "notes.txt").write_text("mine")
+    (tmp_path / "disparity/000777.png").write_text("mine")
+    simulate(tmp_path, small(frames="2"), overwrite=True)
+    simulate(tmp_path / "fresh", small(frames="2"))
+    left = contents(tmp_path)
+    fresh = contents(tmp_path / "fresh")
+    for path, data in fresh.items():
+        assert left.pop(path) == data
+        left.pop("fresh" / path)
+    assert sorted(map(str, left)) == ["disparity/000777.png", "notes.txt"]
+
+
+def test_overwrite_does_not_touch_the_recordings_of_others(tmp_path):
+    (tmp_path / "left.mp4").write_text("mine")
+    with pytest.raises(OutputError, match=r"left\.mp4 is in the way"):
+        simulate(tmp_path, small(), overwrite=True)
+    assert list(contents(tmp_path).values()) == [b"mine"]
+
+
+@pytest.mark.parametrize("failing", ["frame", "end"])
+@pytest.mark.parametrize("error", [KeyboardInterrupt, OutputError])
+def test_a_failure_leaves_no_file(tmp_path, monkeypatch, failing, error):
+    def fail(*_):
+        raise error
+
+    if failing == "end":
+        monkeypatch.setattr(write_module, "write_rig", fail)
+    with pytest.raises(error):
+        simulate(tmp_path, small(), **({"progress": fail} if failing == "frame" else {}))
+    assert contents(tmp_path) == {}
