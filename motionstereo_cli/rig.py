@@ -26,7 +26,6 @@ def read_rig(path: Path) -> Rig:
     Raises:
         InputError: the file cannot be read, or a value is missing, unknown, given twice, not a
             finite number, or not positive where it must be.
-
     """
     try:
         text = path.read_text(encoding="utf-8-sig", errors="replace")
@@ -62,7 +61,6 @@ def write_rig(path: Path, rig: Rig) -> None:
 
     Raises:
         OutputError: the file cannot be written.
-
     """
     write_whole(path, format_rig(rig).encode())
 

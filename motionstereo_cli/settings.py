@@ -26,7 +26,6 @@ class Param:
         unit: unit of the number, empty where it is a plain number or a choice.
         low, high: inclusive range of a number, None where open.
         choices: allowed strings, empty where any.
-
     """
 
     name: str
@@ -59,7 +58,6 @@ class Param:
 
         Raises:
             SettingsError: it is of another kind, not a number, or out of range.
-
         """
         wanted = {bool: "true or false", int: "a whole number", float: "a number", str: "text"}
         try:
@@ -112,7 +110,6 @@ def checked(settings: Any) -> None:
 
     Raises:
         SettingsError: a value is of the wrong kind or out of range.
-
     """
     for item in params(type(settings)):
         object.__setattr__(settings, item.name, item.parse(getattr(settings, item.name)))
@@ -124,7 +121,6 @@ class Settings:
 
     Raises:
         SettingsError: a value is out of range, or two values contradict each other.
-
     """
 
     # Equation (4): grey-level bands.
@@ -227,7 +223,6 @@ class Settings:
 
         Raises:
             SettingsError: no such preset, or a value is out of range.
-
         """
         if name not in PRESETS:
             raise SettingsError(f"there is no preset {name!r}: choose {' | '.join(PRESETS)}")

@@ -37,7 +37,6 @@ class FolderStream(Stream):
     Raises:
         InputError: the folder has no readable image; while iterating: an image differs from the
             first in size.
-
     """
 
     time_base = None

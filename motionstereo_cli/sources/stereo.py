@@ -36,7 +36,6 @@ class StereoSource:
         counts: for ``left`` and ``right``: images ``read``, ``damaged`` (corrupt or lost) and
             ``unpaired`` (not used because their partner is lost or was never there).
         damage: what was lost, one line each; complete after the iteration.
-
     """
 
     def __init__(self, left: Path, right: Path) -> None:
@@ -170,7 +169,6 @@ def open_stereo(left: Path, right: Path) -> StereoSource:
     Raises:
         InputError: one is missing, cannot be decoded or has no images; both are the same; or
             their images differ in size.
-
     """
     for path in (left, right):
         if not path.exists():

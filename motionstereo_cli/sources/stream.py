@@ -22,7 +22,6 @@ class Image(NamedTuple):
         number: place in the recording, from 0; places of lost images are left out.
         pts: presentation time stamp in units of the stream's time base.
         grey: (height, width) uint8 grey levels 0..255; not to be written to.
-
     """
 
     number: int
@@ -37,7 +36,6 @@ class Stream(ABC):
         width, height: size in px of the images as delivered.
         time_base: seconds per unit of pts, None where images have no time.
         expected_images: how many places the recording seems to have, None where nobody knows.
-
     """
 
     width: int
@@ -53,7 +51,6 @@ class Stream(ABC):
 
         Raises:
             InputError: there is none.
-
         """
         first = next(images, None)
         if first is None:

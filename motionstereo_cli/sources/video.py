@@ -46,7 +46,6 @@ class VideoStream(Stream):
 
     Raises:
         InputError: not a video, or none of its images can be decoded.
-
     """
 
     def __init__(self, path: Path) -> None:

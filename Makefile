@@ -1,0 +1,48 @@
+# Everything here sets itself up: Python 3.11 with pip and venv is all it takes.
+PYTHON ?= python3
+BIN = .venv/bin
+READY = .venv/.ready
+
+.PHONY: demo test lint sample figures renew clean
+
+demo: $(READY)  ## run the main job on sample_data
+	$(BIN)/motionstereo run sample_data/left.mp4 sample_data/right.mp4 \
+		--rig sample_data/rig.yaml --out out/demo --overwrite
+	@echo "Look at out/demo: depth.mp4 and charge.mp4 play anywhere, steering.csv has a row a frame."
+
+test: $(READY)  ## run the tests
+	$(BIN)/pytest
+
+lint: $(READY)  ## check style and types
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+# 40 frames of straight corridor, the turn to the left (40..64), and the straight after it.
+sample: $(READY)  ## render sample_data again
+	$(BIN)/motionstereo simulate out/sample --overwrite --frames 310:410 --noise-sigma 1.5
+	$(BIN)/motionstereo run out/sample/left.mp4 out/sample/right.mp4 \
+		--rig out/sample/rig.yaml --save steering --out out/sample_run --overwrite
+	$(BIN)/motionstereo figure out/sample/left.mp4 out/sample/right.mp4 \
+		--frames 20,54,72 --out out/sample_run/corridor.png
+	cp out/sample/left.mp4 out/sample/right.mp4 out/sample/rig.yaml \
+		out/sample_run/steering.csv out/sample_run/corridor.png sample_data/
+
+figures: $(READY)  ## render the paper's figures 2 and 3
+	$(BIN)/motionstereo simulate out/corridor --overwrite --frames 381 --noise-sigma 1.5
+	$(BIN)/motionstereo figure out/corridor/left.mp4 out/corridor/right.mp4 \
+		--frames 350,355,360,365,370,375,380 --out out/figure2.png
+	$(BIN)/motionstereo figure out/corridor/left.mp4 out/corridor/right.mp4 \
+		--frames 265,280,300,320,335,350 --out out/figure3.png
+
+renew: $(READY)  ## accept what the code gives now: the README's tables and the sample
+	$(BIN)/pytest tests/test_readme.py --renew
+	$(MAKE) sample
+
+clean:  ## remove everything that make made
+	rm -rf .venv out build *.egg-info
+
+$(READY): pyproject.toml
+	$(PYTHON) -m venv .venv
+	$(BIN)/pip install --quiet --editable ".[dev]"
+	touch $@

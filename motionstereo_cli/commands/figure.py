@@ -1,0 +1,55 @@
+"""``motionstereo figure``: the stages of some frames on one sheet."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from motionstereo_cli.commands.options import processing_options
+from motionstereo_cli.settings import Settings
+
+
+def _numbers(ctx: click.Context, _: click.Parameter, text: str) -> list[int]:
+    numbers = [int(part) for part in text.split(",") if part.strip().isdecimal()]
+    if len(numbers) != text.count(",") + 1:
+        raise click.UsageError(
+            f"--frames cannot be {text!r}: give frame numbers from 0, such as 350,355,360", ctx
+        )
+    return numbers
+
+
+@click.command()
+@click.argument("left", type=click.Path(path_type=Path))
+@click.argument("right", type=click.Path(path_type=Path))
+@click.option(
+    "--frames",
+    "numbers",
+    required=True,
+    metavar="NUMBERS",
+    callback=_numbers,
+    help="Frames to show, a row each, as a comma list of numbers from 0.",
+)
+@click.option(
+    "-o",
+    "--out",
+    type=click.Path(dir_okay=False, path_type=Path),
+    default="sheet.png",
+    show_default=True,
+    help="PNG to write; an older one is replaced.",
+)
+@processing_options
+def figure(*, left: Path, right: Path, numbers: list[int], out: Path, settings: Settings) -> None:
+    """Show some frames stage by stage on one sheet, as the paper's figures 2 and 3 do.
+
+    A row a frame; the columns are the right image, its bands, the right permanency memory, and
+    the depth, bright where near and black where unknown.
+    """
+    from motionstereo_cli.figure import draw_figure
+    from motionstereo_cli.sinks.files import write_whole
+    from motionstereo_cli.sinks.images import encode_png
+    from motionstereo_cli.sources import open_stereo
+
+    with open_stereo(left, right) as source:
+        write_whole(out, encode_png(draw_figure(source, numbers, settings)))
+    click.echo(f"note: {len(numbers)} frames in {out}", err=True)
