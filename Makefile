@@ -3,7 +3,7 @@ PYTHON ?= python3
 BIN = .venv/bin
 READY = .venv/.ready
 
-.PHONY: demo test lint sample figures renew clean
+.PHONY: demo test lint sample figures bench-accuracy bench-drive check-trials renew clean
 
 demo: $(READY)  ## run the main job on sample_data
 	$(BIN)/motionstereo run sample_data/left.mp4 sample_data/right.mp4 \
@@ -34,6 +34,16 @@ figures: $(READY)  ## render the paper's figures 2 and 3
 		--frames 350,355,360,365,370,375,380 --out out/figure2.png
 	$(BIN)/motionstereo figure out/corridor/left.mp4 out/corridor/right.mp4 \
 		--frames 265,280,300,320,335,350 --out out/figure3.png
+
+bench-accuracy: $(READY)  ## measure how accurate the matchers are: the README's tables
+	$(BIN)/python -m motionstereo_cli.bench.accuracy
+
+check-trials: $(READY)  ## try the command check on 20 simulated recordings, each good and spoilt
+	$(BIN)/pytest tests/test_check.py -k trial --trials 20
+
+bench-drive: $(READY)  ## let the robot find its way by different depths; resumes where it was
+	$(BIN)/python -m motionstereo_cli.bench.drive
+	$(BIN)/python -m motionstereo_cli.bench.drive --walkers 2
 
 renew: $(READY)  ## accept what the code gives now: the README's tables and the sample
 	$(BIN)/pytest tests/test_readme.py --renew

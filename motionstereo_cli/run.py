@@ -16,15 +16,18 @@ import cv2
 import numpy as np
 
 from motionstereo_cli import __version__
+from motionstereo_cli.check import Finding, watched
 from motionstereo_cli.errors import InputError, OutputError
 from motionstereo_cli.pipeline import process
+from motionstereo_cli.poses import Trajectory
 from motionstereo_cli.settings import Settings
 from motionstereo_cli.sinks import DEFAULT_SAVES, SAVES, Sink, available
 from motionstereo_cli.sinks.folder import complete, prepare, tidy
 from motionstereo_cli.sinks.steering import SteeringStream
 from motionstereo_cli.sinks.threaded import Threaded
 from motionstereo_cli.sources import StereoSource
-from motionstereo_cli.types import FrameResult, Rig
+from motionstereo_cli.sources.settings import adapted_rig
+from motionstereo_cli.types import FrameResult, Rig, StereoFrame
 
 #: Time from frame to frame in the videos written, in s, where the source has no time.
 DEFAULT_TIME_BASE = Fraction(1, 25)
@@ -68,10 +71,12 @@ def run(
     settings: Settings,
     rig: Rig | None = None,
     *,
+    poses: Trajectory | None = None,
     save: Sequence[str] = DEFAULT_SAVES,
     overwrite: bool = False,
     inputs: Iterable[Path] = (),
     progress: Callable[[], object] = lambda: None,
+    warn: Callable[[Finding], object] | None = None,
 ) -> RunReport:
     """Process a stereo source and write the results.
 
@@ -84,20 +89,23 @@ def run(
         source: an open source, not yet iterated.
         out: the output folder, or a binary stream that gets the steering table alone.
         settings: parameters of the processing.
-        rig: the camera; without one there are no lengths and angles, and disparity images take
-            the place of depth images.
+        rig: the camera, as it is before the source's crop and scale; without one there are no
+            lengths and angles, and disparity images take the place of depth images.
+        poses: where the rig was, in the times of the source; needs a rig.
         save: names of the outputs, from :data:`~motionstereo_cli.sinks.SAVES`.
         overwrite: replace the results of a former run in ``out``.
         inputs: files and folders that must not be written to.
         progress: called after each frame.
+        warn: called with each mistake found in the first frames; they are not checked if None.
 
     Raises:
-        InputError: the rig is for another size, or the source has no frames.
+        InputError: the rig is for another size, the source has no frames, or a frame has no pose.
         OutputError: the results cannot be written.
         BrokenPipeError: whoever read the stream ``out`` has gone.
     """
     if rig is not None:
-        _check_size(rig, source)
+        check_size(rig, source)
+        rig = adapted_rig(rig, source.settings)
     if isinstance(out, Path):
         save = available(save, rig=rig is not None)
         prepare(out, save, overwrite=overwrite, inputs=inputs)
@@ -111,7 +119,8 @@ def run(
     try:
         for sink in _opened(out, save, source, settings):
             sinks.append(sink)  # one by one: should the next fail, this one is abandoned
-        for result in process(source, settings, rig):
+        pose_of = None if poses is None else poses.of
+        for result in process(_checked(source, settings, rig, warn), settings, rig, pose_of):
             for sink in sinks:
                 sink.write(result)
             totals.add(result)
@@ -143,11 +152,28 @@ def run(
     return report
 
 
-def _check_size(rig: Rig, source: StereoSource) -> None:
-    if (rig.width, rig.height) != (source.width, source.height):
+def _checked(
+    source: StereoSource,
+    settings: Settings,
+    rig: Rig | None,
+    warn: Callable[[Finding], object] | None,
+) -> Iterable[StereoFrame]:
+    if warn is None:
+        return source
+    doffs = rig.doffs if rig is not None else 0.0
+    return watched(source, settings.max_disparity, warn, doffs=doffs)
+
+
+def check_size(rig: Rig, source: StereoSource) -> None:
+    """Make sure that a rig is for the whole views of a source.
+
+    Raises:
+        InputError: it is for another size.
+    """
+    if (rig.width, rig.height) != (source.view_width, source.view_height):
         raise InputError(
             f"the rig is for {rig.width}x{rig.height} but the recordings are "
-            f"{source.width}x{source.height}: give the rig of these recordings"
+            f"{source.view_width}x{source.view_height}: give the rig of these recordings"
         )
 
 
@@ -194,11 +220,13 @@ def _record(
             "av": av.__version__,
         },
         "settings": dataclasses.asdict(settings),
+        "input_settings": dataclasses.asdict(source.settings),
         "inputs": source.describe(),
         "rig": None if rig is None else dataclasses.asdict(rig),
         "time_base": None if source.time_base is None else str(source.time_base),
         "grey": GREY,
         "counts": {"written": report.frames, **source.counts},
+        "warnings": source.warnings,
         "damage": list(report.damage),
         "timing": {
             "wall_s": round(report.wall_s, 3),

@@ -181,6 +181,20 @@ class Settings:
         low=0,
         high=1,
     )
+    least_votes: int = param(
+        16,
+        "Votes that have to agree on a disparity, within about a block around it.",
+        low=1,
+        high=100_000,
+    )
+    max_residual: float = param(
+        15.0,
+        "Largest difference of grey between corresponding pixels (255 = any); "
+        "a difference in brightness between the cameras is allowed for.",
+        unit="grey levels",
+        low=0,
+        high=255,
+    )
     speckle_px: int = param(
         100,
         "Connected patches of disparity of fewer pixels are dropped (0 = none).",
@@ -195,6 +209,21 @@ class Settings:
         low=0,
         high=1024,
     )
+    # Which of the disparities to give.
+    max_age: int = param(
+        254,
+        "Oldest motion that still gives a disparity (0 = of this frame alone; "
+        "permanency mode alone).",
+        unit="frames",
+        low=0,
+        high=254,
+    )
+    min_confidence: float = param(
+        0.0,
+        "Least chance of being right within 1 px that a disparity needs (trails alone).",
+        low=0,
+        high=1,
+    )
     # Guidance.
     steer_strips: int = param(
         16, "Number of vertical strips the heading chooses among.", low=1, high=256
@@ -204,6 +233,25 @@ class Settings:
         "Share of the way from the last heading to the new one taken in a frame (1 = at once).",
         low=0.01,
         high=1,
+    )
+    # Guidance of a robot whose own motion is known.
+    robot_radius_m: float = param(
+        0.25, "Radius of the robot that is steered (with poses).", unit="m", low=0.05, high=5
+    )
+    robot_below_m: float = param(
+        1.1,
+        "How far below the cameras things are in the robot's way: less than down to the floor "
+        "(with poses).",
+        unit="m",
+        low=0,
+        high=10,
+    )
+    robot_above_m: float = param(
+        0.6,
+        "How far above the cameras things are in the robot's way (with poses).",
+        unit="m",
+        low=0,
+        high=10,
     )
 
     def __post_init__(self) -> None:
@@ -216,6 +264,10 @@ class Settings:
             raise SettingsError(
                 f"--charge-min {self.charge_min} is not below --charge-max {self.charge_max}"
             )
+        if self.max_age < 254 and self.charge_mode == "general":
+            raise SettingsError("--max-age needs --charge-mode permanency: else age is not known")
+        if self.min_confidence > 0 and self.matcher == "regions":
+            raise SettingsError("--min-confidence needs --matcher trails")
 
     @classmethod
     def preset(cls, name: str, **overrides: Any) -> Settings:
@@ -243,5 +295,6 @@ PRESETS: dict[str, dict[str, Any]] = {
         "charge_min": 0,
         "charge_leak": 16,
         "match_on": "charge",
+        "max_residual": 255.0,
     },
 }

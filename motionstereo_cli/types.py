@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -37,6 +38,33 @@ class Rig:
 
 
 @dataclass(frozen=True, slots=True)
+class Pose:
+    """Where the rig is in the world, and how it is turned.
+
+    The rig is its robot frame: origin halfway between the cameras, x forward, y left, z up.
+
+    Attributes:
+        x_m, y_m, z_m: its place in m.
+        qx, qy, qz, qw: unit quaternion that turns directions of the robot frame into the world's.
+    """
+
+    x_m: float
+    y_m: float
+    z_m: float
+    qx: float
+    qy: float
+    qz: float
+    qw: float
+
+    @property
+    def yaw_rad(self) -> float:
+        """Heading about the world's z axis, counter-clockwise from its x axis."""
+        return math.atan2(
+            2 * (self.qw * self.qz + self.qx * self.qy), 1 - 2 * (self.qy**2 + self.qz**2)
+        )
+
+
+@dataclass(frozen=True, slots=True)
 class StereoFrame:
     """Two rectified images taken at one moment.
 
@@ -65,7 +93,8 @@ class Steering:
         steer: heading as a share of half the image width, -1..1, positive = left.
         steer_rad: the same as an angle, positive = left (counter-clockwise, REP 103); None
             without a rig.
-        depth_m: depth in the direction of the heading; None without a rig or where unknown.
+        depth_m: depth in the direction of the heading or, with poses, the free way there; None
+            without a rig or where unknown.
         nearest_m: depth of the nearest thing; None without a rig or where unknown.
     """
 
@@ -85,18 +114,26 @@ class FrameResult:
         bands: (height, width) uint8 (uint16 for 256 bands) grey-level bands 1..n.
         motion: (height, width) bool, where the band has just changed.
         charge: (height, width) uint8 permanency memory.
+        age_frames: (height, width) uint8 frames since something moved there, 255 = forgotten; all
+            0 where charged in general mode, which does not know.
         disparity_px: (height, width) float32, NaN = unknown.
+        confidence: (height, width) float32 chance 0..1 that the disparity is right within 1 px,
+            NaN = unknown; all NaN for the regions matcher, which does not know.
         depth_m: (height, width) float32, NaN = unknown; None without a rig.
         steering: heading for this frame.
         charged, matched: shares of the image, 0..1, that carry charge and have a disparity.
+        pose: where the rig was; None where nobody said.
     """
 
     frame: StereoFrame
     bands: NDArray[np.uint8 | np.uint16]
     motion: NDArray[np.bool_]
     charge: Grey
+    age_frames: Grey
     disparity_px: Real
+    confidence: Real
     depth_m: Real | None
     steering: Steering
     charged: float
     matched: float
+    pose: Pose | None = None

@@ -7,6 +7,14 @@ def pytest_addoption(parser):
     parser.addoption(
         "--renew", action="store_true", help="accept what the code gives now as expected"
     )
+    parser.addoption(
+        "--trials", type=int, default=2, help="simulated recordings that check is tried on"
+    )
+
+
+def pytest_generate_tests(metafunc):
+    if "trial" in metafunc.fixturenames:
+        metafunc.parametrize("trial", range(metafunc.config.getoption("--trials")))
 
 
 @pytest.fixture(scope="session")

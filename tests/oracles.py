@@ -73,9 +73,12 @@ def pairs_of(right, left, width, max_disparity):
     return found
 
 
-def match_trails(right, left, max_disparity, block_px, max_ratio):
-    """Pairs vote at both ends, the best wins, and winners correct one another."""
-    width = right.shape[1]
+def match_trails(right, left, max_disparity, block_px, max_ratio, least_votes):
+    """Pairs vote at both ends, the best wins, winners correct one another and elect for the rest.
+
+    Returns disparity and the votes that agree with it.
+    """
+    height, width = right.shape
     pairs = pairs_of(trails_of(right), trails_of(left), width, max_disparity)
 
     def block(row, column):
@@ -92,6 +95,11 @@ def match_trails(right, left, max_disparity, block_px, max_ratio):
         return sum(
             votes[(place[0] + i, place[1] + j), disparity] for i in (-1, 0, 1) for j in (-1, 0, 1)
         )
+
+    def centroid(votes, place, disparity):
+        near = {k: around(votes, place, disparity + k) for k in range(-2, 3)}
+        total = sum(near.values())
+        return disparity + sum(k * n for k, n in near.items()) / max(total, 1), total
 
     votes = tally(pairs)
     support = {
@@ -112,15 +120,33 @@ def match_trails(right, left, max_disparity, block_px, max_ratio):
 
     won = [pair for pair in pairs if wins(pair)]
     votes = tally(won)
-    result = np.full(right.shape, np.nan, np.float32)
+    disparity = np.full(right.shape, np.nan, np.float32)
+    agreement = np.full(right.shape, np.nan, np.float32)
     for pair in won:
-        at = []
-        for place, disparity in ends(pair):
-            near = {k: around(votes, place, disparity + k) for k in range(-2, 3)}
-            total = sum(near.values())
-            at.append(disparity + sum(k * n for k, n in near.items()) / total)
+        (start_at, start_votes), (stop_at, stop_votes) = (
+            centroid(votes, place, d) for place, d in ends(pair)
+        )
         row, start, stop, _ = pair[0]
         for x in range(start, stop):
             share = (x + 0.5 - start) / (stop - start)
-            result[row, x] = at[0] * (1 - share) + at[1] * share
-    return result
+            disparity[row, x] = start_at * (1 - share) + stop_at * share
+            agreement[row, x] = start_votes * (1 - share) + stop_votes * share
+
+    for y in range(height):
+        for x in range(width):
+            if right[y, x] == 0 or not np.isnan(disparity[y, x]):
+                continue
+            place = block(y, x)
+            counts = [
+                sum(around(votes, place, d + k) for k in (-1, 0, 1) if 0 <= d + k <= max_disparity)
+                for d in range(max_disparity + 1)
+            ]
+            peak = counts.index(max(counts))
+            elected, agreeing = centroid(votes, place, peak)
+            there = [x + peak + k for k in (-1, 0, 1)]
+            if agreeing >= least_votes and any(
+                0 <= column < width and left[y, column] == right[y, x] for column in there
+            ):
+                disparity[y, x], agreement[y, x] = elected, agreeing
+    disparity[agreement < least_votes] = np.nan
+    return disparity, agreement

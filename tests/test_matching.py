@@ -7,8 +7,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+from motionstereo_cli.stages.cleaning import filled, without_speckles
 from motionstereo_cli.stages.regions import match_regions
-from motionstereo_cli.stages.trails import filled, find_trails, match_trails, without_speckles
+from motionstereo_cli.stages.trails import find_trails, match_trails
 
 rows = arrays(np.uint16, (5, 13), elements=st.integers(0, 3), fill=st.nothing())
 
@@ -34,29 +35,38 @@ class TestTrails:
     def test_a_slanted_trail_runs_from_one_disparity_to_another(self):
         right = units([0, 0, 9, 9, 9, 9, 0, 0, 0, 0, 0, 0])
         left = units([0, 0, 0, 0, 0, 9, 9, 9, 9, 9, 9, 0])  # starts 3, stops 5 px to the right
-        found = match_trails(right, left, 8, block_px=(1, 1), speckle_px=0, gap_px=0)
+        found, _ = match_trails(right, left, 8, block_px=(1, 1), least_votes=1)
         assert np.isnan(found[0, [0, 1, 6, 7]]).all()
         assert found[0, 2:6] == pytest.approx([3.25, 3.75, 4.25, 4.75])
 
     def test_a_trail_cut_by_the_border_takes_the_disparity_of_its_other_end(self):
         right = units([9, 9, 9, 0, 0, 0, 0, 0])
         left = units([0, 9, 9, 9, 9, 9, 9, 0])
-        found = match_trails(right, left, 6, block_px=(1, 1), speckle_px=0, gap_px=0)
+        found, _ = match_trails(right, left, 6, block_px=(1, 1), least_votes=1)
         assert found[0, :3].tolist() == [4, 4, 4]
 
     def test_a_trail_with_two_equal_partners_stays_unknown(self):
         right = units([0, 9, 9, 0, 0, 0, 0, 0, 0])
         left = units([0, 0, 9, 9, 0, 9, 9, 0, 0])
-        assert np.isnan(match_trails(right, left, 6, block_px=(1, 1), speckle_px=0, gap_px=0)).all()
+        assert np.isnan(match_trails(right, left, 6, block_px=(1, 1), least_votes=1)).all()
 
-    @settings(max_examples=300)
-    @given(rows, rows, st.integers(1, 14), st.integers(1, 6), st.integers(1, 8))
-    def test_matches_are_the_oracles(self, right, left, reach, block_rows, block_columns):
-        block = (block_rows, block_columns)
-        found = match_trails(
-            right, left, reach, block_px=block, max_ratio=0.9, speckle_px=0, gap_px=0
-        )
-        wanted = oracles.match_trails(right, left, reach, block, 0.9)
+    def test_a_trail_that_noise_split_takes_what_its_block_elected(self):
+        row = [1, 2, 3, 9, 9, 9, 9, 4, 5, 0, 0, 0, 0]
+        right = units(*[row] * 4, row)
+        left = units(*[[0, 0, 0, *row[:-3]]] * 5)
+        left[4, 8] = 0  # the run of 9 at 6..9 falls to pieces
+        found, votes = match_trails(right, left, 6, block_px=(8, 8), least_votes=8)
+        assert found[4, 3:7] == pytest.approx([3, 3, 3, 3], abs=0.1)
+        assert votes[4, 3] >= 8
+        left[4, 6:10] = 0  # nothing left that is equal
+        assert np.isnan(match_trails(right, left, 6, block_px=(8, 8))[0][4, 3:7]).all()
+
+    @settings(max_examples=300, deadline=None)
+    @given(rows, rows, st.integers(1, 14), st.integers(1, 6), st.integers(1, 8), st.integers(1, 9))
+    def test_matches_are_the_oracles(self, right, left, reach, block_rows, block_columns, least):
+        settings = {"block_px": (block_rows, block_columns), "max_ratio": 0.9}
+        found = match_trails(right, left, reach, **settings, least_votes=least)
+        wanted = oracles.match_trails(right, left, reach, **settings, least_votes=least)
         np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-4)
 
     def test_nothing_charged_gives_nothing(self):
@@ -98,7 +108,11 @@ class TestRegions:
         )
 
 
-@pytest.mark.parametrize("match", [match_trails, match_regions])
+def trails_alone(right, left, max_disparity):
+    return match_trails(right, left, max_disparity)[0]
+
+
+@pytest.mark.parametrize("match", [trails_alone, match_regions])
 @settings(max_examples=40, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1), shift=st.integers(0, 20))
 def test_the_disparity_of_a_shifted_view_is_the_shift(match, seed, shift):

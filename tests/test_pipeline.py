@@ -6,8 +6,11 @@ import math
 import numpy as np
 import pytest
 
-from motionstereo_cli.pipeline import process
+from motionstereo_cli.errors import SettingsError
+from motionstereo_cli.pipeline import Memory, process
 from motionstereo_cli.settings import PRESETS, Settings
+from motionstereo_cli.simulate.scenes import render_scene
+from motionstereo_cli.simulate.settings import SimulateSettings
 from motionstereo_cli.types import Rig, StereoFrame
 
 RIG = Rig(width=160, height=96, focal_px=140, baseline_m=0.12, cx=79.5, cy=47.5)
@@ -120,6 +123,15 @@ def test_general_charge_grows_step_by_step():
     assert [int(r.charge[0, 0]) for r in process(frames, settings)] == [0, 50, 100, 150]
 
 
+def test_what_makes_pixels_equal_is_a_setting():
+    for match_on, several_units_a_charge in (("charge", False), ("charge-band", True)):
+        memory = Memory(Settings(match_on=match_on))
+        for frame in sliding([8]):
+            memory.see(frame.right)
+        full = memory.units()[memory.charge == 255]
+        assert (len(np.unique(full)) > 1) == several_units_a_charge
+
+
 def test_the_settings_reach_the_stages():
     frames = list(sliding([8]))
     plain = last(process(frames))
@@ -136,6 +148,78 @@ def test_the_settings_reach_the_stages():
     ):
         changed = last(process(frames, Settings(**change)))
         assert not np.array_equal(plain.charge, changed.charge), change
-    for change in ({"max_disparity": 5}, {"match_on": "charge"}, {"speckle_px": 10_000}):
+    for change in ({"max_disparity": 5}, {"least_votes": 100_000}, {"speckle_px": 10_000}):
         changed = last(process(frames, Settings(**change)))
         assert not np.array_equal(plain.disparity_px, changed.disparity_px, equal_nan=True), change
+
+
+def test_max_age_keeps_what_moved_lately():
+    frames = list(sliding([12], frames=8))
+    frames += [dataclasses.replace(frames[-1], index=8 + i, pts=8 + i) for i in range(3)]
+    everything = last(process(frames))
+    fresh = last(process(frames, Settings(max_age=4)))
+    known = ~np.isnan(everything.disparity_px)
+    old = everything.age_frames > 4
+    assert known[old].any()
+    assert np.isnan(fresh.disparity_px[old]).all()
+    np.testing.assert_array_equal(fresh.disparity_px[~old], everything.disparity_px[~old])
+
+
+def test_min_confidence_keeps_what_is_likely_right():
+    frames = list(sliding([12, 25], frames=8))
+    everything = last(process(frames))
+    likely = last(process(frames, Settings(min_confidence=0.9)))
+    assert np.nanmin(everything.confidence) < 0.9 < np.nanmax(everything.confidence)
+    kept = everything.confidence >= np.float32(0.9)
+    assert np.array_equal(~np.isnan(likely.disparity_px), kept)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"charge_mode": "general", "max_age": 3},
+        {"matcher": "regions", "min_confidence": 0.5},
+        {"grey_min": 9, "grey_max": 9},
+        {"charge_min": 9, "charge_max": 9},
+    ],
+)
+def test_settings_that_contradict_each_other_are_refused(change):
+    with pytest.raises(SettingsError):
+        Settings(**change)
+
+
+@pytest.fixture(scope="module")
+def corridor():
+    """Errors in px and confidence of the corridor's matched pixels, up to its end, with noise."""
+    scene = list(render_scene(SimulateSettings(frames="310:350", noise_sigma=1.5)))
+    frames = (StereoFrame(i, i, None, f.left, f.right) for i, f in enumerate(scene))
+    errors, chances = [], []
+    for result, truth in zip(process(frames), scene, strict=True):
+        known = ~np.isnan(result.disparity_px)
+        errors.append(np.abs(result.disparity_px - truth.disparity_px)[known])
+        chances.append(result.confidence[known])
+    return np.concatenate(errors), np.concatenate(chances)
+
+
+def test_the_corridor_is_matched_rightly(corridor):
+    errors, _ = corridor
+    assert len(errors) > 0.3 * 40 * 320 * 240
+    assert (errors > 1).mean() < 0.2  # at the corner, trails of the inner wall cover what opens
+    assert np.median(errors) < 0.3
+
+
+def test_confidence_is_calibrated(corridor):
+    errors, chance = corridor
+    for low, high in ((0.8, 0.9), (0.9, 0.95), (0.95, 1.0)):
+        within = (chance >= low) & (chance < high)
+        assert within.sum() > 1000
+        assert (errors[within] <= 1).mean() == pytest.approx(chance[within].mean(), abs=0.1)
+
+
+def test_the_surer_the_fewer_errors(corridor):
+    """The sparsification curve: the mean error of the surest share falls steadily."""
+    errors, chance = corridor
+    best_first = errors[np.argsort(-chance, kind="stable")]
+    kept = [best_first[: int(share * len(errors))].mean() for share in (0.25, 0.5, 0.75, 1.0)]
+    assert kept == sorted(kept)
+    assert kept[0] < 0.8 * kept[-1]

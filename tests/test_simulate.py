@@ -375,7 +375,7 @@ def test_files_hold_what_was_rendered(tmp_path):
         assert np.array_equal(png, np.rint(256 * shot.disparity_px))
     assert read_rig(tmp_path / "rig.yaml") == Rig(64, 48, 0.87 * 64, 0.12, 31.5, 23.5)
     poses = np.loadtxt(tmp_path / "poses.txt")
-    assert poses[:, 0] == pytest.approx([9.92, 9.96, 10.0, 10.04])
+    assert poses[:, 0] == pytest.approx([0, 0.04, 0.08, 0.12])
     assert poses[:, 1:3] == pytest.approx(
         np.array([(s.pose.x_m, s.pose.y_m) for s in shots]), abs=1e-6
     )

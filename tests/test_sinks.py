@@ -43,6 +43,8 @@ def frame_result(
     steering: Steering = BLIND,
     charge: np.ndarray | None = None,
     disparity_px: np.ndarray | None = None,
+    age_frames: np.ndarray | None = None,
+    confidence: np.ndarray | None = None,
     depth_m: np.ndarray | None = None,
     charged: float = 0.0,
     matched: float = 0.0,
@@ -53,6 +55,8 @@ def frame_result(
         bands=grey,
         motion=grey > 0,
         charge=grey if charge is None else charge,
+        age_frames=grey + 255 if age_frames is None else age_frames,
+        confidence=np.full((4, 6), NAN, np.float32) if confidence is None else confidence,
         disparity_px=np.full((4, 6), NAN, np.float32) if disparity_px is None else disparity_px,
         depth_m=depth_m,
         steering=steering,
@@ -65,6 +69,24 @@ def decoded(path: Path) -> list[tuple[float, np.ndarray]]:
     """Times in s and RGB images of a video."""
     with av.open(str(path)) as container:
         return [(f.time, f.to_ndarray(format="rgb24")) for f in container.decode(video=0)]
+
+
+# Age and confidence.
+
+
+def test_age_and_confidence_are_read_back(tmp_path):
+    age = np.array([[0, 15, 255]], np.uint8)
+    chance = np.array([[1.0, 0.5, NAN, 0.0]], np.float32)
+    result = frame_result(7, age_frames=age, confidence=chance)
+    for name in ("age", "confidence"):
+        sink = SAVES[name].open(tmp_path / SAVES[name].path, Fraction(1), 64)
+        sink.write(result)
+        sink.close()
+    found = cv2.imread(str(tmp_path / "age" / "000007.png"), cv2.IMREAD_UNCHANGED)
+    assert found.dtype == np.uint8
+    assert found.tolist() == age.tolist()
+    found = cv2.imread(str(tmp_path / "confidence" / "000007.png"), cv2.IMREAD_UNCHANGED)
+    assert found.tolist() == [[255, 128, 0, 1]]
 
 
 # Steering table.

@@ -18,98 +18,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from recordings import COUNT, FULL, LIMITED, Images, cut, encode, folder, number_in, remux, scene
 
 from motionstereo_cli.errors import InputError
-from motionstereo_cli.sources import open_stereo, stereo
+from motionstereo_cli.sources import open_stereo
 from motionstereo_cli.sources.folder import FolderStream, natural_key
 from motionstereo_cli.sources.prefetch import prefetch
 from motionstereo_cli.sources.stream import Image, Stream
 from motionstereo_cli.sources.video import VideoStream
-
-Images = list[NDArray[np.uint8]]
-LIMITED, FULL = 1, 2
-COUNT = 12
-
-
-def scene(width: int = 64, height: int = 48, count: int = COUNT) -> Images:
-    """Images with all grey levels, whose upper left corner tells their number."""
-    ramp = np.broadcast_to(np.linspace(0, 255, width).astype(np.uint8), (height, width))
-    images = [ramp.copy() for _ in range(count)]
-    for number, image in enumerate(images):
-        image[:16, :16] = 20 * (number % 13)
-    return images
-
-
-def number_in(grey: NDArray[np.uint8]) -> int:
-    return round(float(grey[2:14, 2:14].mean()) / 20)
-
-
-def encode(
-    path: Path,
-    images: Images,
-    codec: str,
-    pixel_format: str,
-    color_range: int = 0,
-    *,
-    options: dict[str, str] | None = None,
-    pts: list[int] | None = None,
-    degrees: int = 0,
-    rgb: bool = False,
-) -> Path:
-    """Encode images at 30 per second; the range is left untagged where 0."""
-    height, width = images[0].shape[:2]
-    with av.open(str(path), "w") as container:
-        stream: Any = container.add_stream(codec, rate=30)
-        stream.width, stream.height, stream.pix_fmt = width, height, pixel_format
-        stream.options = options or {}
-        stream.codec_context.color_range = color_range
-        if degrees:
-            stream.set_display_rotation(degrees)
-        for index, image in enumerate(images):
-            frame = av.VideoFrame.from_ndarray(image, "rgb24" if rgb else "gray")
-            if frame.format.name != pixel_format:
-                frame = frame.reformat(
-                    format=pixel_format,
-                    src_color_range=FULL,
-                    dst_color_range=color_range or LIMITED,
-                )
-            frame.pts = pts[index] if pts else index
-            frame.time_base = Fraction(1, 30)
-            container.mux(stream.encode(frame))
-        container.mux(stream.encode(None))
-    return path
-
-
-def folder(path: Path, images: Images, suffix: str) -> Path:
-    path.mkdir()
-    for index, image in enumerate(images):
-        assert cv2.imwrite(str(path / f"frame{index}{suffix}"), image)
-    return path
-
-
-def remux(source: Path, target: Path, change: Callable[[int, bytes], bytes | None]) -> Path:
-    """Copy a video packet by packet: changed, or left out where ``change`` returns None."""
-    with (
-        av.open(str(source)) as old,
-        av.open(str(target), "w", options={"movflags": "faststart"}) as new,
-    ):
-        stream = new.add_stream_from_template(old.streams.video[0])
-        packets = (packet for packet in old.demux(video=0) if packet.size)
-        for index, packet in enumerate(packets):
-            content = change(index, bytes(packet))
-            if content is not None:
-                copy = av.Packet(content)
-                copy.pts, copy.dts, copy.time_base = packet.pts, packet.dts, packet.time_base
-                copy.duration, copy.is_keyframe = packet.duration, packet.is_keyframe
-                copy.stream = stream
-                new.mux(copy)
-    return target
-
-
-def cut(source: Path, target: Path, share: float) -> Path:
-    content = source.read_bytes()
-    target.write_bytes(content[: int(len(content) * share)])
-    return target
 
 
 def open_stream(path: Path) -> Stream:
@@ -156,6 +72,12 @@ KINDS: dict[str, tuple[tuple[int, int], int, Fraction | None, Callable[[Path, Im
     "ffv1 10 bit full.mkv": (EVEN, 1, MKV, video("ffv1", "yuv422p10le", FULL)),
     "ffv1 16 bit grey.mkv": (EVEN, 1, MKV, video("ffv1", "gray16le", FULL)),
     "packed.avi": (EVEN, 1, AVI, video("rawvideo", "yuyv422")),
+    "ffv1 12 bit grey.mkv": (ODD, 1, MKV, video("ffv1", "gray12le", FULL)),
+    "ffv1 14 bit limited.mkv": (EVEN, 1, MKV, video("ffv1", "yuv444p14le", LIMITED)),
+    "ffv1 16 bit colour.mkv": (EVEN, 1, MKV, video("ffv1", "rgb48le", FULL)),
+    "ffv1 alpha.mkv": (EVEN, 1, MKV, video("ffv1", "yuva420p", LIMITED)),
+    "vp9.webm": (ODD, 4, MKV, video("libvpx-vp9", "yuv444p", options={"crf": "2", "b": "0"})),
+    "mpeg4.mov": (EVEN, 8, MP4, video("mpeg4", "yuv420p", options={"qscale": "1", "b": "9M"})),
     "rgb.mkv": (ODD, 1, MKV, video("ffv1", "bgr0", FULL)),
     "png odd": (ODD, 0, NO_TIME, stills(".png")),
     "colour png": (EVEN, 0, NO_TIME, stills(".png", lambda image: np.dstack([image] * 3))),
@@ -164,6 +86,15 @@ KINDS: dict[str, tuple[tuple[int, int], int, Fraction | None, Callable[[Path, Im
     "16-bit pgm": (EVEN, 0, NO_TIME, stills(".pgm", deep)),
     "jpg": (EVEN, 8, NO_TIME, stills(".jpg")),
     "tiff": (EVEN, 0, NO_TIME, stills(".tiff")),
+    "16-bit tiff": (ODD, 0, NO_TIME, stills(".tif", deep)),
+    "16-bit colour png": (
+        EVEN,
+        1,
+        NO_TIME,
+        stills(".png", lambda image: deep(np.dstack([image] * 3))),
+    ),
+    "pgm odd": (ODD, 0, NO_TIME, stills(".pgm")),
+    "webp": (ODD, 0, NO_TIME, stills(".webp")),
     "bmp": (ODD, 0, NO_TIME, stills(".BMP")),
 }
 
@@ -188,7 +119,7 @@ def test_contract(tmp_path: Path, kind: str) -> None:
     else:
         for index, image in enumerate(images):
             assert image.pts * time_base == pytest.approx(index / 30, abs=0.0006)
-    assert (stream.damaged, stream.damage) == (0, [])
+    assert (stream.lost, stream.flawed, stream.damage) == (0, 0, [])
 
 
 @pytest.mark.parametrize("kind", ["h264.mp4", "ffv1 grey odd.mkv", "png odd"])
@@ -202,8 +133,9 @@ def test_a_stereo_source_is_its_two_streams(tmp_path: Path, kind: str) -> None:
         assert (source.width, source.height, source.time_base) == (width, height, time_base)
         assert source.expected_frames == COUNT
         assert source.damage == []
-        undamaged = {"read": COUNT, "damaged": 0, "unpaired": 0}
-        assert source.counts == {"left": undamaged, "right": undamaged}
+        undamaged = {"read": COUNT, "paired": COUNT, "unpaired": 0}
+        undamaged |= {"damaged": 0, "flawed": 0, "unread": 0}
+        assert source.counts == {"skipped": 0, "left": undamaged, "right": undamaged}
     assert [frame.index for frame in frames] == list(range(COUNT))
     for frame, one, other in zip(frames, lefts, rights, strict=True):
         np.testing.assert_array_equal(frame.left, one.grey)
@@ -318,9 +250,12 @@ def check_in_step(left: Path, right: Path, lost_left: set[int], lost_right: set[
     assert pairs == [(number, number) for number in whole]
     for side, lost, other in (("left", lost_left, lost_right), ("right", lost_right, lost_left)):
         assert counts[side] == {
-            "read": COUNT - len(lost),
-            "damaged": len(lost),
+            "read": COUNT,
+            "paired": len(whole),
             "unpaired": len(other - lost),
+            "damaged": len(lost),
+            "flawed": 0,
+            "unread": 0,
         }
     assert any(str(left) in line for line in damage) == bool(lost_left | lost_right)
 
@@ -351,13 +286,13 @@ def test_truncated_video_keeps_what_is_there_and_counts_the_rest(
     stream, images = read_all(path)
     assert 2 <= len(images) < COUNT
     assert [number_in(image.grey) for image in images] == list(range(len(images)))
-    torn = sum("decoded with errors" in line for line in stream.damage)
-    assert len(images) - torn + stream.damaged == COUNT
+    assert len(images) + stream.lost == COUNT
     assert any("missing at its end" in line for line in stream.damage)
 
     with open_stereo(path, whole) as source:
         assert sum(1 for _ in source) == len(images)
-        assert source.counts["right"]["unpaired"] == COUNT - len(images)
+        right = source.counts["right"]
+        assert (right["unpaired"], right["unread"]) == (1, COUNT - len(images) - 1)
         assert re.search(r"copy.*about \d+ images? longer", source.damage[-1])
 
 
@@ -374,7 +309,8 @@ def test_damaged_video_decodes_the_same_each_time_and_says_so(tmp_path: Path) ->
     runs = []
     for _ in range(3):
         stream, read = read_all(path)
-        assert stream.damaged > 0
+        assert stream.flawed > 0
+        assert stream.lost == 0
         assert any(str(path) in line for line in stream.damage)
         runs.append(b"".join(image.grey.tobytes() for image in read))
     assert runs[0] == runs[1] == runs[2]
@@ -389,7 +325,14 @@ def test_an_unreadable_image_costs_its_pair_alone(tmp_path: Path) -> None:
     with open_stereo(left, right) as source:
         pairs = [(number_in(frame.left), number_in(frame.right)) for frame in source]
         assert pairs == [(n, n) for n in range(COUNT) if n not in (0, 3, 7)]
-        assert source.counts["left"] == {"read": 10, "damaged": 2, "unpaired": 1}
+        assert source.counts["left"] == {
+            "read": 12,
+            "paired": 9,
+            "unpaired": 1,
+            "damaged": 2,
+            "flawed": 0,
+            "unread": 0,
+        }
         assert source.damage[0] == (f"{left}: 2 images could not be read, the first is frame0.png")
 
 
@@ -399,43 +342,12 @@ def test_the_common_part_of_different_lengths(tmp_path: Path) -> None:
     with open_stereo(left, right) as source:
         assert source.expected_frames == 5
         assert len(list(source)) == 5
-        assert source.counts["right"]["unpaired"] == 3
+        counts = source.counts["right"]
+        assert (counts["unpaired"], counts["unread"]) == (1, 2)
         assert source.damage == [
             f"{right}: about 3 images longer than the other side: "
             "only the common part was processed"
         ]
-
-
-class Numbers(Stream):
-    """A stream that has some numbers only."""
-
-    def __init__(self, numbers: list[int]) -> None:
-        self.time_base, self.expected_images = None, None
-        grey = np.zeros((1, 1), np.uint8)
-        self._start((Image(number, number, grey) for number in numbers), Path("numbers"))
-
-    damaged = 0
-    damage = ()
-
-    def describe(self) -> dict[str, Any]:
-        return {}
-
-    def close(self) -> None:
-        pass
-
-
-numbers = st.sets(st.integers(0, 30), min_size=1).map(sorted)
-
-
-@given(left=numbers, right=numbers)
-def test_pairs_are_the_numbers_that_both_sides_have(left: list[int], right: list[int]) -> None:
-    streams = iter([Numbers(left), Numbers(right)])
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(stereo, "_open_stream", lambda _: next(streams))
-        with stereo.StereoSource(Path("left"), Path("right")) as source:
-            frames = list(source)
-    assert [frame.pts for frame in frames] == sorted(set(left) & set(right))
-    assert [frame.index for frame in frames] == list(range(len(frames)))
 
 
 # --- What cannot be opened --------------------------------------------------------------------
@@ -586,9 +498,11 @@ def test_description_of_a_video_and_of_a_folder(tmp_path: Path) -> None:
         "codec": "h264",
         "pixel_format": "yuv420p",
         "range": "limited",
+        "rotation_deg": 0,
         "width": 64,
         "height": 48,
         "frame_rate": "30",
+        "images": 12,
         "bytes": film.stat().st_size,
         "sha256": hashlib.sha256(film.read_bytes()).hexdigest(),
     }
@@ -598,13 +512,15 @@ def test_description_of_a_video_and_of_a_folder(tmp_path: Path) -> None:
     )
     assert described["right"] == {
         "path": str(images),
-        "kind": "folder",
+        "kind": "images",
         "codec": "png",
         "pixel_format": "grey 8 bit",
         "range": "full",
+        "rotation_deg": 0,
         "width": 64,
         "height": 48,
         "frame_rate": None,
+        "images": 2,
         "bytes": sum(file.stat().st_size for file in files),
         "sha256": hashlib.sha256(sums.encode()).hexdigest(),
     }

@@ -7,10 +7,12 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from motionstereo_cli.stages.bands import band_table, bands, blur
-from motionstereo_cli.stages.charge import accumulate, permanency
+from motionstereo_cli.stages.charge import accumulate, age, permanency
+from motionstereo_cli.stages.confidence import confidence
 from motionstereo_cli.stages.depth import depth
 from motionstereo_cli.stages.guidance import heading, nearest, steadied, strip_nearness
 from motionstereo_cli.stages.motion import motion
+from motionstereo_cli.stages.residual import residual
 from motionstereo_cli.stages.units import units
 
 NAN = float("nan")
@@ -125,6 +127,69 @@ class TestCharge:
         accumulate(charge, moved)
         assert charge.tolist() == [[7, 8]]
         assert moved.tolist() == [[True, False]]
+
+
+class TestAge:
+    def test_the_memory_read_backwards(self):
+        found = age(u8([255, 239, 223, 15, 0]))
+        assert found.tolist() == [[0, 1, 2, 15, 255]]
+
+    @given(st.integers(0, 254), st.integers(1, 255), st.data())
+    def test_is_the_number_of_frames_since_motion(self, low, leak, data):
+        high = data.draw(st.integers(low + 1, 255))
+        limits = {"charge_max": high, "charge_min": low, "leak": leak}
+        lasts = -(-(high - low) // leak)
+        charge = permanency(u8([low]), np.array([[True]]), **limits)
+        for frames in range(lasts):
+            assert age(charge, **limits)[0, 0] == min(frames, 254)
+            charge = permanency(charge, np.array([[False]]), **limits)
+        assert age(charge, **limits)[0, 0] == 255
+
+
+class TestResidual:
+    def test_views_that_agree_differ_by_nothing_whatever_their_brightness(self):
+        random = np.random.default_rng(0)
+        scene = random.integers(20, 200, (9, 30)).astype(np.uint8)
+        right, left = scene[:, 4:] + 30, scene[:, :-4]
+        disparity = np.full((9, 26), NAN, np.float32)
+        disparity[2:7, 2:20] = 4
+        found = residual(disparity, right, left)
+        assert np.array_equal(np.isnan(found), np.isnan(disparity))
+        assert found[2:7, 2:20].max() == 0
+        wrong = residual(disparity + 3, right, left)
+        assert np.nanmedian(wrong) > 30
+
+    def test_by_hand(self):
+        # Grey 10 20 40 80 seen at 0, 1.5 and 2 px: 10-10, 20-60, 40-80; the median is -40.
+        disparity = np.array([[0, 1.5, NAN, NAN]], np.float32)
+        grey = u8([10, 20, 40, 80])
+        disparity[0, 0], disparity[0, 1] = 0, 1.5
+        found = residual(np.vstack([disparity] * 3), np.vstack([grey] * 3), np.vstack([grey] * 3))
+        # differences 0 and -40, median -20: each is 20 off
+        assert found[1].tolist()[:2] == [20, 20]
+        assert np.isnan(found[1, 2:]).all()
+
+    def test_nothing_known_gives_nothing(self):
+        unknown = np.full((3, 4), NAN, np.float32)
+        assert np.isnan(residual(unknown, u8(*[[1] * 4] * 3), u8(*[[1] * 4] * 3))).all()
+
+
+class TestConfidence:
+    def test_by_hand(self):
+        # -4.38 + 0.918 * log2(64) - 0.157 * 2 - 0.093 * 3 = 0.535
+        chance = confidence(f32([9]), f32([64]), f32([2]), u8([3]))
+        assert chance[0, 0] == pytest.approx(1 / (1 + np.exp(-0.535)), abs=1e-5)
+
+    def test_unknown_stays_unknown_and_filled_gaps_have_a_value(self):
+        chance = confidence(f32([NAN, 9]), f32([80, NAN]), f32([0, NAN]), u8([0, 0]))
+        assert np.isnan(chance[0, 0])
+        assert 0.9 < chance[0, 1] < 1
+
+    def test_more_votes_less_difference_and_less_age_are_better(self):
+        plain = confidence(f32([9]), f32([64]), f32([4]), u8([4]))
+        assert confidence(f32([9]), f32([128]), f32([4]), u8([4])) > plain
+        assert confidence(f32([9]), f32([64]), f32([2]), u8([4])) > plain
+        assert confidence(f32([9]), f32([64]), f32([4]), u8([2])) > plain
 
 
 class TestUnits:

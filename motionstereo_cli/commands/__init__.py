@@ -5,7 +5,12 @@ from __future__ import annotations
 import click
 
 from motionstereo_cli import __version__
+from motionstereo_cli.commands.check import check
+from motionstereo_cli.commands.drive import drive
+from motionstereo_cli.commands.evaluate import evaluate
 from motionstereo_cli.commands.figure import figure
+from motionstereo_cli.commands.info import info
+from motionstereo_cli.commands.rig import rig
 from motionstereo_cli.commands.run import run
 from motionstereo_cli.commands.simulate import simulate
 
@@ -17,5 +22,10 @@ def cli() -> None:
 
 
 cli.add_command(run)
+cli.add_command(info)
+cli.add_command(check)
+cli.add_command(rig)
 cli.add_command(figure)
 cli.add_command(simulate)
+cli.add_command(drive)
+cli.add_command(evaluate)

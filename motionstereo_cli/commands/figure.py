@@ -6,8 +6,9 @@ from pathlib import Path
 
 import click
 
-from motionstereo_cli.commands.options import processing_options
+from motionstereo_cli.commands.options import input_options, processing_options
 from motionstereo_cli.settings import Settings
+from motionstereo_cli.sources.settings import InputSettings
 
 
 def _numbers(ctx: click.Context, _: click.Parameter, text: str) -> list[int]:
@@ -20,8 +21,6 @@ def _numbers(ctx: click.Context, _: click.Parameter, text: str) -> list[int]:
 
 
 @click.command()
-@click.argument("left", type=click.Path(path_type=Path))
-@click.argument("right", type=click.Path(path_type=Path))
 @click.option(
     "--frames",
     "numbers",
@@ -38,8 +37,17 @@ def _numbers(ctx: click.Context, _: click.Parameter, text: str) -> list[int]:
     show_default=True,
     help="PNG to write; an older one is replaced.",
 )
+@input_options
 @processing_options
-def figure(*, left: Path, right: Path, numbers: list[int], out: Path, settings: Settings) -> None:
+def figure(
+    *,
+    left: str,
+    right: str | None,
+    numbers: list[int],
+    out: Path,
+    input_settings: InputSettings,
+    settings: Settings,
+) -> None:
     """Show some frames stage by stage on one sheet, as the paper's figures 2 and 3 do.
 
     A row a frame; the columns are the right image, its bands, the right permanency memory, and
@@ -50,6 +58,6 @@ def figure(*, left: Path, right: Path, numbers: list[int], out: Path, settings: 
     from motionstereo_cli.sinks.images import encode_png
     from motionstereo_cli.sources import open_stereo
 
-    with open_stereo(left, right) as source:
+    with open_stereo(left, right, input_settings) as source:
         write_whole(out, encode_png(draw_figure(source, numbers, settings)))
     click.echo(f"note: {len(numbers)} frames in {out}", err=True)

@@ -13,6 +13,8 @@ import click
 
 from motionstereo_cli.errors import SettingsError
 from motionstereo_cli.settings import PRESETS, Param, Settings, params
+from motionstereo_cli.simulate.settings import DriveSettings
+from motionstereo_cli.sources.settings import InputSettings
 
 
 def settings_options(settings: type) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
@@ -21,18 +23,27 @@ def settings_options(settings: type) -> Callable[[Callable[..., Any]], Callable[
     The command receives the values that were given, on the command line or in the configuration
     file, as one dict ``chosen``; what is not in it keeps the default of the dataclass or preset.
     """
+
+    def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
+        return config_option(_declared(settings, "chosen")(command))
+
+    return decorate
+
+
+def _declared(settings: type, name: str) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """Give a command the options of a dataclass; it receives what was given as a dict ``name``."""
     declared = list(params(settings))
 
     def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
         def collect(**values: Any) -> Any:
             given = {item.name: values.pop(item.name) for item in declared}
-            chosen = {name: value for name, value in given.items() if value is not None}
-            return command(chosen=chosen, **values)
+            chosen = {key: value for key, value in given.items() if value is not None}
+            return command(**{name: chosen}, **values)
 
         collected: Callable[..., Any] = functools.update_wrapper(collect, command)
         for item in reversed(declared):
             collected = _option(item)(collected)
-        return _config_option(collected)
+        return collected
 
     return decorate
 
@@ -45,6 +56,52 @@ def processing_options(command: Callable[..., Any]) -> Callable[..., Any]:
 
     collected: Callable[..., Any] = functools.update_wrapper(collect, command)
     return _preset_option(settings_options(Settings)(collected))
+
+
+def world_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Give a command the options of a driven world; it receives what was given as ``world``."""
+    return _declared(DriveSettings, "world")(command)
+
+
+def input_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Give a command LEFT, RIGHT and the options of the input.
+
+    It receives them as ``left`` and ``right``, None if not given, and one ``input_settings``.
+    """
+
+    def collect(*, input_chosen: dict[str, Any], **values: Any) -> Any:
+        return command(input_settings=InputSettings(**input_chosen), **values)
+
+    collected: Callable[..., Any] = functools.update_wrapper(collect, command)
+    collected = _declared(InputSettings, "input_chosen")(collected)
+    # Text, not paths: a path does not tell standard input, "-", from a file "./-".
+    collected = click.argument("right", required=False)(collected)
+    return click.argument("left")(collected)
+
+
+def rig_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Give a command ``--rig`` and ``--baseline-unit``.
+
+    It receives them as ``rig``, a tuple of paths, empty if not given, and ``baseline_unit``, None
+    if not given.
+    """
+    files = click.option(
+        "--rig",
+        multiple=True,
+        type=click.Path(path_type=Path),
+        help="Calibration of the camera: rig.yaml, OpenCV, KITTI or Middlebury; twice, left first, "
+        "for a pair of files (ROS camera_info, EuRoC sensor.yaml, OpenCV intrinsics and "
+        "extrinsics). Images that are not rectified are, where it says how. Needed for lengths in "
+        "m and angles in rad.",
+    )
+    return files(baseline_unit_option(command))
+
+
+baseline_unit_option = click.option(
+    "--baseline-unit",
+    type=click.Choice(["m", "cm", "mm"]),
+    help="Unit of length in the calibration.  [default: the format's, or a guess]",
+)
 
 
 _preset_option = click.option(
@@ -74,11 +131,13 @@ def _option(item: Param) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
 
 def _help(item: Param) -> str:
     default = "on" if item.default is True else "off" if item.default is False else item.default
-    facts = [item.unit, "" if item.choices else item.range, f"default {default}"]
-    return f"{item.help}  [{'; '.join(fact for fact in facts if fact)}]"
+    default = f"default {default}" if default != "" else ""
+    facts = [item.unit, "" if item.choices else item.range, default]
+    shown = "; ".join(fact for fact in facts if fact)
+    return f"{item.help}  [{shown}]" if shown else item.help
 
 
-_config_option = click.option(
+config_option = click.option(
     "--config",
     type=click.Path(exists=True, dir_okay=False, path_type=Path),
     is_eager=True,

@@ -4,13 +4,23 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
-from motionstereo_cli.commands.options import near_match, processing_options
+from motionstereo_cli.commands.options import (
+    input_options,
+    near_match,
+    processing_options,
+    rig_options,
+)
 from motionstereo_cli.errors import OutputError
 from motionstereo_cli.settings import Settings
 from motionstereo_cli.sinks import DEFAULT_SAVES, SAVES, available
+from motionstereo_cli.sources.settings import InputSettings
+
+if TYPE_CHECKING:
+    from motionstereo_cli.check import Finding
 
 DAMAGED_EXIT_CODE = 3
 INTERRUPTED_EXIT_CODE = 130
@@ -26,8 +36,6 @@ def _names(ctx: click.Context, _: click.Parameter, lists: tuple[str, ...]) -> tu
 
 
 @click.command()
-@click.argument("left", type=click.Path(path_type=Path))
-@click.argument("right", type=click.Path(path_type=Path))
 @click.option(
     "-o",
     "--out",
@@ -36,10 +44,12 @@ def _names(ctx: click.Context, _: click.Parameter, lists: tuple[str, ...]) -> tu
     show_default=True,
     help="Folder for the results; - writes the steering table to standard output, and no files.",
 )
+@rig_options
 @click.option(
-    "--rig",
+    "--poses",
     type=click.Path(path_type=Path),
-    help="rig.yaml of the rectified camera; needed for lengths in m and angles in rad.",
+    help="Poses of the rig's middle, TUM format (t x y z qx qy qz qw in s and m; x forward, y "
+    "left, z up), t as in the recordings: guidance then remembers what it has seen. Needs --rig.",
 )
 @click.option(
     "--save",
@@ -50,49 +60,79 @@ def _names(ctx: click.Context, _: click.Parameter, lists: tuple[str, ...]) -> tu
     f"[{', '.join(SAVES)}; default {','.join(DEFAULT_SAVES)}]",
 )
 @click.option("--overwrite", is_flag=True, help="Replace the results of a former run in OUT.")
+@click.option(
+    "--check/--no-check",
+    "with_check",
+    default=True,
+    help="Look for mistakes in the first frames, as the command check does in all, and warn.  "
+    "[default: on]",
+)
+@input_options
 @processing_options
 def run(
     *,
-    left: Path,
-    right: Path,
+    left: str,
+    right: str | None,
     out: Path,
-    rig: Path | None,
+    rig: tuple[Path, ...],
+    baseline_unit: str | None,
+    poses: Path | None,
     save: tuple[str, ...],
     overwrite: bool,
+    with_check: bool,
+    input_settings: InputSettings,
     settings: Settings,
 ) -> int:
-    """Find depth and steering in two videos of a rectified stereo camera.
+    """Find depth and steering in the two videos of a stereo camera.
 
-    LEFT and RIGHT are video files or folders of images.
+    LEFT and RIGHT are video files, folders of images, or quoted patterns such as 'cam0_*.png'; -
+    is a video on standard input. LEFT alone is a KITTI or EuRoC folder or, with --layout, one
+    recording that holds both views.
     """
     to_stdout = str(out) == "-"
     if to_stdout and save:
         raise click.UsageError("-o - writes the steering table alone: leave --save out")
     if to_stdout and sys.stdout is None:
         raise OutputError("cannot write the steering table: standard output is closed")
+    if poses and not rig:
+        raise click.UsageError("--poses needs --rig: without it nothing is in metres")
     save = save or DEFAULT_SAVES
-    if not to_stdout and rig is None and available(save, rig=False) != save:
-        _say("note", "no --rig, so depth in mm is not known: disparity/ takes the place of depth/")
 
     from tqdm import tqdm
 
-    from motionstereo_cli.rig import read_rig
+    from motionstereo_cli.poses import read_poses
+    from motionstereo_cli.rig.calibration import rectify_source
     from motionstereo_cli.run import run as run_library
     from motionstereo_cli.sources import open_stereo
 
-    camera = None if rig is None else read_rig(rig)
+    trajectory = read_poses(poses) if poses else None
     with (
-        open_stereo(left, right) as source,
+        open_stereo(left, right, input_settings) as source,
         tqdm(total=source.expected_frames, unit="frame", disable=_quiet(to_stdout)) as bar,
     ):
+        for line in source.warnings:
+            _say("warning", line)
+        if not to_stdout and not rig and available(save, rig=False) != save:
+            _say("note", "depth in mm needs --rig: disparity/ takes the place of depth/")
+        calibration = rectify_source(source, rig, baseline_unit)
+        for line in calibration.warnings if calibration else ():
+            _say("warning", line)
+
+        def warn(finding: Finding) -> None:
+            bar.clear()
+            _say("warning", finding.text)
+            bar.refresh()
+
         report = run_library(
             source,
             sys.stdout.buffer if to_stdout else out,
             settings,
-            camera,
+            calibration.rig if calibration else None,
             save=save,
             overwrite=overwrite,
-            inputs=[left, right],
+            poses=trajectory,
+            inputs=[*source.paths, *rig, *([poses] if poses else [])],
+            warn=warn if with_check else None,
             progress=bar.update,
         )
 

@@ -15,6 +15,8 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from motionstereo_cli.types import Pose as RigPose
+
 if TYPE_CHECKING:
     from motionstereo_cli.types import Real, Rig
 
@@ -39,6 +41,13 @@ class Pose:
     def left(self) -> NDArray[np.float64]:
         """Unit vector to the left on the floor, (2,)."""
         return np.array([-math.sin(self.yaw_rad), math.cos(self.yaw_rad)])
+
+    @property
+    def rig_pose(self) -> RigPose:
+        """The same in space."""
+        half_rad = self.yaw_rad / 2
+        turn = (0.0, 0.0, math.sin(half_rad), math.cos(half_rad))
+        return RigPose(self.x_m, self.y_m, EYE_HEIGHT_M, *turn)
 
 
 @dataclass(frozen=True, slots=True)

@@ -26,7 +26,7 @@ _TEXEL_M = 0.02
 _TEXELS_UP = round(HEIGHT_M / _TEXEL_M)
 _WALL, _FLOOR, _CEILING = 185.0, 115.0, 215.0
 #: Distance at which the lamp's light has fallen to a half.
-_LAMP_M = 11.0
+LAMP_M = 11.0
 
 # Walls 0..3 are the outer ones, 4..7 the inner ones, each in the order in which the robot passes
 # them; a wall's own coordinate runs the way the robot drives.
@@ -57,6 +57,7 @@ class Corridor:
         width_m: distance from inner to outer wall.
         length_m: the robot's way along one side, turn included.
         seed: decides on doors and windows.
+        lamp_m: distance at which the lamp's light has fallen to a half.
 
     Attributes:
         outer_m, inner_m: half the side of the outer and of the inner square: free space is where
@@ -64,9 +65,16 @@ class Corridor:
         openings: all doors and windows.
     """
 
-    def __init__(self, width_m: float = 3.0, length_m: float = 20.0, seed: int = 0) -> None:
+    def __init__(
+        self,
+        width_m: float = 3.0,
+        length_m: float = 20.0,
+        seed: int = 0,
+        lamp_m: float = LAMP_M,
+    ) -> None:
         self.width_m = width_m
         self.length_m = length_m
+        self.lamp_m = lamp_m
         self._half_straight_m = length_m * STRAIGHT_SHARE / 2
         self._radius_m = length_m * TURN_SHARE / (math.pi / 2)
         self.outer_m = self._half_straight_m + self._radius_m + width_m / 2
@@ -99,6 +107,11 @@ class Corridor:
             x_m, y_m = -y_m, x_m
         yaw_rad = math.remainder(side * math.pi / 2 + turn, 2 * math.pi)
         return Pose(x_m, y_m, yaw_rad)
+
+    def along_wall(self, wall: int, places_m: tuple[float, ...]) -> list[tuple[float, float]]:
+        """Return the floor places (x, y) in m that lie so far along a wall."""
+        start = self._corners_m[wall] - 2 * self._half_m[wall] * _ALONG[wall]
+        return [(float(x), float(y)) for x, y in (start + m * _ALONG[wall] for m in places_m)]
 
     def render(self, pose: Pose, camera: Camera, time_s: float = 0.0) -> View:
         """Return what ``camera`` sees from ``pose``, which must be inside; time does not matter.
@@ -137,7 +150,7 @@ class Corridor:
         depth = np.minimum(wall_depth[:, None], flat_depth)
         leftward = depth * camera.leftward(middles)[:, None] + camera.left_m
         distance2 = depth**2 + leftward**2 + (depth * camera.upward(rows)) ** 2
-        grey = reflected / (1 + distance2 / _LAMP_M**2)
+        grey = reflected / (1 + distance2 / self.lamp_m**2)
         share = np.diff(cuts)[:, None]
         columns = np.add.reduceat(grey * share, np.searchsorted(cuts, edges[:-1]), axis=0)
 

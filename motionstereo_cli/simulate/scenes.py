@@ -56,17 +56,16 @@ def render_scene(settings: SimulateSettings) -> Iterator[SceneFrame]:
         left, right = (world.render(pose, camera, time_s) for camera in cameras)
         yield SceneFrame(
             frame=frame,
-            left=_exposed(left.grey, settings, frame, side=0),
-            right=_exposed(right.grey, settings, frame, side=1),
+            left=exposed(left.grey, settings.noise_sigma, (settings.seed, 1, frame, 0)),
+            right=exposed(right.grey, settings.noise_sigma, (settings.seed, 1, frame, 1)),
             disparity_px=rig.focal_px * rig.baseline_m / right.depth_m,
             pose=pose,
         )
 
 
-def _exposed(grey: Real, settings: SimulateSettings, frame: int, side: int) -> Grey:
-    """Add the sensor's noise, which seed, frame and side alone decide on, and round."""
-    if settings.noise_sigma:
-        rng = np.random.default_rng([settings.seed, 1, frame, side])
-        noise = rng.standard_normal(grey.shape, np.float32)
-        grey = grey + np.float32(settings.noise_sigma) * noise
+def exposed(grey: Real, noise_sigma: float, seed: tuple[int, ...]) -> Grey:
+    """Return an image with the sensor's noise, which ``seed`` alone decides on, rounded."""
+    if noise_sigma:
+        noise = np.random.default_rng(seed).standard_normal(grey.shape, np.float32)
+        grey = grey + np.float32(noise_sigma) * noise
     return np.rint(grey).clip(0, 255).astype(np.uint8)

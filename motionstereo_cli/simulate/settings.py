@@ -19,6 +19,11 @@ _MOST_FRAMES = 1_000_000
 #: Room that a turning camera must keep from the inner corner, in m.
 _LEAST_ROOM_M = 0.1
 
+#: The driven robot, and the room it needs besides.
+ROBOT_RADIUS_M, _LEAST_DRIVE_ROOM_M = 0.25, 0.5
+#: Width of the widest driven corridor that a seed decides on.
+_WIDEST_M = 3.5
+
 
 @dataclass(frozen=True, slots=True)
 class SimulateSettings:
@@ -113,3 +118,59 @@ class SimulateSettings:
             cx=(self.width - 1) / 2,
             cy=(self.height - 1) / 2,
         )
+
+
+@dataclass(frozen=True, slots=True)
+class DriveSettings:
+    """What a driven world depends on.
+
+    Raises:
+        SettingsError: a value is out of range, or there is no room for the robot.
+    """
+
+    laps: float = param(1.0, "Drive ends after so many rounds.", low=0.01, high=1000)
+    most_frames: int = param(
+        0, "Drive ends after so many frames (0 = thrice what the laps should take).", low=0
+    )
+    walkers: int = param(0, "People-sized things that walk along and across.", low=0, high=20)
+    width: int = param(320, "Width of the images.", unit="px", low=64, high=4096)
+    height: int = param(240, "Height of the images.", unit="px", low=48, high=4096)
+    noise_sigma: float = param(
+        1.5, "Standard deviation of the sensor noise.", unit="grey levels", low=0, high=100
+    )
+    corridor_width_m: float = param(
+        0.0, "From inner to outer wall (0 = 2 to 3.5 by the seed).", unit="m", low=0, high=20
+    )
+    corridor_length_m: float = param(
+        0.0,
+        "Side of the square that the corridor's middle line makes (0 = 12 to 18 by the seed).",
+        unit="m",
+        low=0,
+        high=100,
+    )
+    seed: int = param(
+        0,
+        "Decides on the corridor's size, doors, windows and light, the sense of the round, the "
+        "walkers and the noise.",
+        low=0,
+    )
+
+    def __post_init__(self) -> None:
+        checked(self)
+        least_m = 2 * ROBOT_RADIUS_M + _LEAST_DRIVE_ROOM_M
+        if self.corridor_width_m and self.corridor_width_m < least_m:
+            raise SettingsError(
+                f"--corridor-width-m {self.corridor_width_m:g} has no room for a robot of "
+                f"{2 * ROBOT_RADIUS_M:g} m: give at least {least_m:g} m"
+            )
+        width_m = self.corridor_width_m or _WIDEST_M
+        if self.corridor_length_m and self.corridor_length_m < 2 * width_m:
+            raise SettingsError(
+                f"--corridor-length-m {self.corridor_length_m:g} leaves no corridor of "
+                f"{width_m:g} m width: give at least {2 * width_m:g} m"
+            )
+
+    @property
+    def rig(self) -> Rig:
+        """The robot's stereo camera."""
+        return SimulateSettings(width=self.width, height=self.height).rig

@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 import contextlib
-import math
 from collections.abc import Callable
 from fractions import Fraction
 from pathlib import Path
 
 from motionstereo_cli.errors import OutputError
+from motionstereo_cli.poses import HEAD, format_pose
 from motionstereo_cli.rig import write_rig
-from motionstereo_cli.simulate.camera import EYE_HEIGHT_M, Pose
 from motionstereo_cli.simulate.scenes import render_scene
 from motionstereo_cli.simulate.settings import SimulateSettings
 from motionstereo_cli.sinks.files import reported, write_whole
 from motionstereo_cli.sinks.images import disparity_png, encode_png
 from motionstereo_cli.sinks.video import VideoWriter
-
-_POSES_HEAD = "# time_s x_m y_m z_m qx qy qz qw (x forward, y left, z up)\n"
 
 
 def simulate(
@@ -36,8 +33,8 @@ def simulate(
       for every pixel (0 where it exceeds the format's 65535/256 px);
     - rig.yaml;
     - poses.txt: TUM format, one line a frame, for the rig's middle. World: x and y on the floor,
-      z up, in m. Orientation: the robot frame, x forward, y left, z up (REP 103). Time is the
-      scene's, frame / frame_rate, so it carries on where the recording begins later.
+      z up, in m. Orientation: the robot frame, x forward, y left, z up (REP 103). Time begins
+      at 0 with the recording.
 
     When it fails or is interrupted, no file is left behind.
 
@@ -57,7 +54,7 @@ def simulate(
     _prepare(out, targets, overwrite=overwrite)
     time_base = 1 / Fraction(settings.frame_rate).limit_denominator(1001)
     videos: list[VideoWriter] = []
-    poses = [_POSES_HEAD]
+    poses = [HEAD]
     try:
         for path in sides:
             videos.append(VideoWriter(path, time_base))
@@ -65,7 +62,7 @@ def simulate(
             for video, image in zip(videos, (shot.left, shot.right), strict=True):
                 video.write(image, number)
             write_whole(truths[number], encode_png(disparity_png(shot.disparity_px)))
-            poses.append(_tum(shot.frame / settings.frame_rate, shot.pose))
+            poses.append(format_pose(number / settings.frame_rate, shot.pose.rig_pose))
             progress()
         for video in videos:
             video.close()
@@ -82,12 +79,6 @@ def simulate(
 
 def _disparities(out: Path, count: int) -> list[Path]:
     return [out / "disparity" / f"{number:06d}.png" for number in range(count)]
-
-
-def _tum(time_s: float, pose: Pose) -> str:
-    half_rad = pose.yaw_rad / 2
-    place = f"{pose.x_m:z.6f} {pose.y_m:z.6f} {EYE_HEIGHT_M:z.6f}"
-    return f"{time_s:.6f} {place} 0 0 {math.sin(half_rad):z.9f} {math.cos(half_rad):z.9f}\n"
 
 
 def _prepare(out: Path, targets: list[Path], *, overwrite: bool) -> None:
@@ -110,7 +101,7 @@ def _prepare(out: Path, targets: list[Path], *, overwrite: bool) -> None:
 def _former(out: Path) -> list[Path]:
     """Return what a former simulation wrote: as many images as its poses.txt has poses."""
     poses = out / "poses.txt"
-    if not poses.is_file() or not poses.read_bytes().startswith(_POSES_HEAD.encode()):
+    if not poses.is_file() or not poses.read_bytes().startswith(HEAD.encode()):
         return []
     videos = [out / f"{side}.{suffix}" for side in ("left", "right") for suffix in ("mp4", "mkv")]
     images = _disparities(out, len(poses.read_bytes().splitlines()) - 1)

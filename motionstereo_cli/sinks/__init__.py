@@ -72,6 +72,18 @@ def _disparity(path: Path, time_base: Fraction, max_disparity: int) -> Sink:
     return disparity_images(path)
 
 
+def _age(path: Path, time_base: Fraction, max_disparity: int) -> Sink:
+    from motionstereo_cli.sinks.images import age_images
+
+    return age_images(path)
+
+
+def _confidence(path: Path, time_base: Fraction, max_disparity: int) -> Sink:
+    from motionstereo_cli.sinks.images import confidence_images
+
+    return confidence_images(path)
+
+
 def _charge_video(path: Path, time_base: Fraction, max_disparity: int) -> Sink:
     from motionstereo_cli.sinks.previews import charge_video
 
@@ -102,6 +114,17 @@ SAVES = {
         "disparity/{:06d}.png",
         "uint16 disparity in 1/256 px, right view; 0 = unknown, a known 0 is stored as 1",
         _disparity,
+    ),
+    "age": Save(
+        "age/{:06d}.png",
+        "uint8 frames since something moved there, right view; 255 = forgotten",
+        _age,
+    ),
+    "confidence": Save(
+        "confidence/{:06d}.png",
+        "uint8 chance that the disparity is right within 1 px, in 1/255, right view; "
+        "0 = no disparity",
+        _confidence,
     ),
     "charge": Save("charge.mp4", "right permanency memory, charge as grey", _charge_video),
     "depth-video": Save(

@@ -1,4 +1,4 @@
-"""Depth and disparity as 16-bit PNG, one file a frame."""
+"""Depth, disparity, age and confidence as PNG, one file a frame."""
 
 from __future__ import annotations
 
@@ -47,6 +47,18 @@ def disparity_png(disparity_px: Real) -> NDArray[np.uint16]:
     return _to_uint16(disparity_px, _DISPARITY_PER_PX)
 
 
+def confidence_png(confidence: Real) -> NDArray[np.uint8]:
+    """Return confidence in 1/255; 0 = no disparity, a chance below 1/255 is stored as 1.
+
+    Args:
+        confidence: (height, width) float32 0..1, NaN = unknown.
+
+    Returns:
+        (height, width) uint8.
+    """
+    return np.nan_to_num(np.maximum(np.rint(confidence * 255), 1)).astype(np.uint8)
+
+
 def _to_uint16(values: Real, per_unit: int) -> NDArray[np.uint16]:
     # NaN is neither above nor below anything, so it is not known.
     known = (values >= 0) & (values <= np.float32(_UINT16_MAX / per_unit))
@@ -69,17 +81,19 @@ def encode_png(image: NDArray[np.uint8] | NDArray[np.uint16]) -> bytes:
 
 
 class NumberedImages:
-    """16-bit PNG files, one a frame, each written whole.
+    """8-bit or 16-bit PNG files, one a frame, each written whole.
 
     Args:
         path: where they go; ``{:06d}`` in its name is the number of the frame.
-        image: makes the (height, width) uint16 image of a result.
+        image: makes the (height, width) uint8 or uint16 image of a result.
 
     Raises:
         OutputError: the folder cannot be made or a file not written.
     """
 
-    def __init__(self, path: Path, image: Callable[[FrameResult], NDArray[np.uint16]]) -> None:
+    def __init__(
+        self, path: Path, image: Callable[[FrameResult], NDArray[np.uint8] | NDArray[np.uint16]]
+    ) -> None:
         self._path = path
         self._image = image
         with reported(path.parent):
@@ -110,3 +124,13 @@ def depth_images(path: Path) -> NumberedImages:
 def disparity_images(path: Path) -> NumberedImages:
     """Return a sink for disparity in 1/256 px."""
     return NumberedImages(path, lambda result: disparity_png(result.disparity_px))
+
+
+def age_images(path: Path) -> NumberedImages:
+    """Return a sink for frames since motion; 255 = forgotten."""
+    return NumberedImages(path, lambda result: result.age_frames)
+
+
+def confidence_images(path: Path) -> NumberedImages:
+    """Return a sink for confidence in 1/255; 0 = no disparity."""
+    return NumberedImages(path, lambda result: confidence_png(result.confidence))

@@ -24,8 +24,14 @@ if TYPE_CHECKING:
 _FARTHEST = 32
 
 
+#: Time stamps that begin beyond this count from an epoch; no player waits for that long.
+_EPOCH_S = 86_400
+
+
 class Preview:
     """A video of one image a frame, at the times of the frames.
+
+    Where these count from an epoch, as camera clocks do, the video begins at 0.
 
     Args:
         path: final name.
@@ -41,10 +47,15 @@ class Preview:
     ) -> None:
         self._video = VideoWriter(path, time_base)
         self._image = image
+        self._time_base = time_base
+        self._begin: int | None = None
 
     def write(self, result: FrameResult) -> None:
         """Append the image of a frame."""
-        self._video.write(self._image(result), result.frame.pts)
+        pts = result.frame.pts
+        if self._begin is None:
+            self._begin = pts if pts * self._time_base > _EPOCH_S else 0
+        self._video.write(self._image(result), pts - self._begin)
 
     def close(self) -> None:
         """Complete the video and give it its name."""

@@ -49,7 +49,10 @@ class VideoWriter:
                 str(part_of(path)),
                 "w",
                 format="matroska" if self._lossless else "mp4",
-                options={"fflags": "+bitexact"},  # no random identifiers
+                # No random identifiers; the index in front, so that browsers start at once and
+                # a cut copy can still be read.
+                options={"fflags": "+bitexact"}
+                | ({} if self._lossless else {"movflags": "+faststart"}),
             )
 
     def write(self, image: NDArray[np.uint8], pts: int) -> None:

@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import hashlib
+import itertools
+import operator
 import re
-from collections.abc import Iterator
+import statistics
+from collections.abc import Iterable, Iterator
+from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,44 +27,73 @@ if TYPE_CHECKING:
 #: Files with these suffixes are images; all others are passed over.
 SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm", ".webp"})
 
+#: Beside a folder ``data``: the images' time stamps in ns and names, as EuRoC lays them.
+STAMPS = "data.csv"
+
 
 class FolderStream(Stream):
-    """The images of a folder in natural order: frame2 before frame10.
+    """Images of one folder in natural order: frame2 before frame10.
 
     Colour becomes BT.601 luma, alpha is dropped, 16 bits are scaled to 8, and the orientation
-    that a camera noted is obeyed. The time stamp is the number of the file: images have no time.
-    An image that cannot be read is counted and its number left out.
+    that a camera noted is obeyed. An image that cannot be read is counted and its number left
+    out.
+
+    The time stamp of an image is the number in its file name, where the names differ in one
+    number alone and count in steps; otherwise its place. Only ``frame_rate`` makes a time of it.
+    Where a ``data.csv`` lies beside a folder ``data``, as EuRoC has it, the time stamps are there.
 
     Args:
-        path: an existing folder.
+        path: an existing folder, or a glob pattern for the messages.
+        files: the images, where not those of the folder.
+        frame_rate: images per second, 0 = unknown.
 
     Raises:
-        InputError: the folder has no readable image; while iterating: an image differs from the
-            first in size.
+        InputError: there is no readable image; while iterating: an image differs from the first
+            in size.
     """
 
-    time_base = None
-
-    def __init__(self, path: Path) -> None:
+    def __init__(
+        self, path: Path, files: Iterable[Path] | None = None, frame_rate: float = 0.0
+    ) -> None:
         self._path = path
         self._unreadable: list[str] = []
+        stamps_ns: list[int] = []
         try:
-            self._files = sorted(
-                (file for file in path.iterdir() if file.suffix.lower() in SUFFIXES),
-                key=lambda file: natural_key(file.name),
-            )
+            if files is None and (path.parent / STAMPS).is_file() and path.name == "data":
+                self._files, stamps_ns = _stamped(path)
+            else:
+                found = path.iterdir() if files is None else files
+                self._files = sorted(
+                    (file for file in found if file.suffix.lower() in SUFFIXES),
+                    key=lambda file: natural_key(str(file)),
+                )
         except OSError as error:
             raise InputError(f"cannot read the folder {path}: {error.strerror}") from error
         if not self._files:
             raise InputError(f"{path} has no images: put {', '.join(sorted(SUFFIXES))} files in it")
         self.expected_images = len(self._files)
+        self.time_base: Fraction | None = None
+        if stamps_ns:
+            self._pts, self.time_base, self.stamped = stamps_ns, Fraction(1, 10**9), True
+            if len(stamps_ns) > 1:
+                # The median: lost images do not count.
+                period_ns = statistics.median(map(operator.sub, stamps_ns[1:], stamps_ns[:-1]))
+                self.frame_rate = Fraction(10**9) / Fraction(period_ns)
+        else:
+            numbers = file_numbers([file.stem for file in self._files])
+            self.numbered = numbers is not None
+            self._pts = numbers or list(range(len(self._files)))
+            self.warnings = tuple(f"{path}: {gap}" for gap in _gaps(self._pts))
+            if frame_rate:
+                self.frame_rate = Fraction(str(frame_rate))
+                self.time_base = 1 / self.frame_rate
         self._start(self._read(), path)
 
     def close(self) -> None:
         """Do nothing: no file stays open."""
 
     @property
-    def damaged(self) -> int:
+    def lost(self) -> int:
         """Images that could not be read so far."""
         return len(self._unreadable)
 
@@ -69,36 +102,42 @@ class FolderStream(Stream):
         """One line that counts the unreadable images and names the first."""
         if not self._unreadable:
             return []
-        count, first = images(self.damaged), self._unreadable[0]
+        count, first = images(self.lost), self._unreadable[0]
         return [f"{self._path}: {count} could not be read, the first is {first}"]
 
     def describe(self) -> dict[str, Any]:
-        """Return what the folder holds, as JSON-able values.
-
-        ``sha256`` is that of the text which ``sha256sum`` prints for the images by bare name,
-        in natural order.
-        """
-        sums = hashlib.sha256()
-        for path in self._files:
-            with path.open("rb") as file:
-                digest = hashlib.file_digest(file, "sha256").hexdigest()
-            sums.update(f"{digest}  {path.name}\n".encode())
+        """Return what the images are, as JSON-able values."""
         return {
             "path": str(self._path),
-            "kind": "folder",
+            "kind": "images",
             "codec": ", ".join(sorted({file.suffix.lower()[1:] for file in self._files})),
             "pixel_format": self._pixel_format,
             "range": "full",
+            "rotation_deg": 0,
             "width": self.width,
             "height": self.height,
-            "frame_rate": None,
-            "bytes": sum(file.stat().st_size for file in self._files),
-            "sha256": sums.hexdigest(),
+            "frame_rate": str(self.frame_rate) if self.frame_rate else None,
+            "images": self.expected_images,
         }
+
+    def fingerprint(self) -> dict[str, Any]:
+        """Return the size of all images in bytes, and a SHA-256.
+
+        That is the hash of the text which ``sha256sum`` prints for the images by bare name, in
+        their order.
+        """
+        sums, size = hashlib.sha256(), 0
+        for path in self._files:
+            if path.is_file():
+                with path.open("rb") as file:
+                    digest = hashlib.file_digest(file, "sha256").hexdigest()
+                sums.update(f"{digest}  {path.name}\n".encode())
+                size += path.stat().st_size
+        return {"bytes": size, "sha256": sums.hexdigest()}
 
     def _read(self) -> Iterator[Image]:
         shape: tuple[int, ...] | None = None
-        for number, file in enumerate(self._files):
+        for number, (pts, file) in enumerate(zip(self._pts, self._files, strict=True)):
             try:
                 # Pillow by name: otherwise imageio tries its video plugins on damaged files.
                 pixels = iio.imread(file, plugin="pillow", index=0, rotate=True)
@@ -114,13 +153,63 @@ class FolderStream(Stream):
                     f"{file} is {grey.shape[1]}x{grey.shape[0]} but the images before it are "
                     f"{shape[1]}x{shape[0]}: make all images of a folder the same size"
                 )
-            yield Image(number, number, grey)
+            yield Image(number, pts, grey)
 
 
 def natural_key(name: str) -> list[tuple[int, str]]:
     """Return a sort key that counts digits as numbers: frame2 comes before frame10."""
     parts = re.split(r"([0-9]+)", name)
     return [(int(part), "") if i % 2 else (0, part) for i, part in enumerate(parts)]
+
+
+def file_numbers(stems: list[str]) -> list[int] | None:
+    """Return the number in each of a folder's file names without suffix, given in order.
+
+    None unless the names differ in that number alone and count in steps of one size, gaps
+    allowed: time stamps, several numbers and words tell nothing.
+    """
+    split = [re.split(r"([0-9]+)", stem) for stem in stems]
+    if len({len(parts) for parts in split}) > 1:
+        return None
+    columns = [
+        [parts[i] if i % 2 == 0 else int(parts[i]) for parts in split] for i in range(len(split[0]))
+    ]
+    varying = [(i, column) for i, column in enumerate(columns) if len(set(column)) > 1]
+    if len(varying) != 1 or varying[0][0] % 2 == 0:
+        return None
+    numbers = [int(number) for number in varying[0][1]]
+    steps = list(map(operator.sub, numbers[1:], numbers[:-1]))
+    least = min(steps)
+    return numbers if least > 0 and not any(step % least for step in steps) else None
+
+
+def _gaps(numbers: list[int]) -> list[str]:
+    """Return a line that names the gaps in a numbering, if there are any."""
+    steps = list(map(operator.sub, numbers[1:], numbers[:-1]))
+    pairs = zip(itertools.pairwise(numbers), steps, strict=True)
+    gaps = [f"{before} and {after}" for (before, after), step in pairs if step > min(steps)]
+    if not gaps:
+        return []
+    more = f" and in {len(gaps) - 1} other places" if len(gaps) > 1 else ""
+    return [f"numbers are missing between {gaps[0]}{more}: check that no images are lost"]
+
+
+def _stamped(path: Path) -> tuple[list[Path], list[int]]:
+    """Return the images of a EuRoC camera and their time stamps in ns, in the order of time."""
+    table = path.parent / STAMPS
+    rows = []
+    for number, line in enumerate(table.read_text(errors="replace").splitlines(), 1):
+        stamp, comma, name = (part.strip() for part in line.partition(","))
+        if not line.strip() or stamp.startswith("#"):
+            continue
+        if not (stamp.isascii() and stamp.isdigit() and comma and Path(name).name == name):
+            raise InputError(f"{table}, line {number}: give 'time stamp in ns,file name'")
+        rows.append((int(stamp), path / name))
+    rows.sort()
+    for (before, _), (after, _) in itertools.pairwise(rows):
+        if before == after:
+            raise InputError(f"{table} has the time stamp {after} twice: keep one line for it")
+    return [file for _, file in rows], [stamp for stamp, _ in rows]
 
 
 def _grey(pixels: NDArray[Any], file: Path) -> Grey:

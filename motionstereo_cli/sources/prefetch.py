@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Generator, Iterable
+from collections.abc import Callable, Generator, Iterable
 from queue import SimpleQueue
 from typing import TypeVar
 
@@ -15,11 +15,14 @@ class _End:
         self.error = error
 
 
-def prefetch(items: Iterable[T], depth: int) -> Generator[T]:
+def prefetch(
+    items: Iterable[T], depth: int, stop: Callable[[], object] = lambda: None
+) -> Generator[T]:
     """Yield the items in order while a thread of its own makes up to ``depth`` of them ahead.
 
     An error raised by ``items`` is raised here, after the items before it. The thread ends with
-    the items, or when this generator is closed; it never outlives the generator.
+    the items, or when this generator is closed; it never outlives the generator. ``stop`` is
+    called then, to end a wait in ``items``.
     """
     queue: SimpleQueue[T | _End] = SimpleQueue()
     room = threading.Semaphore(depth - 1)
@@ -50,5 +53,6 @@ def prefetch(items: Iterable[T], depth: int) -> Generator[T]:
             yield item
     finally:
         closed.set()
+        stop()
         room.release()
         thread.join()

@@ -1,64 +1,108 @@
-"""Two streams as one stream of pairs."""
+"""Two streams, or the two halves of one, as one stream of pairs."""
 
 from __future__ import annotations
 
-from collections.abc import Generator, Iterator
-from contextlib import closing
+import itertools
+from collections.abc import Callable, Generator, Iterator, Sequence
+from contextlib import ExitStack, closing
 from fractions import Fraction
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-from motionstereo_cli.errors import InputError
+from motionstereo_cli.errors import InputError, SettingsError
+from motionstereo_cli.sources import views
 from motionstereo_cli.sources.folder import FolderStream
+from motionstereo_cli.sources.pairing import pair
 from motionstereo_cli.sources.prefetch import prefetch
-from motionstereo_cli.sources.stream import Image, Stream, images
-from motionstereo_cli.sources.video import VideoStream
+from motionstereo_cli.sources.recordings import STDIN, named, open_stream
+from motionstereo_cli.sources.settings import InputSettings, Place
+from motionstereo_cli.sources.stream import Stream, images
 from motionstereo_cli.types import StereoFrame
+
+if TYPE_CHECKING:
+    from motionstereo_cli.types import Grey
 
 #: Images decoded ahead on each side: enough to even out key frames, little memory.
 _DEPTH = 4
 
+SIDES = ("left", "right")
+
 
 class StereoSource:
-    """The stereo frames of two recordings; to be iterated once, inside a ``with`` block.
+    """The stereo frames of two recordings, or of one that holds both views.
 
-    Images are paired by their number in the recording. A stream leaves the numbers of lost
-    images out, so the partner of a lost image is dropped and the streams stay in step. Where
-    one recording is longer, the common part is processed.
+    To be iterated once, inside a ``with`` block. Images are paired by their number in the
+    recording (that in the file name where both sides have it), or by time. A stream leaves the
+    numbers of lost images out, so the partner of a lost image is dropped and the sides stay in
+    step. Where one side is longer, the common part is processed.
 
-    Each side decodes in a thread of its own, a few images ahead.
+    Each recording decodes in a thread of its own, a few images ahead; views are taken apart,
+    rectified, cut and scaled there.
+
+    Args:
+        streams: the left and the right recording, or the one with both views; closed with this.
+        settings: how to pair them, and what to use of them.
 
     Attributes:
-        width, height: size of the images in px.
+        settings: as given.
+        view_width, view_height: size of the whole views in px, before crop and scale.
+        width, height: size of the images delivered in px.
         time_base: seconds per unit of pts (the right stream's), None where images have no time.
-        expected_frames: how many pairs there seem to be, None where nobody knows.
-        counts: for ``left`` and ``right``: images ``read``, ``damaged`` (corrupt or lost) and
-            ``unpaired`` (not used because their partner is lost or was never there).
-        damage: what was lost, one line each; complete after the iteration.
+        frame_rate: frames delivered per second, a mean; None where nobody knows.
+        expected_frames: how many there seem to be, None where nobody knows.
+        paths: files and folders that are read.
+        warnings: what looks wrong at the outset, one line each.
+
+    Raises:
+        InputError: the views differ in size or cannot be taken apart; while iterating: no frame
+            is left.
+        SettingsError: the settings need a time that the recordings do not have, or the crop
+            goes beyond the views.
     """
 
-    def __init__(self, left: Path, right: Path) -> None:
-        self._paths = {"left": left, "right": right}
-        self._streams: dict[str, Stream] = {}
-        self._read = dict.fromkeys(self._paths, 0)
-        self._dropped = dict.fromkeys(self._paths, 0)
-        self._longer = dict.fromkeys(self._paths, 0)
-        self._pairs: Generator[StereoFrame] | None = None
-        try:
-            for side, path in self._paths.items():
-                self._streams[side] = _open_stream(path)
-            self._check_sizes()
-        except BaseException:
-            self.close()
-            raise
-        first, second = self._streams.values()
-        self.width, self.height = second.width, second.height
-        self.time_base: Fraction | None = second.time_base
-        expected = [
-            each.expected_images for each in (first, second) if each.expected_images is not None
+    def __init__(
+        self,
+        streams: Sequence[Stream],
+        settings: InputSettings | None = None,
+        paths: Sequence[Path] = (),
+    ) -> None:
+        self.settings = s = settings or InputSettings()
+        self.paths = tuple(paths)
+        self._streams = list(streams)
+        if len(self._streams) == 1:
+            self._sides = [_Side(self._streams[0], half) for half in (0, 1)]
+        else:
+            self._sides = [_Side(stream) for stream in self._streams]
+        if s.swap:
+            self._sides.reverse()
+        self._rectify: tuple[Callable[[Grey], Grey], ...] | None = None
+        self._frames: Generator[StereoFrame] | None = None
+        self._skipped = 0
+        self._to_the_end = False
+        self.warnings = [line for stream in self._streams for line in stream.warnings]
+
+        right = self._sides[1]
+        sizes = [
+            views.view_size(each.width, each.height, s.layout, each.name) for each in self._streams
         ]
-        self.expected_frames: int | None = min(expected, default=None)
+        if sizes[0] != sizes[-1]:
+            one, other = (f"{width}x{height}" for width, height in sizes)
+            raise InputError(
+                f"{self._streams[0].name} is {one} but {self._streams[1].name} is {other}: "
+                "give two recordings of the same size"
+            )
+        self.view_width, self.view_height = sizes[0]
+        self.width, self.height = s.delivered(*sizes[0])
+        self._box = s.box(*sizes[0])
+        self.time_base = right.stream.time_base
+        rate = right.stream.frame_rate
+        self.frame_rate = rate / s.every if rate else None
+        for flag, place in (("--start", s.first), ("--end", s.stop)):
+            if isinstance(place, Fraction):
+                self._need_time(flag, right.stream)
+        self._lead, self._tolerance = self._pairing()
+        self.expected_frames = self._expected()
 
     def __enter__(self) -> StereoSource:
         return self
@@ -72,113 +116,306 @@ class StereoSource:
         self.close()
 
     def close(self) -> None:
-        """Close both recordings, after ending an iteration that is still under way."""
-        if self._pairs is not None:
-            self._pairs.close()  # its threads read from what is closed next
-        for stream in self._streams.values():
+        """Close the recordings, after ending an iteration that is still under way."""
+        if self._frames is not None:
+            self._frames.close()  # its threads read from what is closed next
+        for stream in self._streams:
             stream.close()
 
+    def rectify(self, left: Callable[[Grey], Grey], right: Callable[[Grey], Grey]) -> None:
+        """Have each whole view go through a function; to be called before the iteration.
+
+        The functions take and return (view_height, view_width) uint8; they are called in the
+        decoding threads, each in one thread alone.
+        """
+        self._rectify = (left, right)
+
     @property
-    def counts(self) -> dict[str, dict[str, int]]:
-        """Images read, damaged and unpaired on each side so far."""
-        return {
-            side: {
-                "read": self._read[side],
-                "damaged": stream.damaged,
-                "unpaired": self._dropped[side] + self._longer[side],
-            }
-            for side, stream in self._streams.items()
-        }
+    def counts(self) -> dict[str, Any]:
+        """What became of the images, as far as the stereo frames delivered so far go.
+
+        ``skipped``: pairs left out by --start, --end and --every. For ``left`` and ``right``:
+        ``read`` = ``paired`` + ``unpaired`` + ``damaged``, where damaged images are those that
+        should have come and did not; ``flawed``: came with visible errors, and were used;
+        ``unread``: about how many follow, None where nobody knows.
+        """
+        sides = {name: side.counts for name, side in zip(SIDES, self._sides, strict=True)}
+        return {"skipped": self._skipped, **sides}
 
     @property
     def damage(self) -> list[str]:
-        """What was lost so far, one line each."""
-        lines = [line for stream in self._streams.values() for line in stream.damage]
-        for side, path in self._paths.items():
-            if self._dropped[side]:
+        """What was lost so far, one line each; complete after the iteration."""
+        shown = self._sides[: len(self._streams)]
+        lines = [line for side in shown for line in side.loss.damage]
+        offset = 0 if self._tolerance else self.settings.sync_offset
+        left, right = self._sides
+        # What an offset makes stand over is no damage, nor that streams begin apart in time.
+        for side, over_first, over_last in ((left, -offset, offset), (right, offset, -offset)):
+            early = 0 if self._tolerance else max(side.early - max(over_first, 0), 0)
+            if dropped := side.between + early:
                 lines.append(
-                    f"{path}: {images(self._dropped[side])} dropped: lost on the other side"
+                    f"{side.stream.name}: {images(dropped)} dropped: no partner on the other side"
                 )
-            if self._longer[side]:
+            longer = side.late + (side.counts["unread"] or 0) - max(over_last, 0)
+            if self._to_the_end and longer > 0:
                 lines.append(
-                    f"{path}: about {images(self._longer[side])} longer than the other side: "
+                    f"{side.stream.name}: about {images(longer)} longer than the other side: "
                     "only the common part was processed"
                 )
         return lines
 
-    def describe(self) -> dict[str, dict[str, Any]]:
-        """Return what the ``left`` and ``right`` recordings are, as JSON-able values.
+    def describe(self, *, fingerprint: bool = True) -> dict[str, dict[str, Any]]:
+        """Return what the recordings are, as JSON-able values: ``left`` and ``right``, or ``both``.
 
-        Reads both recordings wholly for their SHA-256.
+        With ``fingerprint``, reads all files for their size and SHA-256.
         """
-        return {side: stream.describe() for side, stream in self._streams.items()}
+        names = SIDES if len(self._streams) > 1 else ("both",)
+        streams = [side.stream for side in self._sides[: len(self._streams)]]
+        return {
+            name: stream.describe() | (stream.fingerprint() if fingerprint else {})
+            for name, stream in zip(names, streams, strict=True)
+        }
 
     def __iter__(self) -> Iterator[StereoFrame]:
-        self._pairs = self._pair()
-        return self._pairs
+        self._frames = self._deliver()
+        return self._frames
 
-    def _pair(self) -> Generator[StereoFrame]:
-        left_stream, right_stream = self._streams.values()
-        with (
-            closing(prefetch(left_stream, _DEPTH)) as lefts,
-            closing(prefetch(right_stream, _DEPTH)) as rights,
-        ):
-            index = 0
-            left, right = self._next("left", lefts), self._next("right", rights)
-            while left is not None and right is not None:
-                if left.number < right.number:
-                    self._dropped["left"] += 1
-                    left = self._next("left", lefts)
-                elif right.number < left.number:
-                    self._dropped["right"] += 1
-                    right = self._next("right", rights)
-                else:
-                    yield self._frame(index, left, right)
-                    index += 1
-                    left, right = self._next("left", lefts), self._next("right", rights)
-            self._note_leftover("left", left)
-            self._note_leftover("right", right)
-
-    def _next(self, side: str, stream: Iterator[Image]) -> Image | None:
-        image = next(stream, None)
-        self._read[side] += image is not None
-        return image
-
-    def _frame(self, index: int, left: Image, right: Image) -> StereoFrame:
-        time_s = None if self.time_base is None else float(right.pts * self.time_base)
-        return StereoFrame(index, right.pts, time_s, left.grey, right.grey)
-
-    def _note_leftover(self, side: str, image: Image | None) -> None:
-        # How much more there is, is looked up and not decoded: it may be hours.
-        if image is None:
-            return
-        self._longer[side] = max((self._streams[side].expected_images or 0) - image.number, 1)
-
-    def _check_sizes(self) -> None:
-        left, right = self._streams.values()
-        if (left.width, left.height) != (right.width, right.height):
-            raise InputError(
-                f"{self._paths['left']} is {left.width}x{left.height} but {self._paths['right']} "
-                f"is {right.width}x{right.height}: give two recordings of the same size"
+    def _deliver(self) -> Generator[StereoFrame]:
+        s = self.settings
+        index, begun = 0, None
+        with ExitStack() as stack:
+            feeds: list[Iterator[_Shot | _Loss]] = [
+                stack.enter_context(closing(prefetch(self._shots(side), _DEPTH, side.stream.stop)))
+                for side in self._sides[: len(self._streams)]
+            ]
+            if len(feeds) == 1:
+                feeds = list(itertools.tee(feeds[0]))
+            left_side, right_side = self._sides
+            pairs = pair(
+                left_side.follow(feeds[0]), right_side.follow(feeds[1]), self._lead, self._tolerance
             )
+            number = -1
+            for number, (left, right) in enumerate(itertools.islice(pairs, _whole(s.stop))):
+                left_side.use(left)
+                right_side.use(right)
+                if s.stop is not None and self._reached(s.stop, number, right):
+                    self._skipped += 1
+                    break
+                if begun is None and self._reached(s.first, number, right):
+                    begun = number
+                if begun is None or (number - begun) % s.every:
+                    self._skipped += 1
+                    continue
+                time_s = None if right.time_s is None else float(right.time_s)
+                grey = left.views[left_side.half], right.views[right_side.half]
+                yield StereoFrame(index, right.pts, time_s, *grey)
+                index += 1
+            else:
+                self._to_the_end = number + 1 != _whole(s.stop)
+        if index == 0:
+            raise InputError(self._nothing(number + 1))
+
+    def _shots(self, side: _Side) -> Iterator[_Shot | _Loss]:
+        """Yield what a decoding thread makes, and at last what was lost in all."""
+        s, stream = self.settings, side.stream
+        rectify = self._rectify
+        if rectify and len(self._streams) > 1:
+            rectify = (rectify[self._sides.index(side)],)
+        elif rectify and s.swap:
+            rectify = rectify[::-1]
+        for order, image in enumerate(stream):
+            parts = views.split(image.grey, s.layout)
+            if rectify:
+                parts = tuple(each(part) for each, part in zip(rectify, parts, strict=True))
+            cut = (views.cut(part, self._box, self.width, self.height) for part in parts)
+            time_s = None if stream.time_base is None else image.pts * stream.time_base
+            yield _Shot(order, image.number, image.pts, time_s, tuple(cut), _Loss.of(stream))
+        yield _Loss.of(stream)
+
+    def _pairing(self) -> tuple[Callable[[_Shot, _Shot], Fraction], Fraction]:
+        """Return how much earlier a left image is than a right one, and how much may be."""
+        left, right = (side.stream for side in self._sides)
+        tolerance, offset = Fraction(str(self.settings.sync_tolerance)), self.settings.sync_offset
+        if tolerance:
+            self._need_time("--sync-tolerance", left)
+            self._need_time("--sync-tolerance", right)
+        elif left.stamped and right.stamped and not offset and left.frame_rate and right.frame_rate:
+            tolerance = 1 / (2 * max(left.frame_rate, right.frame_rate))
+        if tolerance:
+            return _time_lead, tolerance
+        if left.numbered and right.numbered:
+            return lambda one, other: Fraction(other.pts - offset - one.pts), tolerance
+        return lambda one, other: Fraction(other.number - offset - one.number), tolerance
+
+    def _expected(self) -> int | None:
+        left, right = (side.stream for side in self._sides)
+        s, rate = self.settings, right.frame_rate
+        ends = [
+            stream.expected_images - max(over, 0)
+            for stream, over in ((left, -s.sync_offset), (right, s.sync_offset))
+            if stream.expected_images is not None
+        ]
+        if s.stop is not None:
+            ends.append(_frame(s.stop, rate))
+        if not ends or (rate is None and Fraction in (type(s.first), type(s.stop))):
+            return None
+        return len(range(_frame(s.first, rate), min(ends), s.every))
+
+    def _reached(self, place: Place, number: int, shot: _Shot) -> bool:
+        if isinstance(place, int):
+            return number >= place
+        return shot.time_s is not None and shot.time_s - self._sides[1].begin_s >= place
+
+    def _need_time(self, flag: str, stream: Stream) -> None:
+        if stream.time_base is None:
+            raise SettingsError(f"{flag}: {stream.name} has no time stamps: give --frame-rate")
+
+    def _nothing(self, pairs: int) -> str:
+        left, right = (side.stream.name for side in self._sides)
+        if pairs:
+            return f"--start {self.settings.start} lies behind the last of {pairs} frames"
+        return (
+            f"{left} and {right} have no images that belong together: check that they are whole, "
+            "their numbers, and --sync-offset and --sync-tolerance if given"
+        )
 
 
-def open_stereo(left: Path, right: Path) -> StereoSource:
-    """Open a left and a right recording, each a video file or a folder of images.
+class _Loss(NamedTuple):
+    """What a stream has lost up to some image.
+
+    It goes along with the image, for the thread that decodes is ahead by no fixed number.
+    """
+
+    lost: int
+    flawed: int
+    damage: tuple[str, ...]
+
+    @classmethod
+    def of(cls, stream: Stream) -> _Loss:
+        return cls(stream.lost, stream.flawed, tuple(stream.damage))
+
+
+class _Shot(NamedTuple):
+    """One image of a recording, ready to be paired.
+
+    Attributes:
+        order: how many images came before it.
+        number, pts: as in :class:`~motionstereo_cli.sources.stream.Image`.
+        time_s: pts in s, None where there is no time.
+        views: the view, or the two views, in it.
+        loss: what was lost before it.
+    """
+
+    order: int
+    number: int
+    pts: int
+    time_s: Fraction | None
+    views: tuple[Grey, ...]
+    loss: _Loss
+
+
+class _Side:
+    """One camera: its stream, which half of its images is meant, and what became of them.
+
+    Attributes:
+        paired: images used in pairs.
+        early: images that came before the first of those.
+        loss: what was lost up to the last image that came.
+        begin_s: time of the first image.
+    """
+
+    def __init__(self, stream: Stream, half: int = 0) -> None:
+        self.stream, self.half = stream, half
+        self.paired = self.early = 0
+        self.loss = _Loss(0, 0, ())
+        self.begin_s = Fraction(0)
+        self._came = 0
+        self._last_used = -1
+        self._ended = False
+
+    def follow(self, feed: Iterator[_Shot | _Loss]) -> Iterator[_Shot]:
+        """Pass the images on, and count them."""
+        for item in feed:
+            if isinstance(item, _Loss):
+                self.loss, self._ended = item, True
+                return
+            if not self._came:
+                self.begin_s = item.time_s or Fraction(0)
+            self._came, self.loss = self._came + 1, item.loss
+            yield item
+
+    def use(self, shot: _Shot) -> None:
+        """Note that an image has a partner."""
+        if not self.paired:
+            self.early = shot.order
+        self.paired += 1
+        self._last_used = shot.order
+
+    @property
+    def late(self) -> int:
+        """Images that came after the last pair, if there was one."""
+        return self._came - 1 - self._last_used if self.paired else 0
+
+    @property
+    def between(self) -> int:
+        """Images without partner between those that have one."""
+        return self._came - self.paired - self.early - self.late if self.paired else 0
+
+    @property
+    def counts(self) -> dict[str, int | None]:
+        """See :attr:`StereoSource.counts`."""
+        read = self._came + self.loss.lost
+        expected = self.stream.expected_images
+        unread = 0 if self._ended else expected and max(expected - read, 0)
+        return {
+            "read": read,
+            "paired": self.paired,
+            "unpaired": self._came - self.paired,
+            "damaged": self.loss.lost,
+            "flawed": self.loss.flawed,
+            "unread": unread,
+        }
+
+
+def _time_lead(one: _Shot, other: _Shot) -> Fraction:
+    return (other.time_s or Fraction(0)) - (one.time_s or Fraction(0))
+
+
+def _frame(place: Place, rate: Fraction | None) -> int:
+    """Return about which frame stands at a place."""
+    return place if isinstance(place, int) else round(place * (rate or 0))
+
+
+def _whole(place: Place | None) -> int | None:
+    """Return a place that is the number of a frame, or None."""
+    return place if isinstance(place, int) else None
+
+
+def open_stereo(
+    left: str | Path, right: str | Path | None = None, settings: InputSettings | None = None
+) -> StereoSource:
+    """Open a left and a right recording, or one that holds both views.
+
+    Args:
+        left: a video file, a folder of images, a glob pattern of images, or ``-`` for standard
+            input; without ``right`` also a KITTI or EuRoC folder.
+        right: the like; None where ``left`` has both views.
+        settings: how the views lie, which images belong together, and what to use of them.
 
     Raises:
-        InputError: one is missing, cannot be decoded or has no images; both are the same; or
-            their images differ in size.
+        InputError: a recording is missing, cannot be decoded or has no images; both are the
+            same; or their images differ in size.
+        SettingsError: the settings do not fit the recordings.
     """
-    for path in (left, right):
-        if not path.exists():
-            raise InputError(f"there is no file or folder {path}: check the path")
-    if left.samefile(right):
-        raise InputError(
-            f"{left} and {right} are the same recording: give those of two different cameras"
-        )
-    return StereoSource(left, right)
-
-
-def _open_stream(path: Path) -> Stream:
-    return FolderStream(path) if path.is_dir() else VideoStream(path)
+    settings = settings or InputSettings()
+    names = named(left, right, settings.layout)
+    with ExitStack() as opened:
+        streams = [opened.enter_context(closing(open_stream(name, settings))) for name in names]
+        timeless = (isinstance(each, FolderStream) and not each.stamped for each in streams)
+        if settings.frame_rate and not any(timeless):
+            raise SettingsError(
+                f"--frame-rate is for image folders, but {names[0]} has time stamps: leave it out"
+            )
+        source = StereoSource(streams, settings, [Path(name) for name in names if name != STDIN])
+        opened.pop_all()
+    return source

@@ -15,10 +15,13 @@ import numpy as np
 from av.video.reformatter import ColorRange
 
 from motionstereo_cli.errors import InputError
+from motionstereo_cli.sources.pipe import Pipe
 from motionstereo_cli.sources.stream import Image, Stream, images
 
 if TYPE_CHECKING:
     from motionstereo_cli.types import Grey
+
+_PIPE_ADVICE = "pipe yuv4mpegpipe, Matroska, or MP4 with its index in front (-movflags +faststart)"
 
 #: Grey level for each luma of a limited-range stream: 16..235 becomes 0..255.
 _GREY_OF_LIMITED_LUMA = np.clip(np.rint((np.arange(256) - 16) * (255 / 219)), 0, 255).astype(
@@ -42,52 +45,68 @@ class VideoStream(Stream):
     with slice threads it does not report the damage.
 
     Args:
-        path: an existing file.
+        path: an existing file, or standard input.
 
     Raises:
         InputError: not a video, or none of its images can be decoded.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path | Pipe) -> None:
         self._path = path
         self._corrupt = self._undecodable = self._missing = self._cut_off = 0
         self._failed: list[int] = []  # pts of packets that gave no image, not yet passed
         self._packets = 0
+        self._packet_end = 0  # in bytes from the beginning of the file
         self._constant_rate: bool | None = None  # not known before the second image
         self._end_error = ""
         av.logging.set_level(None)
         try:
             # An absolute path: FFmpeg takes what precedes a colon for a protocol.
-            self._container = av.open(str(path.absolute()))
+            self._container = av.open(path if isinstance(path, Pipe) else str(path.absolute()), "r")
         except (av.FFmpegError, OSError) as error:
+            self._check_interrupt()
+            advice = "give a whole video file, or a folder of images"
             raise InputError(
                 f"{path} is not a video that can be decoded ({error.strerror}): "
-                "give a whole video file, or a folder of images"
+                f"{_PIPE_ADVICE if isinstance(path, Pipe) else advice}"
             ) from error
         try:
             if not self._container.streams.video:
                 raise InputError(f"{path} has no video stream: give a video file")
             self._stream = self._container.streams.video[0]
             self._stream.codec_context.thread_count = 1
-            self._rate = self._stream.average_rate or self._stream.guessed_rate
+            self.frame_rate = self._stream.average_rate or self._stream.guessed_rate
+            self._begin_s = Fraction(self._container.start_time or 0, av.time_base)
             self._listed = self._count_listed()
             self.expected_images = self._listed or self._stream.frames or self._count_by_length()
             if self._stream.time_base is None:
                 raise InputError(f"{path} has no time base: convert it to MP4 or Matroska")
             self.time_base: Fraction = self._stream.time_base
-            self._start(self._read(), path)
+            self._start(self._read(), path, _PIPE_ADVICE if isinstance(path, Pipe) else "")
+            self._check_interrupt()
         except BaseException:
             self._container.close()
+            self._check_interrupt()
             raise
 
     def close(self) -> None:
         """Close the file."""
         self._container.close()
 
+    def stop(self) -> None:
+        """End a wait for standard input."""
+        if isinstance(self._path, Pipe):
+            self._path.stop()
+
     @property
-    def damaged(self) -> int:
-        """Images decoded with errors, not decodable or missing so far."""
-        return self._corrupt + self._undecodable + self._missing + self._cut_off
+    def lost(self) -> int:
+        """Images not decodable or missing so far."""
+        return self._undecodable + self._missing + self._cut_off
+
+    @property
+    def flawed(self) -> int:
+        """Images decoded with errors so far."""
+        return self._corrupt
 
     @property
     def damage(self) -> list[str]:
@@ -104,21 +123,31 @@ class VideoStream(Stream):
         return lines
 
     def describe(self) -> dict[str, Any]:
-        """Return what the file is, with its size and SHA-256, as JSON-able values."""
-        with self._path.open("rb") as file:
-            sha256 = hashlib.file_digest(file, "sha256").hexdigest()
+        """Return what the video is, as JSON-able values."""
         return {
             "path": str(self._path),
             "kind": "video",
             "codec": self._stream.codec_context.name,
             "pixel_format": self._pixel_format,
             "range": "full" if self._full_range else "limited",
+            "rotation_deg": 90 * self._quarters,  # counter-clockwise
             "width": self.width,
             "height": self.height,
-            "frame_rate": str(self._rate) if self._rate else None,
-            "bytes": self._path.stat().st_size,
-            "sha256": sha256,
+            "frame_rate": str(self.frame_rate) if self.frame_rate else None,
+            "images": self.expected_images,
         }
+
+    def fingerprint(self) -> dict[str, Any]:
+        """Return size in bytes and SHA-256 of the file, or of what came through the pipe."""
+        if isinstance(self._path, Pipe):
+            return {"bytes": self._path.bytes_read, "sha256": self._path.sha256}
+        with self._path.open("rb") as file:
+            sha256 = hashlib.file_digest(file, "sha256").hexdigest()
+        return {"bytes": self._path.stat().st_size, "sha256": sha256}
+
+    def _check_interrupt(self) -> None:
+        if isinstance(self._path, Pipe) and self._path.interrupted:
+            raise KeyboardInterrupt from None
 
     def _count_listed(self) -> int | None:
         # MP4 alone has an index that holds; not its frame count, for that includes what the edit
@@ -131,10 +160,10 @@ class VideoStream(Stream):
         length_s: Fraction | None = None
         if self._stream.duration is not None and self._stream.time_base is not None:
             length_s = self._stream.duration * self._stream.time_base
-        # Matroska tells the length of its longest stream alone.
+        # Matroska tells the end of its longest stream alone.
         elif self._container.duration is not None and len(self._container.streams) == 1:
-            length_s = Fraction(self._container.duration, av.time_base)
-        return round(length_s * self._rate) if length_s and self._rate else None
+            length_s = Fraction(self._container.duration, av.time_base) - self._begin_s
+        return round(length_s * self.frame_rate) if length_s and self.frame_rate else None
 
     def _read(self) -> Iterator[Image]:
         number, last_pts = -1, None
@@ -142,9 +171,9 @@ class VideoStream(Stream):
         for frame in self._decode():
             pts = self._pts(frame, last_pts)
             if shape is None:
-                self._rotation = frame.rotation
+                self._quarters = round(frame.rotation / 90) % 4
                 self._pixel_format, self._full_range = frame.format.name, is_full_range(frame)
-            grey = _rotated(grey_levels(frame), self._rotation)
+            grey = _rotated(grey_levels(frame), self._quarters)
             if shape is not None and grey.shape != shape:
                 self._fail(pts)  # a damaged header, or a change that cannot be followed
                 continue
@@ -167,6 +196,8 @@ class VideoStream(Stream):
                 return
             if packet.size or packet.dts is not None:  # the last one is empty: it flushes
                 self._packets += 1
+            if packet.pos is not None:
+                self._packet_end = max(self._packet_end, packet.pos + packet.size)
             try:
                 frames = packet.decode()
             except av.FFmpegError:
@@ -184,16 +215,16 @@ class VideoStream(Stream):
             return frame.pts
         if last_pts is None:
             return 0
-        return last_pts + (round(1 / (self._rate * self.time_base)) if self._rate else 1)
+        return last_pts + (round(1 / (self.frame_rate * self.time_base)) if self.frame_rate else 1)
 
     def _lost_between(self, last_pts: int | None, pts: int, last_number: int) -> int:
         """Return how many images were lost between two delivered ones, and note them."""
         failed = sum(each < pts for each in self._failed)
         self._failed = [each for each in self._failed if each > pts]
-        if last_pts is None or self._listed or not self._rate or self._constant_rate is False:
+        if last_pts is None or self._listed or not self.frame_rate or self._constant_rate is False:
             return failed
         # Nothing lists this file's images, so some may be gone without a trace but in time.
-        periods = float((pts - last_pts) * self.time_base * self._rate)
+        periods = float((pts - last_pts) * self.time_base * self.frame_rate)
         steps = round(periods)
         missing = steps - 1 - failed
         self._constant_rate = (
@@ -212,11 +243,15 @@ class VideoStream(Stream):
     def _lost_at_end(self, last_pts: int | None) -> int:
         if self._listed:
             return max(self._listed - self._packets, 0)
+        if self._container.format.name == "yuv4mpegpipe":  # bare images: a rest is a torn one
+            path = self._path
+            size = path.bytes_read if isinstance(path, Pipe) else path.stat().st_size
+            return int(size > self._packet_end)
         # The length stands in the header of these; in others it is an estimate.
         headed = self._container.format.name in ("matroska,webm", "avi")
-        if last_pts is None or not (headed and self._constant_rate and self._rate):
+        if last_pts is None or not (headed and self._constant_rate and self.frame_rate):
             return 0
-        last = round(last_pts * self.time_base * self._rate)
+        last = round((last_pts * self.time_base - self._begin_s) * self.frame_rate)
         return max((self.expected_images or 0) - 1 - last - len(self._failed), 0)
 
 
@@ -256,7 +291,6 @@ def grey_levels(frame: av.VideoFrame) -> Grey:
     return np.ascontiguousarray(luma if full else cv2.LUT(luma, _GREY_OF_LIMITED_LUMA), np.uint8)
 
 
-def _rotated(grey: Grey, degrees: int) -> Grey:
-    """Turn an image counter-clockwise by a multiple of 90 degrees."""
-    quarters = round(degrees / 90) % 4
+def _rotated(grey: Grey, quarters: int) -> Grey:
+    """Turn an image counter-clockwise by a number of right angles."""
     return np.ascontiguousarray(np.rot90(grey, quarters)) if quarters else grey

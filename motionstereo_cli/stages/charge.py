@@ -32,6 +32,22 @@ def permanency(
     return memory
 
 
+def age(
+    charge: NDArray[np.uint8], *, charge_max: int = 255, charge_min: int = 0, leak: int = 16
+) -> NDArray[np.uint8]:
+    """Return how many frames ago something moved, (height, width) uint8; 255 = forgotten.
+
+    The permanency memory read backwards: (Chmax - Ch) / D.
+
+    Args:
+        charge: permanency memory, (height, width) uint8.
+        charge_max, charge_min, leak: Chmax, Chmin and D, as the memory was made with.
+    """
+    frames = np.clip((charge_max - _LEVELS) // leak, 0, 254)
+    table = np.where(charge_min < _LEVELS, frames, 255).astype(np.uint8)
+    return np.asarray(cv2.LUT(charge, table), np.uint8)
+
+
 def accumulate(
     charge: NDArray[np.uint8],
     moved: NDArray[np.bool_],

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -66,13 +65,16 @@ class Blocks:
     size: tuple[int, int]
     disparities: int
 
-    def places(self, trails: Trails, pairs: Pairs) -> Ints:
-        """Return the block that each pair's starts and stops lie in, (2, pairs) int64."""
+    def place(self, row: Ints, column: Ints) -> Ints:
+        """Return the number of the block that each pixel lies in."""
         columns = -(-self.shape[1] // self.size[1])
-        first = trails.row[pairs.right] // self.size[0] * columns
+        number: Ints = row // self.size[0] * columns + column // self.size[1]
+        return number
+
+    def places(self, trails: Trails, pairs: Pairs) -> Ints:
+        """Return the block that each pair's start and stop lie in, (2, pairs) int64."""
         ends = np.stack([trails.start[pairs.right], trails.stop[pairs.right] - 1])
-        places: Ints = first + ends // self.size[1]
-        return places
+        return self.place(trails.row[pairs.right], ends)
 
     def votes(self, places: Ints, pairs: Pairs) -> Reals:
         """Return the votes of all ends for each disparity, (rows, columns, disparities)."""
@@ -89,25 +91,26 @@ def match_trails(
     *,
     block_px: tuple[int, int] = (8, 8),
     max_ratio: float = 0.9,
-    speckle_px: int = 100,
-    gap_px: int = 16,
-) -> NDArray[np.float32]:
-    """Return the disparity of each right pixel, (height, width) float32 px, NaN = unknown.
+    least_votes: int = 16,
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return the disparity of each right pixel in px, and how many votes agree with it.
 
     Trails of equal unit are paired; each pair votes at both its ends for the disparity there, and
     neighbouring rows agree on the true ones. A pair's support is the votes at its two ends. A
     pair wins if it is the best for both its trails and stands out from the second best. Then the
     winners alone vote again, and each end takes the centroid of the votes around it, which makes
-    it sub-pixel. Between the ends disparity runs linearly, as it does through short gaps between
-    trails of like disparity.
+    it sub-pixel. Between the ends disparity runs linearly. Trails without a partner, often split
+    by noise or cut by an occlusion, take the disparity that their block elected, pixel by pixel,
+    where the units agree.
+
+    Both images are (height, width) float32, NaN where the disparity is unknown.
 
     Args:
         right, left: units of the two views, (height, width) uint16, 0 = at rest.
         max_disparity: largest x in the left view minus x in the right one, px.
         block_px: height and width of the blocks that vote together.
         max_ratio: largest support of a trail's second best pair as a share of the best's.
-        speckle_px: connected patches of fewer pixels are dropped.
-        gap_px: widest gap between matched trails of one row that is filled.
+        least_votes: votes, in 3 x 3 blocks and within +-2 px, that a disparity needs.
     """
     shape = (right.shape[0], right.shape[1])
     trails = find_trails(right)
@@ -117,9 +120,23 @@ def match_trails(
     places = blocks.places(trails, pairs)
     won = winners(pairs, support(blocks.votes(places, pairs), places, pairs), max_ratio)
     pairs, places = pairs.only(won), places[:, won]
-    refined = centroids(blocks.votes(places, pairs), places, pairs)
-    disparity = without_speckles(painted(trails, pairs.right, refined, shape), speckle_px)
-    return filled(disparity, right > 0, gap_px)
+    votes = blocks.votes(places, pairs)
+    for axis in (0, 1):
+        votes = with_neighbours(votes, axis)
+    at_ends, agreeing = centroids(votes, places, pairs.disparity)
+    disparity = painted(trails, pairs.right, at_ends, shape)
+    agreement = painted(trails, pairs.right, agreeing, shape)
+
+    peak = with_neighbours(votes, 2).argmax(axis=2).reshape(-1)
+    elected, agreeing = centroids(votes, np.arange(len(peak)), peak)
+    y, x = np.nonzero(np.isnan(disparity) & (right > 0))
+    block = blocks.place(y, x)
+    fits = (agreeing >= least_votes)[block] & has_nearby(left, y, x + peak[block], right[y, x])
+    y, x, block = y[fits], x[fits], block[fits]
+    disparity[y, x] = elected[block]
+    agreement[y, x] = agreeing[block]
+    disparity[agreement < least_votes] = np.nan
+    return disparity, agreement
 
 
 def find_trails(units: NDArray[np.uint16]) -> Trails:
@@ -196,20 +213,33 @@ def is_best(trail: Ints, support: Reals) -> NDArray[np.bool_]:
     return best
 
 
-def centroids(votes: Reals, places: Ints, pairs: Pairs) -> Reals:
-    """Return the disparity of both ends of each pair, sub-pixel, (2, pairs) float32 px.
+def centroids(votes: Reals, places: Ints, disparity: Ints) -> tuple[Reals, Reals]:
+    """Return the centroid of the votes within +-2 px, and how many they are.
 
-    The centroid of the votes over 3 x 3 blocks and within +-2 px.
+    Args:
+        votes: votes in each block for each disparity, (rows, columns, disparities).
+        places: numbers of blocks, int64 of any shape.
+        disparity: the disparity to look around at each, px, of the same shape.
     """
-    for axis in (0, 1):
-        votes = with_neighbours(votes, axis)
     reach = np.arange(-2, 3)
-    padded = np.pad(votes, ((0, 0), (0, 0), (2, 2)))
-    near = padded.reshape(-1, padded.shape[2])[
-        places[..., None], pairs.disparity[..., None] + reach + 2
-    ]
-    shift: Reals = (near @ reach.astype(np.float32)) / near.sum(2)
-    return pairs.disparity.astype(np.float32) + shift
+    padded = np.pad(votes.reshape(-1, votes.shape[2]), ((0, 0), (2, 2)))
+    near = padded[places[..., None], disparity[..., None] + (reach + 2)]
+    agreeing: Reals = near.sum(axis=-1)
+    shift = (near @ reach.astype(np.float32)) / np.maximum(agreeing, 1)
+    return disparity.astype(np.float32) + shift, agreeing
+
+
+def has_nearby(
+    left: NDArray[np.uint16], row: Ints, column: Ints, unit: NDArray[np.uint16]
+) -> NDArray[np.bool_]:
+    """Return where an image has the given units within 1 px of places on a row, (places,) bool."""
+    width = left.shape[1]
+    padded = np.pad(left, ((0, 0), (1, 3)))  # at rest: equal to no unit
+    column = np.minimum(column, width + 1)
+    found: NDArray[np.bool_] = padded[row, column] == unit
+    for step in (1, 2):
+        found |= padded[row, column + step] == unit
+    return found
 
 
 def with_neighbours(votes: Reals, axis: int) -> Reals:
@@ -222,14 +252,14 @@ def with_neighbours(votes: Reals, axis: int) -> Reals:
 
 
 def painted(
-    trails: Trails, which: Ints, disparity: Reals, shape: tuple[int, int]
+    trails: Trails, which: Ints, value: Reals, shape: tuple[int, int]
 ) -> NDArray[np.float32]:
-    """Return an image, NaN but for some trails, on which disparity runs from start to stop.
+    """Return an image, NaN but for some trails, on which a value runs from start to stop.
 
     Args:
         trails: trails of the image.
         which: numbers of the trails to paint, (n,) int64.
-        disparity: disparity at their starts and their stops in px, (2, n) float32.
+        value: value at their starts and at their stops, (2, n) float32.
         shape: height and width of the image in px.
     """
     first = trails.row[which] * shape[1] + trails.start[which]
@@ -239,40 +269,5 @@ def painted(
     # Ends lie between pixels, so that pixel centres begin half a pixel after the start.
     share = ((step + 0.5) / length[trail]).astype(np.float32)
     image = np.full(shape, np.nan, np.float32)
-    image.reshape(-1)[first[trail] + step] = (
-        disparity[0, trail] * (1 - share) + disparity[1, trail] * share
-    )
+    image.reshape(-1)[first[trail] + step] = value[0, trail] * (1 - share) + value[1, trail] * share
     return image
-
-
-def without_speckles(disparity_px: NDArray[np.float32], least_px: int) -> NDArray[np.float32]:
-    """Return a disparity image without connected patches of fewer than ``least_px`` pixels."""
-    sixteenths = np.where(np.isnan(disparity_px), -16, disparity_px * 16).astype(np.int16)
-    cv2.filterSpeckles(sixteenths, -16, least_px, 16)
-    return np.where(sixteenths < 0, np.float32(np.nan), disparity_px)
-
-
-def filled(
-    disparity_px: NDArray[np.float32], where: NDArray[np.bool_], gap_px: int
-) -> NDArray[np.float32]:
-    """Return a disparity image with gaps in its rows filled linearly from side to side.
-
-    Trails of a pixel or two often find no partner, for noise splits them in one view alone. A gap
-    is filled where it is short and the disparities on its two sides agree within 2 px.
-
-    Args:
-        disparity_px: (height, width) float32, NaN = unknown.
-        where: pixels that may be filled, (height, width) bool.
-        gap_px: widest gap that is filled.
-    """
-    known = ~np.isnan(disparity_px)
-    column = np.arange(disparity_px.shape[1], dtype=np.int32)
-    before = np.maximum.accumulate(np.where(known, column, -1), axis=1)
-    after = np.minimum.accumulate(np.where(known, column, len(column))[:, ::-1], axis=1)[:, ::-1]
-    bridged = (before >= 0) & (after < len(column)) & (after - before <= gap_px + 1)
-    y, x = np.nonzero(bridged & where & ~known)
-    a, b = before[y, x], after[y, x]
-    low, step = disparity_px[y, a], disparity_px[y, b] - disparity_px[y, a]
-    result = disparity_px.copy()
-    result[y, x] = np.where(np.abs(step) <= 2, low + step * ((x - a) / (b - a)), np.nan)
-    return result

@@ -1,4 +1,4 @@
-"""Calibration files.
+"""Rig files, motionstereo's own.
 
 A rig file holds one ``key: value`` line for each attribute of :class:`~motionstereo_cli.types.Rig`
 (``doffs`` may be left out) and ``#`` comments. That is a subset of YAML, and of what OpenCV

@@ -1,0 +1,1 @@
+"""Measurements beside the project: how accurate, against the matchers that everyone uses."""

@@ -1,0 +1,100 @@
+"""``motionstereo check``."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from motionstereo_cli.commands.options import input_options, rig_options
+from motionstereo_cli.settings import Settings
+from motionstereo_cli.sources.settings import InputSettings
+
+if TYPE_CHECKING:
+    from motionstereo_cli.check import CheckReport
+
+
+@click.command()
+@input_options
+@rig_options
+@click.option(
+    "--max-disparity",
+    type=click.IntRange(1, 2048),
+    default=Settings().max_disparity,
+    help=f"Range that run is to look in.  [px; 1 to 2048; default {Settings().max_disparity}]",
+)
+@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+def check(
+    *,
+    left: str,
+    right: str | None,
+    input_settings: InputSettings,
+    rig: tuple[Path, ...],
+    baseline_unit: str | None,
+    max_disparity: int,
+    as_json: bool,
+) -> int:
+    """Look for what would ruin a run: rows, range, order, exposure, motion, and step.
+
+    Reads all of the input, and matches features in a few places. Prints what was measured, and a
+    line for each mistake: what, how much, what to do. Exit code 1 if one of them ruins the
+    result, and 0 otherwise.
+    """
+    from tqdm import tqdm
+
+    from motionstereo_cli.check import check as check_library
+    from motionstereo_cli.errors import InputError
+    from motionstereo_cli.rig.calibration import rectify_source
+    from motionstereo_cli.sources import open_stereo
+    from motionstereo_cli.sources.settings import adapted_rig
+
+    with (
+        open_stereo(left, right, input_settings) as source,
+        tqdm(total=source.expected_frames, unit="frame", disable=None) as bar,
+    ):
+        calibration = rectify_source(source, rig, baseline_unit)
+        doffs = adapted_rig(calibration.rig, input_settings).doffs if calibration else 0.0
+        report = check_library(
+            source,
+            max_disparity,
+            expected_frames=source.expected_frames,
+            doffs=doffs,
+            progress=bar.update,
+        )
+    for line in (*source.warnings, *(calibration.warnings if calibration else ()), *source.damage):
+        click.echo(f"warning: {line}", err=True)
+    if not report.frames:
+        raise InputError("the recordings have no frame in common: check that they are whole")
+    click.echo(json.dumps(report.as_json(), indent=2) if as_json else _table(report), nl=as_json)
+    return int(report.ruined)
+
+
+def _table(report: CheckReport) -> str:
+    """Return the report as lines of text."""
+    facts = {
+        "frames": f"{report.frames}, with {report.matches} matches",
+        "rows": "unknown"
+        if report.misaligned_px is None
+        else f"{report.misaligned_px:.2f} px off (median), {report.misaligned_p90_px:.2f} px "
+        f"(90th percentile), right view turned by {report.turned_deg:+.2f} degrees",
+        "disparity": "unknown"
+        if report.disparity_low_px is None
+        else f"{report.disparity_low_px:.1f} to {report.disparity_high_px:.1f} px, "
+        f"advised: --max-disparity {report.advised_max_disparity}",
+        "grey": "unknown"
+        if report.grey_difference is None
+        else f"left {report.grey_difference:+.1f} levels brighter",
+        "motion": "unknown"
+        if report.moving is None
+        else f"{report.moving:.1%} of the image, {report.repeated_left} left and "
+        f"{report.repeated_right} right images repeated",
+        "step": "unknown"
+        if report.ahead_frames is None
+        else f"right {report.ahead_frames:+.2f} frames ahead of left",
+    }
+    lines = [f"{name + ':':<11}{fact}" for name, fact in facts.items()]
+    for finding in report.findings:
+        lines.append(f"{'problem' if finding.ruins else 'warning'}: {finding.text}")
+    return "\n".join([*lines, *([] if report.findings else ["nothing wrong found"]), ""])

@@ -1,0 +1,50 @@
+"""``motionstereo drive``: a simulated robot that finds its way."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Any
+
+import click
+
+from motionstereo_cli.commands.options import processing_options, world_options
+from motionstereo_cli.settings import Settings
+from motionstereo_cli.simulate.settings import DriveSettings
+
+
+@click.command()
+@click.argument("out", type=click.Path(path_type=Path))
+@click.option("--view", is_flag=True, help="Write drive.mp4: right image, memory, depth, plan.")
+@click.option("--overwrite", is_flag=True, help="Replace a former drive in OUT.")
+@world_options
+@processing_options
+def drive(
+    out: Path, view: bool, overwrite: bool, world: dict[str, Any], settings: Settings
+) -> None:
+    """Let a simulated robot find its way round a corridor by its own depth.
+
+    Writes into the folder OUT: left.mkv and right.mkv, what it saw (FFV1, lossless); rig.yaml and
+    poses.txt (TUM format, m); steering.csv, as run gives it on these with --poses poses.txt;
+    plan.png, the drive from above; drive.json: laps, distance, collisions, nearest pass, why it
+    ended.
+    """
+    world_settings = DriveSettings(**world)
+
+    from tqdm import tqdm
+
+    from motionstereo_cli.drive import drive as library
+    from motionstereo_cli.simulate.drive_world import DriveWorld
+
+    started_s = time.perf_counter()
+    driven = DriveWorld(world_settings)
+    with tqdm(unit="frame", disable=None) as bar:
+        record = library(out, driven, settings, view=view, overwrite=overwrite, progress=bar.update)
+    wall_s = time.perf_counter() - started_s
+    click.echo(
+        f"note: {record['ended']} after {record['frames']} frames "
+        f"({record['frames'] / wall_s:.0f} frames per second): {record['laps']:.2f} laps, "
+        f"{record['distance_m']:.1f} m, nearest pass {record['nearest_pass_m']:.2f} m; "
+        f"results in {out}",
+        err=True,
+    )

@@ -1,0 +1,105 @@
+"""``motionstereo evaluate``: a result against the truth."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from motionstereo_cli.commands.options import config_option
+
+_KIND = click.Choice(["disparity", "depth"])
+_TABLE = click.Path(dir_okay=False, allow_dash=True, path_type=Path)
+_STDOUT = Path("-")
+
+
+@click.command()
+@click.argument("result", metavar="OUT", type=click.Path(path_type=Path))
+@click.argument("truth", type=click.Path(path_type=Path))
+@click.option(
+    "--rig",
+    type=click.Path(path_type=Path),
+    help="rig.yaml that turns disparity into depth and back.  "
+    "[default: what stands in OUT's run.json, TRUTH's rig.yaml]",
+)
+@click.option("--out-kind", type=_KIND, help="What OUT holds.  [default: as folders are named]")
+@click.option("--truth-kind", type=_KIND, help="What TRUTH holds.  [default: as folders are named]")
+@click.option(
+    "--mask",
+    type=click.Path(path_type=Path),
+    help="Folder of PNG files, one a frame: only pixels where they are not 0 count.",
+)
+@click.option("--csv", "csv_path", type=_TABLE, help="Write a row a frame; - is standard output.")
+@click.option("--json", "json_path", type=_TABLE, help="Write all as JSON; - is standard output.")
+@click.option("--picture", type=int, metavar="FRAME", help="Draw the errors of this frame.")
+@click.option(
+    "-o",
+    "--picture-out",
+    "picture_path",
+    type=click.Path(dir_okay=False, path_type=Path),
+    default="errors.png",
+    show_default=True,
+    help="Where --picture goes, PNG; an older one is replaced.",
+)
+@config_option
+def evaluate(
+    *,
+    result: Path,
+    truth: Path,
+    rig: Path | None,
+    out_kind: str | None,
+    truth_kind: str | None,
+    mask: Path | None,
+    csv_path: Path | None,
+    json_path: Path | None,
+    picture: int | None,
+    picture_path: Path,
+) -> None:
+    """Compare the disparity or depth that a run found with the truth.
+
+    OUT and TRUTH are folders that run or simulate wrote, or folders of images, both in the same
+    view: KITTI disparity PNG (uint16, 1/256 px), depth PNG (uint16, mm), or PFM (px or m). Frames
+    are matched by the number in their names. Writes a table to standard output, or there what
+    --csv - or --json - asks for: coverage, bad-pixel shares, D1, errors in px and, with a rig, m.
+    """
+    if csv_path == json_path == _STDOUT:
+        raise click.UsageError("--csv - and --json - cannot both have standard output: name a file")
+
+    from tqdm import tqdm
+
+    from motionstereo_cli import evaluate as library
+    from motionstereo_cli.rig import read_rig
+    from motionstereo_cli.sinks.files import write_whole
+    from motionstereo_cli.sinks.images import encode_png
+
+    comparison = library.Comparison(
+        library.Maps(result, out_kind),
+        library.Maps(truth, truth_kind),
+        rig=None if rig is None else read_rig(rig),
+        mask=mask,
+    )
+    if picture is not None:
+        write_whole(picture_path, encode_png(library.draw_errors(comparison.pair(picture))))
+    with tqdm(total=len(comparison.numbers), unit="frame", disable=None) as bar:
+        report = library.evaluate(comparison, bar.update)
+
+    for side, count in (("OUT", report.only_out), ("TRUTH", report.only_truth)):
+        if count:
+            _say("warning", f"{count} frames are in {side} alone and not scored")
+    if not comparison.has_depth:
+        _say("note", "no rig is known, so errors in m are not: give --rig")
+    for path, content in (
+        (csv_path, library.format_csv),
+        (json_path, library.format_json),
+    ):
+        if path is not None and path != _STDOUT:
+            write_whole(path, content(report).encode())
+    shown = library.format_csv if csv_path == _STDOUT else library.format_table
+    shown = library.format_json if json_path == _STDOUT else shown
+    click.echo(shown(report), nl=False)
+    if picture is not None:
+        _say("note", f"errors of frame {picture} in {picture_path}")
+
+
+def _say(kind: str, text: str) -> None:
+    click.echo(f"{kind}: {text}", err=True)

@@ -1,0 +1,92 @@
+"""``motionstereo info``."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from motionstereo_cli.commands.options import input_options, rig_options
+from motionstereo_cli.sources.settings import InputSettings, adapted_rig
+
+if TYPE_CHECKING:
+    from motionstereo_cli.sources import StereoSource
+
+
+@click.command()
+@input_options
+@rig_options
+@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+def info(
+    *,
+    left: str,
+    right: str | None,
+    input_settings: InputSettings,
+    rig: tuple[Path, ...],
+    baseline_unit: str | None,
+    as_json: bool,
+) -> None:
+    """Print how an input is understood, with the options that run would get.
+
+    Reads the first image of each side alone, so the numbers of images are those that the files
+    state: a damaged one has fewer.
+    """
+    from motionstereo_cli.rig.calibration import rectify_source
+    from motionstereo_cli.sources import open_stereo
+
+    with open_stereo(left, right, input_settings) as source:
+        facts = _facts(source)
+        calibration = rectify_source(source, rig, baseline_unit)
+        if calibration is not None:
+            facts["rig"] = asdict(adapted_rig(calibration.rig, input_settings))
+    click.echo(json.dumps(facts, indent=2) if as_json else _table(facts))
+    for line in (*source.warnings, *(calibration.warnings if calibration else ())):
+        click.echo(f"warning: {line}", err=True)
+
+
+def _facts(source: StereoSource) -> dict[str, Any]:
+    rate = source.frame_rate
+    return {
+        "layout": source.settings.layout,
+        **source.describe(fingerprint=False),
+        "delivered": {
+            "width": source.width,
+            "height": source.height,
+            "frames": source.expected_frames,
+            "frame_rate": None if rate is None else str(rate),
+        },
+    }
+
+
+def _table(facts: dict[str, Any]) -> str:
+    """Return the facts as aligned lines, one for each recording or subject."""
+    lines = {}
+    for name, fact in facts.items():
+        if name == "layout":
+            lines[name] = fact
+        elif name == "rig":
+            lines[name] = ", ".join(f"{key} {value:.10g}" for key, value in fact.items())
+        else:
+            lines[name] = _line(fact)
+    width = max(map(len, lines))
+    return "\n".join(f"{name:<{width}}  {line}" for name, line in lines.items())
+
+
+def _line(fact: dict[str, Any]) -> str:
+    """Return one recording, or what is delivered of it, in words."""
+    count = fact["images"] if "images" in fact else fact["frames"]
+    number, _, divisor = (fact["frame_rate"] or "").partition("/")
+    parts = [
+        f"{fact['width']}x{fact['height']} px",
+        "unknown number of images" if count is None else f"{count} images",
+        f"{int(number) / int(divisor or 1):.6g} per second" if number else "no time",
+    ]
+    if "path" in fact:
+        parts += [fact["codec"], fact["pixel_format"], f"{fact['range']} range"]
+        if fact["rotation_deg"]:
+            parts.append(f"turned by {fact['rotation_deg']} degrees")
+        parts.append(fact["path"])
+    return ", ".join(parts)

@@ -1,0 +1,77 @@
+"""``motionstereo rig``: a calibration in whatever format as rig.yaml."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import click
+
+from motionstereo_cli.commands.options import baseline_unit_option
+
+_STDOUT = Path("-")
+
+
+def _two_numbers(
+    ctx: click.Context, option: click.Parameter, text: str | None
+) -> tuple[int, int] | None:
+    if text is None:
+        return None
+    found = re.fullmatch(r"(\d{1,6})[x,](\d{1,6})", text.strip(), re.ASCII)
+    if found is None:
+        raise click.UsageError(f"{option.opts[0]} cannot be {text!r}: give {option.metavar}", ctx)
+    return int(found[1]), int(found[2])
+
+
+@click.command()
+@click.argument(
+    "files", metavar="FILE...", nargs=-1, required=True, type=click.Path(path_type=Path)
+)
+@click.option(
+    "-o",
+    "--out",
+    type=click.Path(dir_okay=False, allow_dash=True, path_type=Path),
+    default="-",
+    show_default=True,
+    help="rig.yaml to write; an older one is replaced; - is standard output.",
+)
+@click.option(
+    "--size",
+    metavar="WIDTHxHEIGHT",
+    callback=_two_numbers,
+    help="Size of the images in px, where the files do not say it.",
+)
+@click.option(
+    "--cameras",
+    metavar="LEFT,RIGHT",
+    callback=_two_numbers,
+    help="Numbers of KITTI's cameras.  [default: 0,1, or 2,3 where those alone are there]",
+)
+@baseline_unit_option
+def rig(
+    *,
+    files: tuple[Path, ...],
+    out: Path,
+    size: tuple[int, int] | None,
+    cameras: tuple[int, int] | None,
+    baseline_unit: str | None,
+) -> None:
+    """Convert a calibration to rig.yaml, and say how it is understood.
+
+    FILE is an OpenCV (YAML, XML), KITTI or Middlebury file, or rig.yaml; two files, the left
+    camera's first, are a ROS camera_info or EuRoC sensor.yaml pair, or OpenCV's intrinsics and
+    extrinsics. rig.yaml stands for rectified images: give FILE itself to run --rig where they are
+    not.
+    """
+    from motionstereo_cli.rig import format_rig, write_rig
+    from motionstereo_cli.rig.calibration import read_calibration
+
+    calibration = read_calibration(files, size, baseline_unit=baseline_unit, pair=cameras)
+    click.echo(calibration.describe(), nl=False, err=True)
+    for line in calibration.warnings:
+        click.echo(f"warning: {line}", err=True)
+    if out == _STDOUT:
+        click.echo(format_rig(calibration.rig), nl=False)
+    else:
+        write_rig(out, calibration.rig)
+        click.echo(f"note: the rig of the rectified images is in {out}", err=True)

@@ -1,0 +1,363 @@
+"""From calibration files to a rig, and from recorded images to rectified ones."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import math
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+
+from motionstereo_cli.errors import InputError
+from motionstereo_cli.rig.formats import Pair, checked_intrinsics, read_files
+from motionstereo_cli.types import Rig
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from motionstereo_cli.rig.formats import Camera, Matrix
+    from motionstereo_cli.sources import StereoSource
+    from motionstereo_cli.types import Grey, Real
+
+    Maps = tuple[Real, Real]
+    Rectifier = Callable[[Grey], Grey]
+
+BASELINE_UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
+
+#: Baselines beyond these are hardly in the unit that a file has or seems to have.
+_LONGEST_BASELINE_M, _SHORTEST_BASELINE_MM = 2.0, 2.0
+
+#: Images that move by less than this need no rectification.
+_NEGLIGIBLE_PX = 0.05
+
+#: Rectified images that keep less than this share of the recorded ones come from a wrong file.
+_LEAST_COVERAGE = 0.3
+
+#: Focal lengths, as shares, and rows of the principal points, in px, that rectified cameras share.
+_FOCAL_TOLERANCE, _ROW_TOLERANCE_PX = 0.005, 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class Calibration:
+    """A stereo camera, and how its images become rectified.
+
+    Attributes:
+        rig: the camera that the rectified images seem to come from.
+        kind: format of the files.
+        model: the recorded images' lenses in words.
+        maps: for the left and the right camera, where each rectified pixel lies in the recorded
+            image: x and y, (height, width) float32, in px. None where images are rectified.
+        coverage: share of the rectified pixels, 0..1, that both recorded images have.
+        warnings: what was guessed, one line each.
+    """
+
+    rig: Rig
+    kind: str
+    model: str
+    maps: tuple[Maps, Maps] | None = None
+    coverage: float = 1.0
+    warnings: tuple[str, ...] = ()
+
+    def rectifiers(self) -> tuple[Rectifier, Rectifier]:
+        """Return what rectifies the left and the right images.
+
+        Each takes and returns (height, width) uint8; it interpolates linearly, and leaves black
+        what the recorded image does not have.
+        """
+        if self.maps is None:
+            return _as_it_is, _as_it_is
+        left, right = self.maps
+        return functools.partial(_remapped, maps=left), functools.partial(_remapped, maps=right)
+
+    def describe(self) -> str:
+        """Return what was understood, as lines of text."""
+        rig = self.rig
+        facts = {
+            "format": self.kind,
+            "size": f"{rig.width}x{rig.height} px",
+            "lenses": self.model,
+            "focal length": f"{rig.focal_px:.2f} px",
+            "principal point": f"{rig.cx:.2f}, {rig.cy:.2f} px, doffs {rig.doffs:z.2f} px",
+            "baseline": f"{rig.baseline_m * 1000:.4g} mm",
+            "rectification": "not needed",
+        }
+        if self.maps is not None:
+            x, y = np.meshgrid(np.arange(rig.width), np.arange(rig.height))
+            most_px = max(float(np.hypot(mx - x, my - y).max()) for mx, my in self.maps)
+            facts["rectification"] = (
+                f"needed: moves pixels by up to {most_px:.1f} px, "
+                f"{self.coverage:.0%} of the rectified image is filled"
+            )
+        return "".join(f"{name + ':':<17}{fact}\n" for name, fact in facts.items())
+
+
+def read_calibration(
+    paths: Sequence[Path],
+    size: tuple[int, int] | None = None,
+    *,
+    baseline_unit: str | None = None,
+    pair: tuple[int, int] | None = None,
+) -> Calibration:
+    """Read the calibration of a stereo camera.
+
+    Where the files say how images are to be rectified (R1, R2, P1, P2), that holds; otherwise
+    cv2.stereoRectify finds it, with the principal points at one place (doffs = 0) and no empty
+    borders.
+
+    Args:
+        paths: files as :func:`~motionstereo_cli.rig.formats.read_files` takes them.
+        size: width and height of the recorded images in px, None if unknown.
+        baseline_unit: unit of length in the files, ``m``, ``cm`` or ``mm``; None is what the format
+            says, or a guess where that gives an unlikely baseline.
+        pair: numbers of the left and right camera, for KITTI.
+
+    Raises:
+        InputError: a file cannot be read, lacks or spoils a value, is for another size, or does not
+            say the size and neither does the caller.
+    """
+    read = read_files(paths, pair)
+    name = " and ".join(str(path) for path in paths)
+    if isinstance(read.content, Rig):
+        return _of_rig(read.content, name, size, baseline_unit)
+    size = _agreed_size(name, read.size, size)
+    if isinstance(read.content, Pair):
+        for camera, side in zip(read.content.cameras, ("left", "right"), strict=True):
+            _check_centre(name, side, camera.matrix, size)
+        rotations_and_projections = read.content.rectified or _rectified(name, read.content, size)
+        (_, first), (_, second) = rotations_and_projections
+    else:
+        first, second = read.content
+    rig, warnings = _rig_of(name, (first, second), size, read.unit, baseline_unit)
+    calibration = Calibration(rig, read.kind, "rectified images", warnings=read.notes + warnings)
+    if not isinstance(read.content, Pair):
+        return calibration
+    cameras = read.content.cameras
+    left, right = (
+        _maps(camera, rotation, projection, size)
+        for camera, (rotation, projection) in zip(cameras, rotations_and_projections, strict=True)
+    )
+    coverage = float((_inside(left, size) & _inside(right, size)).mean())
+    if coverage < _LEAST_COVERAGE:
+        raise InputError(
+            f"{name}: rectified, only {coverage:.0%} of the image would be left: "
+            "check that the calibration is of this camera and in this order"
+        )
+    needed = max(_most_moved_px(left), _most_moved_px(right)) > _NEGLIGIBLE_PX
+    return dataclasses.replace(
+        calibration,
+        model=_model(cameras),
+        maps=(left, right) if needed else None,
+        coverage=coverage,
+    )
+
+
+def rectify_source(
+    source: StereoSource, paths: Sequence[Path], baseline_unit: str | None = None
+) -> Calibration | None:
+    """Read the calibration of a source, and have the source rectify its images if need be.
+
+    Which of KITTI's cameras these are is told by the names of the recordings (image_2, image_03).
+
+    Args:
+        source: not yet iterated.
+        paths: calibration files; None is returned where there is none.
+        baseline_unit: as in :func:`read_calibration`.
+
+    Raises:
+        InputError: as in :func:`read_calibration`.
+    """
+    if not paths:
+        return None
+    size = (source.view_width, source.view_height)
+    numbers = [re.findall(r"image_0?(\d)", str(path)) for path in source.paths]
+    pair = (
+        (int(numbers[0][-1]), int(numbers[1][-1])) if len(numbers) == 2 and all(numbers) else None
+    )
+    calibration = read_calibration(paths, size, baseline_unit=baseline_unit, pair=pair)
+    if calibration.maps is not None:
+        source.rectify(*calibration.rectifiers())
+    return calibration
+
+
+def _of_rig(
+    rig: Rig, name: str, size: tuple[int, int] | None, baseline_unit: str | None
+) -> Calibration:
+    _agreed_size(name, (rig.width, rig.height), size)
+    rig = dataclasses.replace(rig, baseline_m=rig.baseline_m * BASELINE_UNITS[baseline_unit or "m"])
+    warnings: tuple[str, ...] = ()
+    if rig.baseline_m > _LONGEST_BASELINE_M:
+        warnings = (
+            f"{name}: a baseline of {rig.baseline_m:g} m is long: "
+            "if it is in mm, say --baseline-unit mm",
+        )
+    return Calibration(rig, "rig.yaml", "rectified images", warnings=warnings)
+
+
+def _agreed_size(
+    name: str, stated: tuple[int, int] | None, given: tuple[int, int] | None
+) -> tuple[int, int]:
+    if stated is not None and given is not None and stated != given:
+        raise InputError(
+            f"the rig is for {stated[0]}x{stated[1]} but the recordings are "
+            f"{given[0]}x{given[1]}: give the rig of these recordings"
+        )
+    size = stated or given
+    if size is None:
+        raise InputError(f"{name} does not say how large the images are: give --size")
+    return size
+
+
+def _check_centre(name: str, side: str, matrix: Matrix, size: tuple[int, int]) -> None:
+    cx, cy = matrix[0, 2], matrix[1, 2]
+    if not (0 < cx < size[0] and 0 < cy < size[1]):
+        raise InputError(
+            f"{name}: the {side} principal point {cx:.0f}, {cy:.0f} lies outside the "
+            f"{size[0]}x{size[1]} px of the images: give the calibration for their size"
+        )
+
+
+def _rectified(
+    name: str, pair: Pair, size: tuple[int, int]
+) -> tuple[tuple[Matrix, Matrix], tuple[Matrix, Matrix]]:
+    """Return rotations and projections into the rectified images, left and right."""
+    assert pair.rotation is not None
+    assert pair.translation is not None
+    left, right = pair.cameras
+    translation = pair.translation.reshape(3, 1)  # as OpenCV wants it
+    tx, ty, tz = pair.translation
+    if not np.linalg.norm(pair.translation) > 0:
+        raise InputError(f"{name}: T is zero, so the baseline is: check the file")
+    if abs(tx) < max(abs(ty), abs(tz)):
+        raise InputError(
+            f"{name}: the cameras do not stand side by side (T is {tx:g}, {ty:g}, {tz:g}): "
+            "check the file"
+        )
+    if tx > 0:
+        raise _wrong_order(name)
+    lenses = (left.matrix, left.distortion, right.matrix, right.distortion)
+    try:
+        if left.fisheye:
+            r1, r2, p1, p2, _ = cv2.fisheye.stereoRectify(
+                *lenses, size, pair.rotation, translation, cv2.CALIB_ZERO_DISPARITY
+            )
+        else:
+            r1, r2, p1, p2, *_ = cv2.stereoRectify(
+                *lenses,
+                size,
+                pair.rotation,
+                translation,
+                flags=cv2.CALIB_ZERO_DISPARITY,
+                alpha=0,
+            )
+    except cv2.error as error:
+        raise InputError(f"{name} cannot be rectified by: {error.err}: check its values") from None
+    left_matrices, right_matrices = (
+        (np.asarray(rotation, np.float64), np.asarray(projection, np.float64))
+        for rotation, projection in ((r1, p1), (r2, p2))
+    )
+    return left_matrices, right_matrices
+
+
+def _wrong_order(name: str) -> InputError:
+    return InputError(
+        f"{name}: the first camera is to the right of the second: "
+        "give the left camera's calibration first"
+    )
+
+
+def _rig_of(
+    name: str,
+    projections: tuple[Matrix, Matrix],
+    size: tuple[int, int],
+    unit: str | None,
+    chosen_unit: str | None,
+) -> tuple[Rig, tuple[str, ...]]:
+    """Return the rig of two rectified projections (3, 4), and warnings."""
+    left, right = projections
+    for side, projection in (("left", left), ("right", right)):
+        checked_intrinsics(name, f"the {side} projection", projection)
+    focal_px = left[0, 0]
+    if (
+        abs(right[0, 0] - focal_px) > _FOCAL_TOLERANCE * focal_px
+        or abs(right[1, 2] - left[1, 2]) > _ROW_TOLERANCE_PX
+    ):
+        raise InputError(
+            f"{name}: the projections differ in focal length or row ({focal_px:g} and "
+            f"{right[0, 0]:g} px, {left[1, 2]:g} and {right[1, 2]:g} px), "
+            "so they are of no rectified pair: check the file"
+        )
+    baseline = left[0, 3] / focal_px - right[0, 3] / right[0, 0]
+    if baseline == 0:
+        raise InputError(f"{name}: the baseline is 0: check the file")
+    if not baseline > 0:
+        raise _wrong_order(name)
+    baseline_m, warnings = _in_metres(name, float(baseline), unit, chosen_unit)
+    rig = Rig(
+        *size,
+        focal_px=float(focal_px),
+        baseline_m=baseline_m,
+        cx=float(left[0, 2]),
+        cy=float(left[1, 2]),
+        doffs=float(right[0, 2] - left[0, 2]),
+    )
+    return rig, warnings
+
+
+def _in_metres(
+    name: str, baseline: float, unit: str | None, chosen: str | None
+) -> tuple[float, tuple[str, ...]]:
+    if chosen is not None:
+        return baseline * BASELINE_UNITS[chosen], ()
+    likely = unit or "m"
+    if likely == "m" and baseline > _LONGEST_BASELINE_M:
+        likely = "mm"
+    elif likely == "mm" and baseline < _SHORTEST_BASELINE_MM:
+        likely = "m"
+    elif unit is not None or baseline < _LONGEST_BASELINE_M:
+        return baseline * BASELINE_UNITS[likely], ()
+    warning = (
+        f"{name}: a baseline of {baseline:g} is taken to be in {likely}: "
+        "if it is not, say --baseline-unit"
+    )
+    return baseline * BASELINE_UNITS[likely], (warning,)
+
+
+def _maps(camera: Camera, rotation: Matrix, projection: Matrix, size: tuple[int, int]) -> Maps:
+    # Maps in float: cv2.remap is faster with them than with fixed-point ones since OpenCV 5.
+    make = cv2.fisheye.initUndistortRectifyMap if camera.fisheye else cv2.initUndistortRectifyMap
+    x, y = make(camera.matrix, camera.distortion, rotation, projection[:, :3], size, cv2.CV_32FC1)
+    return np.asarray(x, np.float32), np.asarray(y, np.float32)
+
+
+def _inside(maps: Maps, size: tuple[int, int]) -> NDArray[np.bool_]:
+    x, y = maps
+    return (x >= 0) & (x <= size[0] - 1) & (y >= 0) & (y <= size[1] - 1)
+
+
+def _most_moved_px(maps: Maps) -> float:
+    x, y = maps
+    height, width = x.shape
+    moved = np.hypot(x - np.arange(width), y - np.arange(height)[:, None])
+    most = float(moved.max())
+    return most if math.isfinite(most) else math.inf
+
+
+def _model(cameras: tuple[Camera, Camera]) -> str:
+    left, right = (len(camera.distortion) for camera in cameras)
+    name = "fisheye" if cameras[0].fisheye else "pinhole"
+    count = f"{left}" if left == right else f"{left} and {right}"
+    return f"{name}, {count} distortion coefficients"
+
+
+def _remapped(grey: Grey, maps: Maps) -> Grey:
+    return np.asarray(cv2.remap(grey, *maps, cv2.INTER_LINEAR), np.uint8)
+
+
+def _as_it_is(grey: Grey) -> Grey:
+    return grey

@@ -1,0 +1,129 @@
+"""The drive from above: walls, what the robot has seen of them, its path, and the walkers."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from motionstereo_cli.simulate.drive_world import DriveWorld
+from motionstereo_cli.simulate.settings import ROBOT_RADIUS_M
+from motionstereo_cli.simulate.walkers import RADIUS_M
+
+if TYPE_CHECKING:
+    from motionstereo_cli.settings import Settings
+    from motionstereo_cli.types import FrameResult
+
+_PX_PER_M, _MARGIN_M = 32, 0.8
+#: Points farther away than this say little about a place; a cell counts from so many points on.
+_REACH_M, _LEAST_POINTS = 4.0, 60
+_CELL_PX = 3
+
+# RGB
+_PAPER, _FLOOR, _WALL = (225, 225, 225), (255, 255, 255), (120, 120, 120)
+_DOOR, _WINDOW = (176, 112, 48), (64, 150, 230)
+_SEEN, _PATH, _WALKER, _TOUCH = (0, 0, 0), (20, 90, 200), (240, 150, 30), (220, 0, 0)
+_WALKED = (250, 225, 180)
+
+
+class Plan:
+    """The picture, brought up to date frame by frame.
+
+    Args:
+        world: the world; it is looked at, not changed.
+        settings: what counts as in the robot's way.
+    """
+
+    def __init__(self, world: DriveWorld, settings: Settings) -> None:
+        self._world = world
+        self._settings = settings
+        self._half_m = world.corridor.outer_m + _MARGIN_M
+        self._size = math.ceil(2 * self._half_m * _PX_PER_M / _CELL_PX) * _CELL_PX
+        cells = self._size // _CELL_PX
+        self._points = np.zeros((cells, cells), np.int64)
+        self._floor = self._empty()
+
+    def add(self, result: FrameResult) -> None:
+        """Add what a frame shows, and where the walkers are; the result has depth and pose."""
+        assert result.depth_m is not None
+        assert result.pose is not None
+        rig, pose, s = self._world.settings.rig, result.pose, self._settings
+        with np.errstate(invalid="ignore"):
+            row, column = np.nonzero(result.motion & (result.depth_m < _REACH_M))
+        ahead = result.depth_m[row, column].astype(np.float64)
+        up = (rig.cy - row) * ahead / rig.focal_px
+        left = (rig.cx - column) * ahead / rig.focal_px - rig.baseline_m / 2
+        in_way = (up > -s.robot_below_m) & (up < s.robot_above_m)
+        ahead, left = ahead[in_way], left[in_way]
+        cos, sin = math.cos(pose.yaw_rad), math.sin(pose.yaw_rad)
+        x, y = pose.x_m + cos * ahead - sin * left, pose.y_m + sin * ahead + cos * left
+        places = np.stack([self._half_m - y, x + self._half_m]) * (_PX_PER_M / _CELL_PX)
+        cells = self._points.shape[0]
+        i, j = places.astype(np.int64)
+        inside = (i >= 0) & (i < cells) & (j >= 0) & (j < cells)
+        counts = np.bincount(i[inside] * cells + j[inside], minlength=cells * cells)
+        self._points += counts.reshape(cells, cells)
+        for walker in self._world.walkers:
+            self._disc(self._floor, walker.x_m, walker.y_m, RADIUS_M, _WALKED)
+
+    def draw(self) -> NDArray[np.uint8]:
+        """Return the picture as it is now, (size, size, 3) uint8 RGB."""
+        picture = self._floor.copy()
+        seen = cv2.resize(
+            (self._points >= _LEAST_POINTS).astype(np.uint8),
+            (self._size, self._size),
+            interpolation=cv2.INTER_NEAREST,
+        )
+        picture[seen > 0] = _SEEN
+        world = self._world
+        for opening in world.corridor.openings:
+            ends = [
+                self._px(*end)
+                for end in world.corridor.along_wall(
+                    opening.wall, (opening.start_m, opening.stop_m)
+                )
+            ]
+            colour = _DOOR if opening.kind == "door" else _WINDOW
+            cv2.line(picture, ends[0], ends[1], colour, 2, cv2.LINE_AA)
+        path = np.array([self._px(*place) for place in world.path], np.int32)
+        cv2.polylines(picture, [path], False, _PATH, 2, cv2.LINE_AA)
+        for walker in world.walkers:
+            self._disc(picture, walker.x_m, walker.y_m, RADIUS_M, _WALKER)
+        robot = world.robot
+        self._disc(picture, robot.x_m, robot.y_m, ROBOT_RADIUS_M, _PATH)
+        nose = robot.x_m + 0.5 * robot.forward[0], robot.y_m + 0.5 * robot.forward[1]
+        cv2.line(picture, self._px(robot.x_m, robot.y_m), self._px(*nose), _PATH, 2, cv2.LINE_AA)
+        if world.ended and world.ended.startswith("touched"):
+            middle = self._px(robot.x_m, robot.y_m)
+            cv2.drawMarker(picture, middle, _TOUCH, cv2.MARKER_TILTED_CROSS, 40, 4, cv2.LINE_AA)
+        return picture
+
+    def _empty(self) -> NDArray[np.uint8]:
+        picture = np.full((self._size, self._size, 3), _PAPER, np.uint8)
+        corridor = self._world.corridor
+        for half_m, inside in ((corridor.outer_m, _FLOOR), (corridor.inner_m, _PAPER)):
+            corners = self._px(-half_m, half_m), self._px(half_m, -half_m)
+            cv2.rectangle(picture, *corners, inside, -1)
+            cv2.rectangle(picture, *corners, _WALL, 1)
+        return picture
+
+    def _disc(
+        self,
+        picture: NDArray[np.uint8],
+        x_m: float,
+        y_m: float,
+        radius_m: float,
+        colour: tuple[int, int, int],
+    ) -> None:
+        cv2.circle(
+            picture, self._px(x_m, y_m), round(radius_m * _PX_PER_M), colour, -1, cv2.LINE_AA
+        )
+
+    def _px(self, x_m: float, y_m: float) -> tuple[int, int]:
+        return (
+            round((x_m + self._half_m) * _PX_PER_M),
+            round((self._half_m - y_m) * _PX_PER_M),
+        )

@@ -1,0 +1,177 @@
+"""Parameters of the input: how it is laid out, paired and cut, and what that does to the rig."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import NamedTuple
+
+from motionstereo_cli.errors import SettingsError
+from motionstereo_cli.settings import checked, param
+from motionstereo_cli.types import Rig
+
+#: A place in the stream: an int is the number of a frame, a Fraction a time in s.
+Place = int | Fraction
+
+_TIME = re.compile(r"(?:(?:(\d+):)?(\d+):)?(\d+(?:\.\d*)?)(s?)", re.ASCII)
+
+
+class Box(NamedTuple):
+    """A part of an image in px; x, y is its upper left corner."""
+
+    x: int
+    y: int
+    width: int
+    height: int
+
+
+@dataclass(frozen=True, slots=True)
+class InputSettings:
+    """How the two views lie in the input, which images belong together, and what of them is used.
+
+    Raises:
+        SettingsError: a value is out of range, or two values contradict each other.
+    """
+
+    layout: str = param(
+        "two",
+        "two: LEFT and RIGHT, or a KITTI or EuRoC folder; otherwise one recording holds both "
+        "views, the left one at the left or on top; -half: each squeezed to half its width or "
+        "height, and stretched back when read.",
+        choices=("two", "side-by-side", "side-by-side-half", "top-bottom", "top-bottom-half"),
+    )
+    swap: bool = param(
+        False, "Exchange the left and the right view, as cross-eyed recordings need it."
+    )
+    sync_offset: int = param(
+        0,
+        "Pair left image n with right image n + N: N > 0 where the right recording began "
+        "N images earlier.",
+        unit="images",
+        low=-1_000_000_000,
+        high=1_000_000_000,
+    )
+    sync_tolerance: float = param(
+        0.0,
+        "Pair images by their time stamps, the nearest, at most this far apart (0 = pair by "
+        "number; images with EuRoC time stamps within half a frame).",
+        unit="s",
+        low=0,
+        high=3600,
+    )
+    frame_rate: float = param(
+        0.0,
+        "Rate of image folders, which have no time of their own (0 = unknown).",
+        unit="frames per second",
+        low=0,
+        high=100_000,
+    )
+    start: str = param(
+        "",
+        "First frame used: its number from 0 (100) or the time since the first (12.5s, 0:12.5).",
+    )
+    end: str = param("", "First frame no longer used, in the same way.")
+    every: int = param(
+        1,
+        "Use each N-th frame; motion is what changes between the frames used.",
+        unit="frames",
+        low=1,
+        high=1_000_000,
+    )
+    crop: str = param(
+        "", "Part of each view to use, as X,Y,WIDTH,HEIGHT from its upper left corner.", unit="px"
+    )
+    scale: float = param(
+        1.0,
+        "Factor to the size of the views, after --crop; disparity grows with it, depth does not.",
+        low=0.01,
+        high=8,
+    )
+
+    def __post_init__(self) -> None:
+        checked(self)
+        _ = self.crop_box
+        first, stop = self.first, self.stop
+        comparable = type(stop) is type(first) or not self.start
+        if stop is not None and comparable and stop <= first:
+            raise SettingsError(f"--end {self.end} does not come after --start {self.start or 0}")
+        if self.sync_offset and self.sync_tolerance:
+            raise SettingsError(
+                "--sync-offset pairs by number and --sync-tolerance by time: give one of them"
+            )
+
+    @property
+    def first(self) -> Place:
+        """Where the frames that are used begin."""
+        return _place("--start", self.start) if self.start else 0
+
+    @property
+    def stop(self) -> Place | None:
+        """The first place behind the frames that are used, None = the end of the input."""
+        return _place("--end", self.end) if self.end else None
+
+    @property
+    def crop_box(self) -> Box | None:
+        """The part of each view to use, None = all of it."""
+        if not self.crop:
+            return None
+        parts = [part.strip() for part in self.crop.split(",")]
+        if len(parts) != 4 or not all(part.isascii() and part.isdigit() for part in parts):
+            raise SettingsError(f"--crop cannot be {self.crop!r}: give X,Y,WIDTH,HEIGHT in px")
+        box = Box(*map(int, parts))
+        if not (box.width and box.height):
+            raise SettingsError(f"--crop cannot be {self.crop!r}: give a width and height above 0")
+        return box
+
+    def box(self, width: int, height: int) -> Box:
+        """Return the part that is used of views of a size in px.
+
+        Raises:
+            SettingsError: the views are too small for it.
+        """
+        box = self.crop_box or Box(0, 0, width, height)
+        if box.x + box.width > width or box.y + box.height > height:
+            raise SettingsError(f"--crop {self.crop} goes beyond views of {width}x{height} px")
+        return box
+
+    def delivered(self, width: int, height: int) -> tuple[int, int]:
+        """Return width and height in px that views of a size have after crop and scale."""
+        box = self.box(width, height)
+        return max(1, round(box.width * self.scale)), max(1, round(box.height * self.scale))
+
+
+def adapted_rig(rig: Rig, settings: InputSettings) -> Rig:
+    """Return the rig of what is delivered from the rig of the whole views.
+
+    A pixel's centre has whole coordinates, so a view that is scaled by s has what was at x at
+    s (x + 0.5) - 0.5. Depth stays the same: focal length, disparity and doffs all grow with s.
+
+    Raises:
+        SettingsError: the crop goes beyond the rig's images.
+    """
+    box = settings.box(rig.width, rig.height)
+    width, height = settings.delivered(rig.width, rig.height)
+    across, down = width / box.width, height / box.height
+    return dataclasses.replace(
+        rig,
+        width=width,
+        height=height,
+        focal_px=rig.focal_px * across,
+        cx=(rig.cx - box.x + 0.5) * across - 0.5,
+        cy=(rig.cy - box.y + 0.5) * down - 0.5,
+        doffs=rig.doffs * across,
+    )
+
+
+def _place(flag: str, text: str) -> Place:
+    found = _TIME.fullmatch(text.strip())
+    if found is None or (not found[2] and not found[4] and not found[3].isdigit()):
+        raise SettingsError(
+            f"{flag} cannot be {text!r}: give a frame number (100) or a time (12.5s, 1:02.5)"
+        )
+    hours, minutes, seconds, unit = found.groups()
+    if not minutes and not unit:
+        return int(seconds)
+    return 3600 * int(hours or 0) + 60 * int(minutes or 0) + Fraction(seconds.rstrip("."))

@@ -1,0 +1,56 @@
+"""The accuracy benchmark: its peers see what is there, and it prints what it promises."""
+
+import json
+
+import numpy as np
+import pytest
+
+from motionstereo_cli.bench import accuracy
+from motionstereo_cli.bench.peers import stereo_bm, stereo_sgbm
+
+WIDTH, HEIGHT, DISPARITY = 200, 90, 21
+
+
+@pytest.fixture(scope="module")
+def views():
+    """Right and left view of a wall with fine texture, 21 px of disparity everywhere."""
+    noise = np.random.default_rng(3).integers(0, 256, (HEIGHT, WIDTH + DISPARITY), np.uint8)
+    # What the right camera has at x stands at x + 21 in the left one.
+    return noise[:, DISPARITY:].copy(), noise[:, :WIDTH].copy()
+
+
+@pytest.mark.parametrize("filtered", [False, True])
+@pytest.mark.parametrize("peer", [stereo_bm, stereo_sgbm])
+def test_peers_find_the_disparity_of_the_right_view(peer, filtered, views):
+    found = peer(*views, 64, filtered=filtered)
+    assert found.shape == (HEIGHT, WIDTH)
+    assert found.dtype == np.float32
+    inner = found[20:-20, 20 : WIDTH - DISPARITY - 20]  # what both cameras see
+    assert np.mean(np.abs(inner - DISPARITY) < 0.1) > 0.99
+
+
+@pytest.mark.parametrize("peer", [stereo_bm, stereo_sgbm])
+def test_peers_say_unknown_and_never_a_negative_disparity(peer, views):
+    beyond = peer(*views, 16)  # a range that ends before the wall
+    assert np.mean(np.isnan(beyond)) > 0.3
+    assert np.nanmin(beyond) >= 0
+
+
+def test_the_bench_prints_every_matcher_on_every_scene(tmp_path, capsys):
+    accuracy.main(["--quick", "--json", str(tmp_path / "scores.json")])
+    table = [line for line in capsys.readouterr().out.splitlines() if line.startswith("| ")]
+    assert [line.split(" | ")[0] for line in table[2:]] == [f"| {m}" for m in accuracy.MATCHERS]
+    assert "corridor straight, charged" in table[0]
+    assert "cards, moved" in table[0]
+
+    rows = json.loads((tmp_path / "scores.json").read_text())
+    assert len(rows) == len(accuracy.MATCHERS) * 2 * 2
+    for scene in ("corridor straight", "cards"):
+        for pixels in accuracy.PIXELS:
+            of_scene = [r for r in rows if (r["scene"], r["pixels"]) == (scene, pixels)]
+            assert len({row["score"]["truth_pixels"] for row in of_scene}) == 1  # the same pixels
+    moved = {
+        r["scene"]: r for r in rows if (r["pixels"], r["matcher"]) == ("moved", "motionstereo")
+    }
+    assert moved["corridor straight"]["score"]["coverage"] > 0.7
+    assert moved["corridor straight"]["score"]["bad_1"] < 0.1

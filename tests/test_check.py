@@ -1,0 +1,251 @@
+"""What check says about simulated recordings whose faults are known."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from motionstereo_cli.__main__ import main
+from motionstereo_cli.check import WINDOW_FRAMES, CheckReport, Finding, check, watched
+from motionstereo_cli.simulate.scenes import render_scene
+from motionstereo_cli.simulate.settings import SimulateSettings
+from motionstereo_cli.types import StereoFrame
+
+SAMPLE = Path(__file__).parent.parent / "sample_data"
+MAX_DISPARITY = 64
+FRAMES, SHORT = 36, 20
+
+Views = tuple[np.ndarray, np.ndarray]
+
+
+def simulated(trial: int, frames: int = FRAMES) -> Views:
+    """A recording: left and right, (frames, height, width) uint8."""
+    rng = np.random.default_rng(trial)
+    start = int(rng.integers(0, 450))
+    scene = ("corridor", "cards")[trial % 2]
+    settings = SimulateSettings(
+        scene=scene,
+        frames=f"{start}:{start + frames}",
+        noise_sigma=float(rng.choice([0, 1.5, 2.5, 4])),
+        pan=scene == "cards" and bool(rng.integers(2)),
+        # The wall behind the cards repeats itself every 4 m: a long lens sees no more of it.
+        focal_px=560.0 if scene == "cards" else 0.0,
+        seed=trial,
+    )
+    shots = list(render_scene(settings))
+    return np.stack([shot.left for shot in shots]), np.stack([shot.right for shot in shots])
+
+
+def turned(images: np.ndarray, degrees: float) -> np.ndarray:
+    height, width = images.shape[1:]
+    turn = cv2.getRotationMatrix2D(((width - 1) / 2, (height - 1) / 2), degrees, 1)
+    return np.stack([cv2.warpAffine(image, turn, (width, height)) for image in images])
+
+
+def still(images: np.ndarray) -> np.ndarray:
+    noise = np.random.default_rng(0).normal(0, 2.5, images.shape)
+    return (images[:1] + noise).round().clip(0, 255).astype(np.uint8)
+
+
+SPOILT = {
+    "swapped": ("swapped", lambda left, right: (right, left)),
+    "late": ("out-of-step", lambda left, right: (left[2:], right[:-2])),
+    "early": ("out-of-step", lambda left, right: (left[:-2], right[2:])),
+    "turned": ("misaligned", lambda left, right: (left, turned(right, 1))),
+    "still": ("still", lambda left, right: (still(left), still(right))),
+}
+
+
+def frames_of(views: Views) -> list[StereoFrame]:
+    return [StereoFrame(i, i, None, *pair) for i, pair in enumerate(zip(*views, strict=True))]
+
+
+def checked(views: Views, max_disparity: int = MAX_DISPARITY) -> CheckReport:
+    return check(frames_of(views), max_disparity, expected_frames=len(views[0]))
+
+
+def said(views: Views) -> list[Finding]:
+    """What is said at the start of a run."""
+    findings: list[Finding] = []
+    frames = frames_of(views)
+    assert list(watched(iter(frames), MAX_DISPARITY, findings.append)) == frames
+    return findings
+
+
+def test_trial(trial: int) -> None:
+    views = simulated(trial)
+    good = checked(views)
+    assert good.findings == ()
+    assert not good.ruined
+    assert said(views) == []
+    for case, (name, spoil) in SPOILT.items():
+        spoilt = spoil(*views)
+        report = checked(spoilt)
+        assert name in [finding.name for finding in report.findings], case
+        assert report.ruined
+        assert name in [finding.name for finding in said(spoilt)], case
+        if name == "out-of-step":
+            wanted = 2 if case == "early" else -2
+            assert report.ahead_frames == pytest.approx(wanted, abs=0.4)
+            (line,) = [f.text for f in report.findings if f.name == name]
+            assert line.endswith(f"add {-wanted} to --sync-offset")
+
+
+@pytest.fixture(scope="module")
+def corridor() -> Views:
+    return simulated(0, SHORT)
+
+
+def test_what_is_measured(corridor: Views) -> None:
+    report = checked(corridor)
+    assert report.frames == SHORT
+    assert report.matches > 100
+    assert report.misaligned_px is not None
+    assert report.misaligned_px < 0.4
+    assert report.turned_deg == pytest.approx(0, abs=0.1)
+    # The corridor's walls are 1.5 m away, its end is at most 20 m away.
+    assert report.disparity_low_px is not None
+    assert report.disparity_high_px is not None
+    assert 278 * 0.12 / 20 < report.disparity_low_px < report.disparity_high_px < 278 * 0.12 / 1.2
+    assert report.advised_max_disparity == 16
+    assert report.grey_difference == pytest.approx(0, abs=2)
+    assert report.moving is not None
+    assert report.moving > 0.05
+    assert (report.repeated_left, report.repeated_right) == (0, 0)
+    assert json.loads(json.dumps(report.as_json()))["ruined"] is False
+
+
+def test_a_turn_is_measured(corridor: Views) -> None:
+    left, right = corridor
+    for degrees in (-1.0, 2.0):
+        # OpenCV turns counter-clockwise, so what lay at the right goes up.
+        report = checked((left, turned(right, degrees)))
+        assert report.turned_deg == pytest.approx(-degrees, abs=0.2)
+
+
+def test_a_shift_is_measured(corridor: Views) -> None:
+    left, right = corridor
+    report = checked((left[:, :-3], right[:, 3:]))
+    assert report.misaligned_px == pytest.approx(3, abs=0.2)
+    assert [finding.name for finding in report.findings] == ["misaligned"]
+
+
+def test_range_below_and_above(corridor: Views) -> None:
+    left, right = corridor
+    above = checked(corridor, max_disparity=3)
+    assert [finding.name for finding in above.findings] == ["beyond-range"]
+    assert "--max-disparity 16" in above.findings[0].text
+    # Cameras that converge: far things have disparities below 0, near things above.
+    converging = checked((left[:, :, 5:], right[:, :, :-5]))
+    assert [finding.name for finding in converging.findings] == ["negative-disparity"]
+    assert converging.disparity_low_px is not None
+    assert converging.disparity_low_px < -1
+
+
+def test_known_principal_points_excuse_negative_disparities(corridor: Views) -> None:
+    left, right = corridor
+    frames = frames_of((left[:, :, 12:], right[:, :, :-12]))
+    report = check(frames, MAX_DISPARITY, expected_frames=SHORT, doffs=12.0)
+    assert "swapped" not in [finding.name for finding in report.findings]
+    assert "negative-disparity" in [finding.name for finding in report.findings]
+
+
+def test_grey_difference(corridor: Views) -> None:
+    left, right = corridor
+    report = checked(((left * 0.8).astype(np.uint8), right))
+    (finding,) = report.findings
+    assert (finding.name, finding.ruins) == ("grey-difference", False)
+    assert finding.text.startswith("the right recording is")
+    assert report.grey_difference is not None
+    assert report.grey_difference < -15
+
+
+def test_repeated_and_frozen_frames(corridor: Views) -> None:
+    left, right = corridor
+    repeating = right.copy()
+    repeating[[7, 13]] = right[[6, 12]]
+    report = checked((left, repeating))
+    assert (report.repeated_left, report.repeated_right) == (0, 2)
+    (finding,) = [f for f in report.findings if f.name == "repeated"]
+    assert not finding.ruins
+    assert "the right recording repeats itself in 2 of 20 frames, first in frame 7" in finding.text
+    frozen = left.copy()
+    frozen[6:] = left[6]
+    report = checked((frozen, right))
+    assert report.repeated_left == SHORT - 7
+    assert report.ruined
+
+
+def test_frames_dropped_halfway_are_a_drift() -> None:
+    left, right = simulated(2, 66)
+    report = checked((left[:-2], np.delete(right, [30, 31], axis=0)))
+    assert "drifting" in [finding.name for finding in report.findings]
+    assert report.ruined
+
+
+@pytest.mark.parametrize("frames", [1, 2, 5, WINDOW_FRAMES - 1])
+def test_short_recordings(corridor: Views, frames: int) -> None:
+    left, right = (side[:frames] for side in corridor)
+    report = checked((left, right))
+    assert report.frames == frames
+    assert report.misaligned_px is not None
+    assert [finding.name for finding in report.findings] == []
+    assert [finding.name for finding in said((right, left))] == ["swapped"]
+
+
+def test_nothing_to_see() -> None:
+    assert check([], MAX_DISPARITY).findings == ()
+    grey = np.full((SHORT, 60, 80), 128, np.uint8)
+    report = checked((grey, grey))
+    assert [finding.name for finding in report.findings] == ["still", "few-matches"]
+    assert [finding.name for finding in said((grey, grey))] == ["still"]
+
+
+def test_unknown_length(corridor: Views) -> None:
+    report = check(frames_of(corridor), MAX_DISPARITY)
+    assert report.matches > 100
+    assert report.findings == ()
+
+
+def test_large_images_are_measured_in_their_own_px(corridor: Views) -> None:
+    left, right = (
+        np.stack([cv2.resize(image, (960, 720)) for image in side[:8]]) for side in corridor
+    )
+    report, small = checked((left[:, :-6], right[:, 6:])), checked(corridor)
+    assert report.misaligned_px == pytest.approx(6, abs=0.4)
+    assert report.disparity_high_px == pytest.approx(3 * small.disparity_high_px, rel=0.15)
+
+
+# The command, and the start of a run.
+
+
+def sample(*sides: str) -> list[str]:
+    return [str(SAMPLE / f"{side}.mp4") for side in sides]
+
+
+def test_command(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["check", *sample("left", "right"), "--rig", str(SAMPLE / "rig.yaml")]) == 0
+    out = capsys.readouterr().out
+    assert "advised: --max-disparity 16" in out
+    assert out.endswith("nothing wrong found\n")
+    assert main(["check", *sample("right", "left"), "--json"]) == 1
+    report = json.loads(capsys.readouterr().out)
+    assert report["ruined"]
+    assert report["findings"][0]["name"] == "swapped"
+    assert report["findings"][0]["ruins"]
+
+
+def test_run_warns_and_goes_on(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    run = ["run", *sample("right", "left"), "--end", "20", "--save", "steering", "-o"]
+    assert main([*run, str(tmp_path / "checked")]) == 0
+    warnings = [w for w in capsys.readouterr().err.splitlines() if w.startswith("warning: ")]
+    assert len(warnings) == 1
+    assert "left and right are swapped" in warnings[0]
+    assert main([*run, str(tmp_path / "unchecked"), "--no-check"]) == 0
+    assert "swapped" not in capsys.readouterr().err
+    tables = [(tmp_path / out / "steering.csv").read_bytes() for out in ("checked", "unchecked")]
+    assert tables[0] == tables[1]

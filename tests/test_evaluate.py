@@ -1,0 +1,335 @@
+"""The evaluation: measures worked out by hand, formats, and the command from outside."""
+
+import csv
+import io
+import json
+import math
+import re
+import subprocess
+import sys
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from motionstereo_cli.errors import InputError
+from motionstereo_cli.evaluate import (
+    Comparison,
+    FramePair,
+    Maps,
+    draw_errors,
+    evaluate,
+    format_table,
+    tally,
+)
+from motionstereo_cli.rig import write_rig
+from motionstereo_cli.types import Rig
+
+NAN = math.nan
+RIG = Rig(width=4, height=2, focal_px=100.0, baseline_m=0.2, cx=1.5, cy=0.5)
+
+
+def row(*values):
+    return np.array([values], np.float32)
+
+
+def pfm(path, image, order="<"):
+    """Write a PFM as its definition has it: last row first, the scale's sign tells the order."""
+    scale = "-0.003922" if order == "<" else "0.003922"  # as in Middlebury's files
+    head = f"Pf\n{image.shape[1]} {image.shape[0]}\n{scale}\n".encode()
+    path.write_bytes(head + image[::-1].astype(f"{order}f4").tobytes())
+
+
+def png(path, image):
+    path.parent.mkdir(parents=True, exist_ok=True)
+    assert cv2.imwrite(str(path), image)
+
+
+def disparity(folder, *images, first=0):
+    """Write disparity in px as KITTI has it."""
+    for number, image in enumerate(images, first):
+        png(folder / f"{number:06d}.png", np.rint(np.nan_to_num(image) * 256).astype(np.uint16))
+
+
+@pytest.fixture
+def sides(tmp_path):
+    """A result and a truth of two frames, 4x2; errors 0.5, 1, 4 px, then 0 everywhere."""
+    truth = np.array([[10, 20, 30, 40], [10, 20, NAN, 40]], np.float32)
+    found = np.array([[10.5, 19, 34, NAN], [NAN, NAN, 30, NAN]], np.float32)
+    disparity(tmp_path / "out" / "disparity", found, truth)
+    disparity(tmp_path / "truth" / "disparity", truth, truth)
+    return tmp_path / "out", tmp_path / "truth"
+
+
+# The measures.
+
+
+def test_disparity_measures_worked_out_by_hand():
+    # Errors 0, 0.5, 0.75, 1.5, 2.5, 3.5 (3.5 % of the truth), 4 (20 %); one has no result, two no
+    # truth.
+    truth = row(10, 10, 10, 10, 10, 100, 20, 30, NAN, NAN)
+    found = row(10, 10.5, 9.25, 11.5, 7.5, 103.5, 24, NAN, 5, NAN)
+    score = tally(FramePair(found, truth)).score(3)
+    assert score.frame == 3
+    assert (score.truth_pixels, score.both_pixels) == (8, 7)
+    assert score.coverage == 7 / 8
+    assert (score.bad_0_5, score.bad_1, score.bad_2, score.bad_3) == (5 / 7, 4 / 7, 3 / 7, 2 / 7)
+    assert score.d1 == 1 / 7
+    assert score.mean_px == pytest.approx(12.75 / 7)
+    assert score.median_px == 1.5
+    squares = 0.25 + 0.5625 + 2.25 + 6.25 + 12.25 + 16
+    assert score.rms_px == pytest.approx(math.sqrt(squares / 7))
+    assert math.isnan(score.abs_rel)
+    assert math.isnan(score.rmse_m)
+
+
+def test_an_error_of_exactly_the_limit_is_not_bad():
+    score = tally(FramePair(row(10.5, 11, 12, 13), row(10, 10, 10, 10))).score()
+    assert (score.bad_0_5, score.bad_1, score.bad_2, score.bad_3) == (0.75, 0.5, 0.25, 0)
+
+
+def test_depth_measures_worked_out_by_hand():
+    # The truth at 100 m does not count, the result at 200 m counts as 80 m.
+    truth_m = row(2, 4, 10, 100, 5)
+    found_m = row(3, 3, 200, 100, NAN)
+    score = tally(FramePair(row(1, 1, 1, 1, NAN), row(1, 1, 1, 1, 1), found_m, truth_m)).score()
+    assert score.abs_rel == pytest.approx((1 / 2 + 1 / 4 + 70 / 10) / 3)
+    assert score.rmse_m == pytest.approx(math.sqrt((1 + 1 + 4900) / 3))
+
+
+def test_the_median_of_an_even_number_lies_between_the_middle_two():
+    assert tally(FramePair(row(1, 2, 4, 9), row(0, 0, 0, 0))).score().median_px == 3
+
+
+def test_nothing_to_measure_is_nan():
+    score = tally(FramePair(row(NAN, NAN), row(1, NAN))).score()
+    assert (score.truth_pixels, score.both_pixels, score.coverage) == (1, 0, 0)
+    assert all(math.isnan(v) for v in (score.bad_1, score.d1, score.mean_px, score.median_px))
+
+
+pixels = st.lists(
+    st.tuples(*[st.one_of(st.just(NAN), st.integers(1, 60_000).map(lambda n: n / 256))] * 2),
+    min_size=1,
+    max_size=30,
+)
+
+
+@given(pixels, pixels)
+def test_the_sum_of_two_tallies_is_that_of_all_their_pixels(one, other):
+    def pair(pairs):
+        found, truth = np.array(pairs, np.float32).T[:, None]
+        return FramePair(found, truth, 50 / found, 50 / truth)
+
+    added, at_once = (
+        (tally(pair(one)) + tally(pair(other))).score(),
+        tally(pair(one + other)).score(),
+    )
+    for name in at_once.__slots__[1:]:
+        assert getattr(added, name) == pytest.approx(getattr(at_once, name), nan_ok=True), name
+    errors = [abs(f - t) for f, t in one + other if not math.isnan(f - t)]
+    assert at_once.median_px == pytest.approx(np.median(errors) if errors else NAN, nan_ok=True)
+
+
+# Formats.
+
+
+def test_png_is_read_as_what_its_folder_says(tmp_path):
+    stored = np.array([[0, 256, 65535]], np.uint16)
+    for folder in ("disp_occ_0", "depth_of_mine"):
+        png(tmp_path / folder / "0.png", stored)
+    disparity_px = Maps(tmp_path / "disp_occ_0").read(0)
+    np.testing.assert_array_equal(disparity_px, row(NAN, 1, 65535 / 256))
+    assert disparity_px.dtype == np.float32
+    depth_m = Maps(tmp_path / "depth_of_mine").read(0)
+    np.testing.assert_allclose(depth_m, row(NAN, 0.256, 65.535))
+    assert Maps(tmp_path / "depth_of_mine", "disparity").read(0)[0, 1] == 1
+
+
+@pytest.mark.parametrize("order", "<>")
+def test_pfm_is_read_upright_and_unscaled(tmp_path, order):
+    image = np.array([[1.25, math.inf], [0, 70.5], [NAN, -1]], np.float32)
+    pfm(tmp_path / "7.pfm", image, order)
+    expected = np.array([[1.25, NAN], [NAN, 70.5], [NAN, NAN]], np.float32)
+    np.testing.assert_array_equal(Maps(tmp_path, "disparity").read(7), expected)
+
+
+@pytest.mark.parametrize(
+    ("names", "numbers"),
+    [
+        (("000002_10.png", "000010_10.png"), [2, 10]),
+        (("scene3_frame9.png", "scene3_frame10.png"), [9, 10]),
+        (("left07.png",), [7]),
+    ],
+)
+def test_frame_numbers_come_from_the_names(tmp_path, names, numbers):
+    for name in names:
+        png(tmp_path / name, np.ones((1, 1), np.uint16))
+    assert list(Maps(tmp_path, "disparity").files) == numbers
+
+
+def test_depth_and_disparity_meet_through_the_rigs(tmp_path):
+    # 20 px m: 10 px is 2 m. The result's own rig has doffs 5: 2 m is 5 px, 4 m is 0 px.
+    with_doffs = {**{name: getattr(RIG, name) for name in RIG.__slots__}, "doffs": 5.0}
+    png(tmp_path / "out" / "depth" / "0.png", np.array([[2000, 4000, 0, 2000]] * 2, np.uint16))
+    (tmp_path / "out" / "run.json").write_text(json.dumps({"rig": with_doffs}))
+    disparity(tmp_path / "truth" / "disparity", np.full((2, 4), 10, np.float32))
+    write_rig(tmp_path / "truth" / "rig.yaml", RIG)
+    comparison = Comparison(Maps(tmp_path / "out"), Maps(tmp_path / "truth" / "disparity"))
+    pair = comparison.pair(0)
+    np.testing.assert_allclose(pair.found_px[:1], row(5, 0, NAN, 5))
+    np.testing.assert_allclose(pair.found_m[:1], row(2, 4, NAN, 2))
+    np.testing.assert_allclose(pair.truth_m, 2)
+
+
+def test_only_masked_in_pixels_count(sides, tmp_path):
+    out, truth = sides
+    counted = np.zeros((2, 4, 3), np.uint8)
+    counted[0, 1:3, 0] = 1
+    for number in (0, 1):
+        png(tmp_path / "mask" / f"{number}.png", counted)
+    comparison = Comparison(Maps(out), Maps(truth), mask=tmp_path / "mask")
+    first = evaluate(comparison).frames[0]
+    assert (first.truth_pixels, first.both_pixels, first.mean_px) == (2, 2, 2.5)
+
+
+def test_overall_pools_the_pixels_and_names_the_worst_frame(sides):
+    report = evaluate(Comparison(*map(Maps, sides)))
+    assert [score.frame for score in report.frames] == [0, 1]
+    assert report.overall.both_pixels == 3 + 7
+    assert report.overall.mean_px == pytest.approx(5.5 / 10)
+    assert report.overall.bad_1 == 0.1
+    assert report.worst.frame == 0
+    assert re.search(r"bad_1 +0\.1000 +0\.3333\n", format_table(report))
+
+
+def test_frames_of_one_side_alone_are_counted_and_not_scored(sides):
+    out, truth = sides
+    disparity(out / "disparity", np.ones((2, 4), np.float32), first=2)
+    (truth / "disparity" / "000000.png").unlink()
+    report = evaluate(Comparison(Maps(out), Maps(truth)))
+    assert [score.frame for score in report.frames] == [1]
+    assert (report.only_out, report.only_truth) == (2, 0)
+
+
+def test_the_picture_has_a_colour_for_each_kind_of_pixel():
+    truth = np.tile(row(10, 10, 10, 10, 10, 10, NAN), (30, 60))
+    found = np.tile(row(10, 11, 12, 13, 14, NAN, 10), (30, 60))
+    picture = draw_errors(FramePair(found, truth))
+    assert picture.dtype == np.uint8
+    assert picture.shape[0] > 30
+    shown = [tuple(int(level) for level in bgr) for bgr in picture[0, :7]]
+    assert len(set(shown)) == 7
+    assert shown[5:] == [(0, 0, 0), (64, 64, 64)]
+    legend = {tuple(int(level) for level in bgr) for bgr in picture[30:].reshape(-1, 3)}
+    assert set(shown) <= legend
+
+
+# Bad input.
+
+
+def spoiled(tmp_path, spoil):
+    """Return the sides after something was spoiled."""
+    truth = np.ones((2, 4), np.float32)
+    for side in ("out", "truth"):
+        disparity(tmp_path / side / "disparity", truth)
+    spoil(tmp_path)
+    return tmp_path / "out", tmp_path / "truth"
+
+
+@pytest.mark.parametrize(
+    ("spoil", "message"),
+    [
+        (lambda t: (t / "out/disparity/000000.png").unlink(), "has no .png or .pfm files"),
+        (lambda t: (t / "out/disparity/000000.png").rename(t / "out/disparity/a.png"), "number"),
+        (lambda t: (t / "out/disparity/000000.png").rename(t / "out/disparity/7.png"), "no frame"),
+        (lambda t: (t / "out/disparity/000000.png").write_bytes(b"text"), "cannot be read"),
+        (lambda t: png(t / "out/disparity/0.png", np.ones((2, 4), np.uint16)), "several files"),
+        (lambda t: png(t / "out/disparity/000000.png", np.ones((2, 4), np.uint8)), "16-bit"),
+        (lambda t: png(t / "out/disparity/000000.png", np.ones((3, 4), np.uint16)), "4x3 but"),
+        (lambda t: png(t / "truth/disparity/000000.png", np.zeros((2, 4), np.uint16)), "no pixel"),
+        (lambda t: (t / "out/disparity").rename(t / "out/depth"), "give --rig"),
+        (lambda t: (t / "out/disparity").rename(t / "out/mine"), "has no .png"),
+        (lambda t: (t / "out/run.json").write_text('{"rig": {"f": 1}}'), "its rig cannot be read"),
+        (lambda t: (t / "truth/rig.yaml").write_text("width: 9"), "height is missing"),
+        (lambda t: write_rig(t / "out/rig.yaml", Rig(5, 2, 1, 1, 0, 0)), "the rig is for 5x2"),
+    ],
+)
+def test_bad_input_is_refused_in_one_line(tmp_path, spoil, message):
+    out, truth = spoiled(tmp_path, spoil)
+    with pytest.raises(InputError, match=re.escape(message)) as refused:
+        evaluate(Comparison(Maps(out), Maps(truth)))
+    assert "\n" not in str(refused.value)
+
+
+def test_a_folder_whose_name_tells_nothing_is_refused(tmp_path):
+    png(tmp_path / "mine" / "0.png", np.ones((1, 1), np.uint16))
+    with pytest.raises(InputError, match="--out-kind or --truth-kind"):
+        Maps(tmp_path / "mine")
+
+
+def test_a_missing_or_misshapen_mask_is_refused(sides, tmp_path):
+    out, truth = map(Maps, sides)
+    png(tmp_path / "mask" / "0.png", np.ones((2, 5), np.uint8))
+    with pytest.raises(InputError, match="no PNG for frame 1"):
+        Comparison(out, truth, mask=tmp_path / "mask")
+    png(tmp_path / "mask" / "1.png", np.ones((2, 5), np.uint8))
+    with pytest.raises(InputError, match="5x2 but the truth is 4x2"):
+        evaluate(Comparison(out, truth, mask=tmp_path / "mask"))
+
+
+# The command from outside.
+
+
+def called(*args, cwd):
+    command = [sys.executable, "-m", "motionstereo_cli", "evaluate", *map(str, args)]
+    return subprocess.run(command, capture_output=True, text=True, check=False, cwd=cwd)
+
+
+def test_the_command_prints_a_table_and_writes_what_is_asked_for(sides, tmp_path):
+    files = ["--csv", "s.csv", "--json", "s.json", "--picture", "0", "-o", "e.png"]
+    done = called(*sides, *files, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert re.search(r"coverage +0\.7143 +0\.4286\n", done.stdout)
+    assert "no rig is known" in done.stderr
+    rows = list(csv.DictReader((tmp_path / "s.csv").open()))
+    assert [r["frame"] for r in rows] == ["0", "1", "overall"]
+    assert (rows[2]["both_pixels"], rows[2]["bad_1"], rows[2]["rmse_m"]) == ("10", "0.1", "")
+    report = json.loads((tmp_path / "s.json").read_text())
+    assert report["overall"]["bad_1"] == 0.1
+    assert report["overall"]["rmse_m"] is None
+    assert [frame["frame"] for frame in report["frames"]] == [0, 1]
+    assert cv2.imread(str(tmp_path / "e.png")).shape[0] > 2
+
+
+def test_dash_puts_csv_on_standard_output_alone(sides, tmp_path):
+    disparity(sides[0] / "disparity", np.ones((2, 4), np.float32), first=9)
+    done = called(*sides, "--csv", "-", cwd=tmp_path)
+    assert done.returncode == 0
+    assert "warning: 1 frames are in OUT alone" in done.stderr
+    assert len(list(csv.DictReader(io.StringIO(done.stdout)))) == 3
+
+
+@pytest.mark.parametrize(
+    ("args", "code", "message"),
+    [
+        (["--csv", "-", "--json", "-"], 2, "cannot both have standard output"),
+        (["--truth-kind", "depth"], 1, "has no .png or .pfm files"),
+        (["--picture", "5"], 1, "frame 5 is not on both sides"),
+        (["--csv", "missing/s.csv"], 1, "cannot write missing/s.csv"),
+        (["--rig", "missing.yaml"], 1, "cannot read the rig missing.yaml"),
+    ],
+)
+def test_the_command_fails_in_one_line(sides, tmp_path, args, code, message):
+    done = called(*sides, *args, cwd=tmp_path)
+    assert (done.returncode, done.stdout) == (code, "")
+    assert message in done.stderr
+    assert done.stderr.splitlines()[-1].startswith("error: ")
+    assert "Traceback" not in done.stderr
+
+
+def test_a_missing_folder_is_one_line(tmp_path):
+    done = called("nothing", "here", cwd=tmp_path)
+    assert done.returncode == 1
+    assert done.stderr == ("error: cannot read the folder nothing: No such file or directory\n")

@@ -1,0 +1,283 @@
+"""The local map and the course through it, on surroundings that are known."""
+
+import math
+
+import numpy as np
+import pytest
+
+from motionstereo_cli.pipeline import Guide
+from motionstereo_cli.settings import Settings
+from motionstereo_cli.stages.guidance import (
+    DIRECTIONS_RAD,
+    Course,
+    free_ways,
+    plan,
+    travelled,
+    wrapped,
+)
+from motionstereo_cli.stages.local_map import (
+    CELL_M,
+    CELLS,
+    CERTAIN,
+    HALF_LIFE_FRAMES,
+    LocalMap,
+    View,
+    moved,
+    profile,
+    seen,
+)
+from motionstereo_cli.types import Pose, Rig
+
+NAN = np.float32(np.nan)
+WIDTH, HEIGHT = 160, 120
+RIG = Rig(WIDTH, HEIGHT, focal_px=140, baseline_m=0.12, cx=79.5, cy=59.5)
+FB = RIG.focal_px * RIG.baseline_m
+BEARINGS = 80
+
+
+def view(x_m=0.0, y_m=0.0, yaw_rad=0.0):
+    return View(x_m, y_m, yaw_rad, RIG.focal_px, RIG.cx, RIG.cy, FB)
+
+
+def pose(x_m=0.0, y_m=0.0, yaw_rad=0.0):
+    return Pose(x_m, y_m, 1.2, 0.0, 0.0, math.sin(yaw_rad / 2), math.cos(yaw_rad / 2))
+
+
+def wall_ahead(depth_m):
+    return np.full(BEARINGS, FB / depth_m, np.float32)
+
+
+def evidence_at(known, x_m, y_m):
+    i, j = (math.floor(m / CELL_M) - c for m, c in zip((x_m, y_m), known.corner, strict=True))
+    return known.evidence[i, j]
+
+
+def after(frames, profile_px, **where):
+    known = LocalMap.unknown(0, 0)
+    for _ in range(frames):
+        known = seen(known, profile_px, view(**where), WIDTH)
+    return known
+
+
+class TestProfile:
+    def look(self, disparity, fresh=None, below_m=1.1, above_m=0.6):
+        fresh = np.ones(disparity.shape, bool) if fresh is None else fresh
+        return profile(disparity, fresh, view(), bearings=40, below_m=below_m, above_m=above_m)
+
+    def test_takes_the_nearest_tenth_and_at_least_four_pixels(self):
+        disparity = np.full((HEIGHT, WIDTH), NAN, np.float32)
+        disparity[50:70, 0:4] = 10  # 80 pixels of bearing 0
+        disparity[50, 0:4], disparity[51, 0:3] = 20, 20  # 7 of them nearer: fewer than a tenth
+        disparity[60, 4:7] = 10  # 3 pixels of bearing 1: too few
+        disparity[60, 8:12] = (10, 11, 12, 13)  # just enough in bearing 2
+        found = self.look(disparity)
+        assert found[0] == 10
+        assert np.isnan(found[1])
+        assert found[2] == 10
+        disparity[51, 3] = 20  # the eighth
+        assert self.look(disparity)[0] == 20
+
+    def test_floor_and_ceiling_and_old_points_are_not_in_the_way(self):
+        # At 2 m (8.4 px) a row is 2/140 m: the band from -1.1 m to 0.6 m ends 42 rows above.
+        disparity = np.full((HEIGHT, WIDTH), NAN, np.float32)
+        disparity[:16] = FB / 2
+        assert np.isnan(self.look(disparity)).all()
+        disparity[18] = FB / 2
+        assert np.allclose(self.look(disparity), FB / 2)
+        assert np.isnan(self.look(disparity, below_m=0, above_m=0.5)).all()
+        assert np.isnan(self.look(disparity, fresh=np.zeros((HEIGHT, WIDTH), bool))).all()
+
+
+class TestMap:
+    def test_before_a_wall_is_free_the_wall_occupied_and_the_rest_unknown(self):
+        known = after(2, wall_ahead(3.0))
+        assert evidence_at(known, 1.5, 0) < -CERTAIN
+        assert evidence_at(known, 3.0, 0) > CERTAIN
+        assert evidence_at(known, 4.0, 0) == 0
+        assert evidence_at(known, 1.5, 1.5) == 0  # beside the image
+        assert evidence_at(known, -1, 0) == 0
+
+    def test_directions_are_the_worlds(self):
+        known = after(2, wall_ahead(3.0), x_m=1.0, yaw_rad=math.pi / 2)
+        assert evidence_at(known, 1.0, 1.5) < -CERTAIN
+        assert evidence_at(known, 1.0, 3.0) > CERTAIN
+        left = np.where(np.arange(BEARINGS) < BEARINGS // 2, wall_ahead(3.0), NAN)
+        known = after(2, left)
+        assert evidence_at(known, 2, 0.5) < -CERTAIN
+        assert evidence_at(known, 2, -0.5) == 0
+
+    def test_one_frame_is_not_certain(self):
+        known = after(1, wall_ahead(3.0))
+        assert np.abs(known.evidence).max() < CERTAIN
+
+    def test_what_comes_into_a_free_place_is_believed_in_two_frames(self):
+        known = after(40, wall_ahead(5.0))
+        for _ in range(2):
+            known = seen(known, wall_ahead(2.0), view(), WIDTH)
+        assert evidence_at(known, 2.0, 0) > CERTAIN
+
+    def test_what_is_not_seen_again_is_forgotten(self):
+        known = after(3, wall_ahead(3.0))
+        nothing = np.full(BEARINGS, NAN, np.float32)
+        later = known
+        for _ in range(HALF_LIFE_FRAMES):
+            later = seen(later, nothing, view(), WIDTH)
+        np.testing.assert_allclose(later.evidence, known.evidence / 2, rtol=1e-4)
+
+    def test_a_narrow_gap_in_a_wall_is_wall_and_a_wide_one_unknown(self):
+        gapped = wall_ahead(3.0)
+        gapped[38:42] = NAN  # 8 px: 3 degrees, 0.2 m
+        assert evidence_at(after(2, gapped), 3.0, 0) > CERTAIN
+        gapped[24:56] = NAN  # 26 degrees
+        known = after(2, gapped)
+        assert evidence_at(known, 3.0, 0) == 0
+        assert evidence_at(known, 1.5, 0) == 0
+
+    def test_moves_along_and_keeps_what_is_in_reach_in_its_place(self):
+        known = after(2, wall_ahead(3.0))
+        there = moved(known, 2.55, -1.3)
+        assert evidence_at(there, 3.0, 0) == evidence_at(known, 3.0, 0) > CERTAIN
+        assert evidence_at(there, 1.5, 0) == evidence_at(known, 1.5, 0)
+        back = moved(moved(known, 20, 0), 0, 0)
+        assert not back.evidence.any()
+
+
+def corridor(half_width_m=1.0, end_m=4.0, behind_m=2.0):
+    """A corridor along x with an end wall, all of it known, as cells; the robot at its middle."""
+    x, y = ((np.arange(CELLS) + 0.5) * CELL_M - CELLS * CELL_M / 2 for _ in range(2))
+    inside = (np.abs(y) < half_width_m) & (x[:, None] < end_m) & (x[:, None] > -behind_m)
+    near = (np.abs(y) < half_width_m + 0.2) & (x[:, None] < end_m + 0.2) & (x[:, None] > -behind_m)
+    return near & ~inside, inside
+
+
+def ways(occupied, free, directions=(0.0,)):
+    middle = (CELLS / 2, CELLS / 2)
+    return free_ways(occupied, free, middle, np.array(directions), cell_m=CELL_M, radius_m=0.25)
+
+
+class TestFreeWays:
+    def test_ends_a_robot_and_its_room_before_a_wall(self):
+        known, possible = ways(*corridor())
+        assert known == possible == pytest.approx(4.0 - 0.45, abs=0.1)
+
+    def test_what_is_unknown_is_neither_free_nor_an_obstacle(self):
+        occupied, free = corridor(end_m=6.0)
+        free[CELLS // 2 + 20 : CELLS // 2 + 25] = False  # unknown from 2 m to 2.5 m
+        known, possible = ways(occupied, free)
+        assert known == pytest.approx(2.0, abs=0.2)
+        assert possible == pytest.approx(5.55, abs=0.1)
+
+    @pytest.mark.parametrize(("half_gap_m", "passes"), [(0.4, False), (0.6, True)])
+    def test_a_gap_has_to_be_wide_enough(self, half_gap_m, passes):
+        occupied, free = corridor(end_m=6.0)
+        y = np.abs((np.arange(CELLS) + 0.5) * CELL_M - CELLS * CELL_M / 2)
+        occupied[CELLS // 2 + 20, y > half_gap_m] = True
+        assert (ways(occupied, free)[0] > 4) == passes
+
+    def test_beside_a_wall_only_ways_that_lead_off_it_are_free(self):
+        occupied, free = corridor(half_width_m=0.35, end_m=6.0)
+        occupied[:, : CELLS // 2] &= False
+        free[:, : CELLS // 2] = True  # a wall 0.35 m to the left, all free to the right
+        along, off, into = ways(occupied, free, (0.0, -0.6, 0.3))[0]
+        assert along < 0.6
+        assert off > 3
+        assert into < 0.6
+
+
+class TestPlan:
+    def planned(self, way, possible=None, course=None, yaw_rad=0.0, turned_rad=0.0):
+        way = np.array([way(d) for d in DIRECTIONS_RAD])
+        possible = way if possible is None else np.array([possible(d) for d in DIRECTIONS_RAD])
+        course = course or Course(0.0, 0.0)
+        directions = yaw_rad + DIRECTIONS_RAD
+        return plan(course, yaw_rad, way, possible, directions, turned_rad=turned_rad)
+
+    def test_heads_for_the_longest_way(self):
+        course, way_m = self.planned(lambda d: 6.0 if abs(d - 0.4) < 0.2 else 2.0)
+        assert course.heading_rad == pytest.approx(0.4, abs=0.15)
+        assert way_m == 6
+
+    def test_does_not_turn_back_for_a_longer_way(self):
+        course, _ = self.planned(lambda d: 7.0 if abs(d) > 2.5 else 1.2)
+        assert abs(course.heading_rad) < math.radians(100)
+
+    def test_at_a_dead_end_looks_to_where_more_may_be_free(self):
+        def short(_):
+            return 0.5
+
+        course, way_m = self.planned(short, possible=lambda d: 5.0 if d < 0 else 0.5)
+        assert (course.look, way_m) == (-1, None)
+        assert course.heading_rad == pytest.approx(-math.pi / 2)
+        # It goes on that way, whatever comes into view, until there is a way.
+        course, way_m = self.planned(
+            short, possible=lambda d: 5.0 if d > 0 else 0.5, course=course, turned_rad=-0.1
+        )
+        assert (course.look, way_m) == (-1, None)
+        course, way_m = self.planned(lambda d: 3.0 if abs(d + 1.4) < 0.2 else 0.5, course=course)
+        assert (course.look, way_m) == (0, 3.0)
+        assert course.heading_rad == pytest.approx(-1.4, abs=0.15)
+
+    def test_after_looking_all_around_turns_back(self):
+        course = Course(0.0, 0.0)
+        turned = 0.0
+        for _ in range(200):
+            course, way_m = self.planned(
+                lambda d: 5.0 if abs(d) > 2.5 else 0.5, course=course, turned_rad=0.1
+            )
+            turned += 0.1
+            if way_m is not None:
+                break
+        assert math.radians(500) < turned < math.radians(600)
+        assert abs(wrapped(np.array(course.heading_rad))) > 2.4
+
+    def test_the_direction_of_travel_follows_the_way(self):
+        course = Course(0.0, 0.0)
+        for _ in range(100):
+            course = travelled(course, 0.16, math.pi / 2)
+        assert course.travel_rad == pytest.approx(math.pi / 2, abs=0.01)
+        assert travelled(course, 0.0, 0.0).travel_rad == course.travel_rad
+
+
+class TestGuide:
+    def steered(self, disparities, poses, fresh=True):
+        guide = Guide(Settings(), RIG)
+        for disparity, where in zip(disparities, poses, strict=True):
+            steering = guide.steer(disparity, np.full(disparity.shape, fresh), where)
+        return steering
+
+    def flat(self, depth_m):
+        return np.full((HEIGHT, WIDTH), FB / depth_m, np.float32)
+
+    def test_who_has_never_seen_anything_is_blind(self):
+        nothing = np.full((HEIGHT, WIDTH), NAN, np.float32)
+        steering = self.steered([nothing] * 20, [pose(0.1 * n) for n in range(20)])
+        assert steering.status == "blind"
+        assert steering.steer is None
+
+    def test_a_free_way_is_known_after_it_was_seen_and_held_at_rest(self):
+        seen_first = [self.flat(6.0)] * 15
+        steering = self.steered(seen_first, [pose()] * 15)
+        assert (steering.status, steering.steer) == ("ok", pytest.approx(0, abs=0.1))
+        # The wall is 2.8 px away, and an error of 1 px is allowed for.
+        assert steering.depth_m == pytest.approx(FB / 3.8, abs=0.2)
+        nothing = [np.full((HEIGHT, WIDTH), NAN, np.float32)] * 5
+        held = self.steered(seen_first + nothing, [pose()] * 20)
+        assert held.status == "held"
+        assert held.steer == pytest.approx(steering.steer, abs=0.05)
+        assert held.depth_m == pytest.approx(steering.depth_m, abs=0.2)
+        assert held.nearest_m is None
+
+    def test_before_a_wall_there_is_no_free_way(self):
+        steering = self.steered([self.flat(1.0)] * 5, [pose()] * 5)
+        assert steering.depth_m is None
+        assert abs(steering.steer) > 0.8
+
+    def test_what_was_seen_is_remembered_in_its_place_after_a_turn(self):
+        """It looks ahead, turns right by a right angle where it sees nothing, and knows its way."""
+        nothing = np.full((HEIGHT, WIDTH), NAN, np.float32)
+        frames = [self.flat(6.0)] * 5 + [nothing] * 15
+        turns = [0.0] * 5 + [-math.radians(6 * n) for n in range(1, 16)]
+        steering = self.steered(frames, [pose(yaw_rad=turn) for turn in turns])
+        assert steering.status == "held"
+        assert steering.steer > 0.9  # it lies to the left, beyond the image
+        assert steering.depth_m > 4
