@@ -21,7 +21,7 @@ from motionstereo_cli.errors import InputError, OutputError
 from motionstereo_cli.pipeline import process
 from motionstereo_cli.poses import Trajectory
 from motionstereo_cli.settings import Settings
-from motionstereo_cli.sinks import DEFAULT_SAVES, SAVES, Sink, available
+from motionstereo_cli.sinks import DEFAULT_SAVES, SAVES, Sink, Stream, available
 from motionstereo_cli.sinks.folder import complete, prepare, tidy
 from motionstereo_cli.sinks.steering import SteeringStream
 from motionstereo_cli.sinks.threaded import Threaded
@@ -117,7 +117,7 @@ def run(
     interrupted = False
     started_s = time.perf_counter()
     try:
-        for sink in _opened(out, save, source, settings):
+        for sink in _opened(out, save, source, settings, rig):
             sinks.append(sink)  # one by one: should the next fail, this one is abandoned
         pose_of = None if poses is None else poses.of
         for result in process(_checked(source, settings, rig, warn), settings, rig, pose_of):
@@ -178,15 +178,18 @@ def check_size(rig: Rig, source: StereoSource) -> None:
 
 
 def _opened(
-    out: Path | BinaryIO, save: Sequence[str], source: StereoSource, settings: Settings
+    out: Path | BinaryIO,
+    save: Sequence[str],
+    source: StereoSource,
+    settings: Settings,
+    rig: Rig | None,
 ) -> Iterator[Sink]:
     if not isinstance(out, Path):
         yield SteeringStream(out, "the steering table")
         return
-    time_base = source.time_base or DEFAULT_TIME_BASE
+    stream = Stream(source.time_base or DEFAULT_TIME_BASE, settings.max_disparity, rig)
     for name in save:
-        path = out / SAVES[name].path
-        yield Threaded(SAVES[name].open(path, time_base, settings.max_disparity))
+        yield Threaded(SAVES[name].open(out, stream))
 
 
 @dataclasses.dataclass(slots=True)

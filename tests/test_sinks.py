@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from motionstereo_cli.errors import OutputError
-from motionstereo_cli.sinks import DEFAULT_SAVES, SAVES, available
+from motionstereo_cli.sinks import DEFAULT_SAVES, SAVES, Stream, available
 from motionstereo_cli.sinks.files import part_of, reported, write_whole
 from motionstereo_cli.sinks.folder import complete, prepare, tidy
 from motionstereo_cli.sinks.images import (
@@ -33,6 +33,7 @@ from motionstereo_cli.types import FrameResult, Steering, StereoFrame
 
 BLIND = Steering("blind", None, None, None, None)
 NAN = float("nan")
+STREAM = Stream(Fraction(1, 25), 64, None)
 
 
 def frame_result(
@@ -79,7 +80,7 @@ def test_age_and_confidence_are_read_back(tmp_path):
     chance = np.array([[1.0, 0.5, NAN, 0.0]], np.float32)
     result = frame_result(7, age_frames=age, confidence=chance)
     for name in ("age", "confidence"):
-        sink = SAVES[name].open(tmp_path / SAVES[name].path, Fraction(1), 64)
+        sink = SAVES[name].open(tmp_path, STREAM)
         sink.write(result)
         sink.close()
     found = cv2.imread(str(tmp_path / "age" / "000007.png"), cv2.IMREAD_UNCHANGED)
@@ -165,8 +166,8 @@ def test_numbered_images_read_back(tmp_path):
     values = np.linspace(0.5, 60, 24, dtype=np.float32).reshape(4, 6)
     result = frame_result(7, disparity_px=values, depth_m=values)
     for sink in (
-        depth_images(out / SAVES["depth"].path),
-        disparity_images(out / SAVES["disparity"].path),
+        depth_images(out / SAVES["depth"].path, STREAM),
+        disparity_images(out / SAVES["disparity"].path, STREAM),
     ):
         sink.write(result)
         sink.close()
@@ -192,7 +193,7 @@ def test_the_charge_video_gives_the_charge_back_at_the_same_times(tmp_path):
     charges = [np.full((48, 64), level, np.uint8) for level in (0, 15, 127, 239, 255)]
     for charge in charges:
         charge[:24] = 255 - charge[:24]
-    sink = charge_video(tmp_path / "charge.mp4", Fraction(1, 1000))
+    sink = charge_video(tmp_path / "charge.mp4", Stream(Fraction(1, 1000), 64, None))
     stamps = [40, 80, 95, 95, 400]  # uneven, and one that does not come after the one before
     for index, (pts, charge) in enumerate(zip(stamps, charges, strict=True)):
         sink.write(frame_result(index, pts=pts, charge=charge))
@@ -221,7 +222,7 @@ def test_the_depth_video_keeps_colours_and_pads_odd_sizes(tmp_path):
     disparity_px = np.full((31, 45), NAN, np.float32)
     disparity_px[:, 16:32] = 2
     disparity_px[:, 32:] = 60
-    sink = depth_video(tmp_path / "depth.mp4", Fraction(1, 25), 64)
+    sink = depth_video(tmp_path / "depth.mp4", Stream(Fraction(1, 25), 64, None))
     sink.write(frame_result(disparity_px=disparity_px))
     sink.close()
     [(_, rgb)] = decoded(tmp_path / "depth.mp4")
@@ -233,7 +234,7 @@ def test_the_depth_video_keeps_colours_and_pads_odd_sizes(tmp_path):
 
 def test_an_interrupted_video_can_be_played_under_its_part_name(tmp_path):
     path = tmp_path / "charge.mp4"
-    sink = charge_video(path, Fraction(1, 25))
+    sink = charge_video(path, Stream(Fraction(1, 25), 64, None))
     for index in range(3):
         sink.write(frame_result(index))
     sink.abandon(keep=True)
@@ -242,7 +243,7 @@ def test_an_interrupted_video_can_be_played_under_its_part_name(tmp_path):
 
 
 def test_a_video_given_up_leaves_nothing(tmp_path):
-    sink = charge_video(tmp_path / "charge.mp4", Fraction(1, 25))
+    sink = charge_video(tmp_path / "charge.mp4", Stream(Fraction(1, 25), 64, None))
     sink.write(frame_result(0))
     sink.abandon(keep=False)
     assert not list(tmp_path.iterdir())

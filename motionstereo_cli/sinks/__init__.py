@@ -5,7 +5,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import importlib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
@@ -13,7 +14,7 @@ if TYPE_CHECKING:
     from fractions import Fraction
     from pathlib import Path
 
-    from motionstereo_cli.types import FrameResult
+    from motionstereo_cli.types import FrameResult, Rig
 
 
 class Sink(Protocol):
@@ -33,19 +34,34 @@ class Sink(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
+class Stream:
+    """What sinks know of a run before its first frame.
+
+    Attributes:
+        time_base: seconds per unit of the frames' time stamps.
+        max_disparity: largest disparity looked for, in px.
+        rig: the camera; None where nobody knows.
+    """
+
+    time_base: Fraction
+    max_disparity: int
+    rig: Rig | None
+
+
+@dataclass(frozen=True, slots=True)
 class Save:
     """An output that ``--save`` can ask for.
 
     Attributes:
         path: where it lies under the output folder; ``{:06d}`` is the number of the frame.
         what: what it holds, with units.
-        open: makes the sink from its path, the time base in s and the largest disparity in px.
+        sink: module and function that make the sink from its path and the stream.
         needs_rig: it cannot be had without a rig.
     """
 
     path: str
     what: str
-    open: Callable[[Path, Fraction, int], Sink]
+    sink: str
     needs_rig: bool = False
 
     @property
@@ -53,47 +69,16 @@ class Save:
         """The path as told to users: a folder for numbered files."""
         return self.path.partition("{")[0]
 
+    def open(self, out: Path, stream: Stream) -> Sink:
+        """Return the sink of a run into the folder ``out``.
 
-def _steering(path: Path, time_base: Fraction, max_disparity: int) -> Sink:
-    from motionstereo_cli.sinks.steering import SteeringFile
-
-    return SteeringFile(path)
-
-
-def _depth(path: Path, time_base: Fraction, max_disparity: int) -> Sink:
-    from motionstereo_cli.sinks.images import depth_images
-
-    return depth_images(path)
-
-
-def _disparity(path: Path, time_base: Fraction, max_disparity: int) -> Sink:
-    from motionstereo_cli.sinks.images import disparity_images
-
-    return disparity_images(path)
-
-
-def _age(path: Path, time_base: Fraction, max_disparity: int) -> Sink:
-    from motionstereo_cli.sinks.images import age_images
-
-    return age_images(path)
-
-
-def _confidence(path: Path, time_base: Fraction, max_disparity: int) -> Sink:
-    from motionstereo_cli.sinks.images import confidence_images
-
-    return confidence_images(path)
-
-
-def _charge_video(path: Path, time_base: Fraction, max_disparity: int) -> Sink:
-    from motionstereo_cli.sinks.previews import charge_video
-
-    return charge_video(path, time_base)
-
-
-def _depth_video(path: Path, time_base: Fraction, max_disparity: int) -> Sink:
-    from motionstereo_cli.sinks.previews import depth_video
-
-    return depth_video(path, time_base, max_disparity)
+        Raises:
+            OutputError: the output cannot be written.
+        """
+        module, function = self.sink.split(".")
+        factory = getattr(importlib.import_module(f"{__name__}.{module}"), function)
+        sink: Sink = factory(out / self.path, stream)
+        return sink
 
 
 SAVES = {
@@ -102,36 +87,38 @@ SAVES = {
         "one row a frame; time_s in s, steer -1..1 and steer_rad in rad with positive = left, "
         "depth_m and nearest_m in m, charged and matched as shares of the image; "
         "empty = unknown",
-        _steering,
+        "steering.steering_file",
     ),
     "depth": Save(
         "depth/{:06d}.png",
         "uint16 depth in mm, right view; 0 = unknown or over 65.535 m",
-        _depth,
+        "images.depth_images",
         needs_rig=True,
     ),
     "disparity": Save(
         "disparity/{:06d}.png",
         "uint16 disparity in 1/256 px, right view; 0 = unknown, a known 0 is stored as 1",
-        _disparity,
+        "images.disparity_images",
     ),
     "age": Save(
         "age/{:06d}.png",
         "uint8 frames since something moved there, right view; 255 = forgotten",
-        _age,
+        "images.age_images",
     ),
     "confidence": Save(
         "confidence/{:06d}.png",
         "uint8 chance that the disparity is right within 1 px, in 1/255, right view; "
         "0 = no disparity",
-        _confidence,
+        "images.confidence_images",
     ),
-    "charge": Save("charge.mp4", "right permanency memory, charge as grey", _charge_video),
+    "charge": Save(
+        "charge.mp4", "right permanency memory, charge as grey", "previews.charge_video"
+    ),
     "depth-video": Save(
         "depth.mp4",
         "depth in colour, red = near, blue = far, black = unknown; "
         "log scale of the disparity from 1 px to max_disparity",
-        _depth_video,
+        "previews.depth_video",
     ),
 }
 

@@ -16,6 +16,7 @@ from motionstereo_cli.types import FrameResult
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from motionstereo_cli.sinks import Stream
     from motionstereo_cli.types import Real
 
 _UINT16_MAX = 65535
@@ -111,7 +112,7 @@ class NumberedImages:
         """Do nothing: every image is complete."""
 
 
-def depth_images(path: Path) -> NumberedImages:
+def depth_images(path: Path, _: Stream) -> NumberedImages:
     """Return a sink for depth in mm; the results must have one."""
 
     def image(result: FrameResult) -> NDArray[np.uint16]:
@@ -121,16 +122,16 @@ def depth_images(path: Path) -> NumberedImages:
     return NumberedImages(path, image)
 
 
-def disparity_images(path: Path) -> NumberedImages:
+def disparity_images(path: Path, _: Stream) -> NumberedImages:
     """Return a sink for disparity in 1/256 px."""
     return NumberedImages(path, lambda result: disparity_png(result.disparity_px))
 
 
-def age_images(path: Path) -> NumberedImages:
+def age_images(path: Path, _: Stream) -> NumberedImages:
     """Return a sink for frames since motion; 255 = forgotten."""
     return NumberedImages(path, lambda result: result.age_frames)
 
 
-def confidence_images(path: Path) -> NumberedImages:
+def confidence_images(path: Path, _: Stream) -> NumberedImages:
     """Return a sink for confidence in 1/255; 0 = no disparity."""
     return NumberedImages(path, lambda result: confidence_png(result.confidence))

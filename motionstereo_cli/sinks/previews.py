@@ -18,6 +18,7 @@ from motionstereo_cli.types import FrameResult
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from motionstereo_cli.sinks import Stream
     from motionstereo_cli.types import Real
 
 #: The darkest colour of the map is left out, for it is hard to tell from black.
@@ -69,15 +70,17 @@ class Preview:
             self._video.close(keep=False)
 
 
-def charge_video(path: Path, time_base: Fraction) -> Preview:
+def charge_video(path: Path, stream: Stream) -> Preview:
     """Return a sink for the right permanency memory, the charge as grey level."""
-    return Preview(path, time_base, lambda result: result.charge)
+    return Preview(path, stream.time_base, lambda result: result.charge)
 
 
-def depth_video(path: Path, time_base: Fraction, max_disparity: int) -> Preview:
+def depth_video(path: Path, stream: Stream) -> Preview:
     """Return a sink for depth in colour; see :func:`depth_colours`."""
     return Preview(
-        path, time_base, lambda result: depth_colours(result.disparity_px, max_disparity)
+        path,
+        stream.time_base,
+        lambda result: depth_colours(result.disparity_px, stream.max_disparity),
     )
 
 

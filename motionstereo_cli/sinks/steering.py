@@ -6,10 +6,13 @@ import contextlib
 import math
 import os
 from pathlib import Path
-from typing import BinaryIO
+from typing import TYPE_CHECKING, BinaryIO
 
 from motionstereo_cli.sinks.files import part_of, reported
 from motionstereo_cli.types import FrameResult
+
+if TYPE_CHECKING:
+    from motionstereo_cli.sinks import Stream
 
 HEADER = "frame,pts,time_s,status,steer,steer_rad,depth_m,nearest_m,charged,matched"
 
@@ -97,6 +100,11 @@ class SteeringFile(SteeringStream):
             self._file.close()
         if not keep:
             part_of(self._path).unlink(missing_ok=True)
+
+
+def steering_file(path: Path, _: Stream) -> SteeringFile:
+    """Return a sink for the steering table."""
+    return SteeringFile(path)
 
 
 def _cell(value: float | None, decimals: int) -> str:
