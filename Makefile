@@ -2,8 +2,10 @@
 PYTHON ?= python3
 BIN = .venv/bin
 READY = .venv/.ready
+# What sample_data/golden has.
+GOLDEN = steering,depth,disparity
 
-.PHONY: demo test lint sample figures bench-accuracy bench-drive check-trials renew clean
+.PHONY: demo test lint sample regress fuzz figures bench bench-accuracy bench-drive bench-map bench-objects check-trials renew clean
 
 demo: $(READY)  ## run the main job on sample_data
 	$(BIN)/motionstereo run sample_data/left.mp4 sample_data/right.mp4 \
@@ -19,14 +21,27 @@ lint: $(READY)  ## check style and types
 	$(BIN)/mypy
 
 # 40 frames of straight corridor, the turn to the left (40..64), and the straight after it.
-sample: $(READY)  ## render sample_data again
+sample: $(READY)  ## render sample_data again, and what a run gives of it now
 	$(BIN)/motionstereo simulate out/sample --overwrite --frames 310:410 --noise-sigma 1.5
-	$(BIN)/motionstereo run out/sample/left.mp4 out/sample/right.mp4 \
-		--rig out/sample/rig.yaml --save steering --out out/sample_run --overwrite
-	$(BIN)/motionstereo figure out/sample/left.mp4 out/sample/right.mp4 \
-		--frames 20,54,72 --out out/sample_run/corridor.png
-	cp out/sample/left.mp4 out/sample/right.mp4 out/sample/rig.yaml \
-		out/sample_run/steering.csv out/sample_run/corridor.png sample_data/
+	cp out/sample/left.mp4 out/sample/right.mp4 out/sample/rig.yaml sample_data/
+	$(BIN)/motionstereo figure sample_data/left.mp4 sample_data/right.mp4 \
+		--frames 20,54,72 --out sample_data/corridor.png
+	$(BIN)/motionstereo run sample_data/left.mp4 sample_data/right.mp4 \
+		--rig sample_data/rig.yaml --save $(GOLDEN) --out out/golden --overwrite
+	rm -rf sample_data/golden
+	mkdir -p sample_data/golden/depth sample_data/golden/disparity
+	cp out/golden/steering.csv out/golden/run.json sample_data/golden/
+	for image in depth/000020 depth/000054 depth/000072 disparity/000020 disparity/000072; do \
+		cp out/golden/$$image.png sample_data/golden/$$image.png; done
+
+regress: $(READY)  ## see that a run on sample_data gives what it gave before
+	$(BIN)/motionstereo run sample_data/left.mp4 sample_data/right.mp4 \
+		--rig sample_data/rig.yaml --save $(GOLDEN) --out out/regress --overwrite
+	$(BIN)/motionstereo compare out/regress sample_data/golden \
+		--junit out/regress.xml --picture out/regress.png
+
+fuzz: $(READY)  ## try damaged calibration, poses, settings and tables, each for 10 minutes
+	$(BIN)/pytest tests/test_fuzz.py -s --fuzz-seconds 600
 
 figures: $(READY)  ## render the paper's figures 2 and 3
 	$(BIN)/motionstereo simulate out/corridor --overwrite --frames 381 --noise-sigma 1.5
@@ -35,15 +50,25 @@ figures: $(READY)  ## render the paper's figures 2 and 3
 	$(BIN)/motionstereo figure out/corridor/left.mp4 out/corridor/right.mp4 \
 		--frames 265,280,300,320,335,350 --out out/figure3.png
 
+bench: $(READY)  ## measure how fast everything is, against StereoBM and StereoSGBM
+	$(BIN)/python -m motionstereo_cli.bench.speed
+
 bench-accuracy: $(READY)  ## measure how accurate the matchers are: the README's tables
 	$(BIN)/python -m motionstereo_cli.bench.accuracy
 
 check-trials: $(READY)  ## try the command check on 20 simulated recordings, each good and spoilt
 	$(BIN)/pytest tests/test_check.py -k trial --trials 20
 
+bench-objects: $(READY)  ## measure how well moving things are followed
+	$(BIN)/python -m motionstereo_cli.bench.objects
+
 bench-drive: $(READY)  ## let the robot find its way by different depths; resumes where it was
 	$(BIN)/python -m motionstereo_cli.bench.drive
 	$(BIN)/python -m motionstereo_cli.bench.drive --walkers 2
+
+bench-map: $(READY)  ## measure how true the map of a drive is
+	$(BIN)/python -m motionstereo_cli.bench.map
+	$(BIN)/python -m motionstereo_cli.bench.map --walkers 2
 
 renew: $(READY)  ## accept what the code gives now: the README's tables and the sample
 	$(BIN)/pytest tests/test_readme.py --renew

@@ -1,3 +1,60 @@
 """Depth and steering from what moves in two stereo videos."""
 
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from motionstereo_cli.errors import MotionStereoError
+    from motionstereo_cli.pipeline import process
+    from motionstereo_cli.poses import read_poses
+    from motionstereo_cli.rig.calibration import rectify_source
+    from motionstereo_cli.rig.rig_file import read_rig
+    from motionstereo_cli.settings import Settings
+    from motionstereo_cli.sources.settings import InputSettings, adapted_rig
+    from motionstereo_cli.sources.stereo import open_stereo
+    from motionstereo_cli.types import FrameResult, Rig, Steering, StereoFrame
+
 __version__ = "0.1.0"
+
+__all__ = [
+    "FrameResult",
+    "InputSettings",
+    "MotionStereoError",
+    "Rig",
+    "Settings",
+    "Steering",
+    "StereoFrame",
+    "adapted_rig",
+    "open_stereo",
+    "process",
+    "read_poses",
+    "read_rig",
+    "rectify_source",
+]
+
+_MODULES = {
+    "errors": ("MotionStereoError",),
+    "pipeline": ("process",),
+    "poses": ("read_poses",),
+    "rig.calibration": ("rectify_source",),
+    "rig.rig_file": ("read_rig",),
+    "settings": ("Settings",),
+    "sources.settings": ("InputSettings", "adapted_rig"),
+    "sources.stereo": ("open_stereo",),
+    "types": ("FrameResult", "Rig", "Steering", "StereoFrame"),
+}
+_HOME = {name: module for module, names in _MODULES.items() for name in names}
+
+
+def __getattr__(name: str) -> Any:
+    """Load what is asked for, and no more: starting takes no longer than it has to."""
+    if name not in _HOME:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    import importlib
+
+    return getattr(importlib.import_module(f"{__name__}.{_HOME[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -19,8 +19,9 @@ from motionstereo_cli.errors import MotionStereoError
 def main(args: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit code.
 
-    0 done, 1 failed, 2 usage, 3 done but the input was damaged, 130 interrupted. Where the
-    reader of a pipe has gone, there is nothing left to do: 0, without a word.
+    0 done, 1 failed, 2 usage, 3 done but the input was damaged, 4 ``compare`` found a
+    difference, 130 interrupted. Where the reader of a pipe has gone, there is nothing left to do:
+    0, without a word.
 
     No traceback is shown unless the environment has ``MOTIONSTEREO_DEBUG=1``.
 

@@ -23,8 +23,10 @@ from motionstereo_cli.settings import Settings
 from motionstereo_cli.simulate.drive_world import DriveWorld, Shot
 from motionstereo_cli.simulate.plan import Plan
 from motionstereo_cli.simulate.settings import ROBOT_RADIUS_M
+from motionstereo_cli.sinks import Stream
 from motionstereo_cli.sinks.files import part_of, reported, write_whole
 from motionstereo_cli.sinks.images import encode_png
+from motionstereo_cli.sinks.map import MapFiles
 from motionstereo_cli.sinks.previews import depth_colours
 from motionstereo_cli.sinks.steering import SteeringFile
 from motionstereo_cli.sinks.video import VideoWriter
@@ -41,7 +43,7 @@ _TIME_BASE = Fraction(1, 1000)
 RECORD = "drive.json"
 OUTPUTS = (
     *("left.mkv", "right.mkv", "rig.yaml", "steering.csv", "poses.txt", "plan.png"),
-    *("drive.mp4", RECORD),
+    *("map.ply", "map.png", "map.yaml", "drive.mp4", RECORD),
 )
 _PROGRAM = "motionstereo drive"
 
@@ -58,8 +60,8 @@ def drive(
     """Let the robot drive until it ends, write what happened, and return the record.
 
     Writes left.mkv and right.mkv (FFV1), rig.yaml, poses.txt (TUM), steering.csv as ``run`` does,
-    plan.png, the record drive.json and, with ``view``, drive.mp4. ``run`` on the recordings with
-    that rig and those poses gives the same steering.csv.
+    plan.png, map.ply, map.png, map.yaml, the record drive.json and, with ``view``, drive.mp4.
+    ``run`` on the recordings with that rig and those poses gives the same steering.csv and map.
 
     When it fails or is interrupted, no file is left behind.
 
@@ -77,7 +79,8 @@ def drive(
     settings = settings or Settings(robot_radius_m=ROBOT_RADIUS_M)
     rig = world.settings.rig
     _prepare(out, overwrite=overwrite)
-    plan = Plan(world, settings)
+    plan = Plan(world)
+    surroundings = MapFiles(out / "map.ply", Stream(_TIME_BASE, settings, rig))
     steering: SteeringFile | None = None
     videos: list[VideoWriter] = []
     poses = [HEAD]
@@ -90,10 +93,12 @@ def drive(
             assert result.pose is not None
             poses.append(format_pose(frame.pts * float(_TIME_BASE), result.pose))
             steering.write(result)
-            plan.add(result)
+            surroundings.write(result)
+            plan.add_walkers()
             images = [frame.left, frame.right]
             if view:
-                images.append(_view(result, plan, settings.max_disparity))
+                picture = plan.draw(surroundings.mapper.floor())
+                images.append(_view(result, picture, settings))
             for video, image in zip(videos, images, strict=True):
                 video.write(image, frame.pts)
             world.act_on(result.steering)
@@ -101,9 +106,11 @@ def drive(
         steering.close()
         for video in videos:
             video.close()
+        surroundings.close()
         write_rig(out / "rig.yaml", rig)
         write_whole(out / "poses.txt", "".join(poses).encode())
-        write_whole(out / "plan.png", encode_png(plan.draw()[..., ::-1]))
+        picture = plan.draw(surroundings.mapper.floor())
+        write_whole(out / "plan.png", encode_png(picture[..., ::-1]))
         record = _record(world, settings)
         write_whole(out / RECORD, json.dumps(record, indent=2).encode() + b"\n")
     except BaseException:
@@ -160,14 +167,14 @@ def _record(world: DriveWorld, settings: Settings) -> dict[str, Any]:
     }
 
 
-def _view(result: FrameResult, plan: Plan, max_disparity: int) -> NDArray[np.uint8]:
-    """Return right image, memory, depth and plan side by side, RGB."""
+def _view(result: FrameResult, picture: NDArray[np.uint8], settings: Settings) -> NDArray[np.uint8]:
+    """Return reference image, memory, depth and the plan's picture side by side, RGB."""
     height = result.charge.shape[0]
-    picture = plan.draw()
     width = 2 * math.ceil(picture.shape[1] * height / picture.shape[0] / 2)
     columns = [
-        *(cv2.cvtColor(grey, cv2.COLOR_GRAY2RGB) for grey in (result.frame.right, result.charge)),
-        depth_colours(result.disparity_px, max_disparity),
+        cv2.cvtColor(getattr(result.frame, settings.reference), cv2.COLOR_GRAY2RGB),
+        cv2.cvtColor(result.charge, cv2.COLOR_GRAY2RGB),
+        depth_colours(result.disparity_px, settings.max_disparity),
         cv2.resize(picture, (width, height), interpolation=cv2.INTER_AREA),
     ]
     return np.hstack(columns).astype(np.uint8, copy=False)

@@ -1,6 +1,6 @@
 """How far disparity or depth is from the truth, in the measures the field uses.
 
-Images compared are of one view; a run's are of the right one unless it was told otherwise.
+Images compared are of one view; a run's are of the right one unless it ran with --reference left.
 """
 
 from __future__ import annotations
@@ -28,6 +28,11 @@ if TYPE_CHECKING:
 #: What the images of a folder may hold.
 KINDS = ("disparity", "depth")
 
+#: Where a run writes them, the most exact ones first.
+_FOLDERS = ("disparity-pfm", "disparity", "depth-pfm", "depth-tiff", "depth")
+
+_SUFFIXES = (".png", ".pfm", ".tiff")
+
 #: How the names of folders that hold them begin; KITTI's is disp_occ_0.
 _NAMED = {"disp": "disparity", "depth": "depth"}
 
@@ -38,8 +43,8 @@ BAD_PX = (0.5, 1.0, 2.0, 3.0)
 #: 0 would otherwise outweigh all others.
 FAR_M = 80.0
 
-#: Units of a 16-bit PNG: 1/256 px as KITTI has it, mm as REP 118 has it.
-_PNG_PER_UNIT = {"disparity": 256, "depth": 1000}
+#: Units per px of a 16-bit PNG, as KITTI has it, and per m, as REP 118 has it.
+_PER_PX, _PER_M = 256, 1000
 
 #: The median comes from a histogram: exact for disparities in 1/256 px, and up to 256 px.
 _BINS_PER_PX, _BINS = 256, 65536
@@ -186,21 +191,23 @@ def tally(pair: FramePair) -> Tally:
 class Maps:
     """The disparity or depth images of a folder, by frame number.
 
-    16-bit PNG: disparity in 1/256 px (KITTI) or depth in mm (REP 118), 0 = unknown. PFM:
-    disparity in px or depth in m; unknown where not positive or not finite.
+    16-bit PNG: disparity in 1/256 px (KITTI) or depth in mm (REP 118), or whatever unit the
+    run.json beside it names, 0 = unknown. PFM and float32 TIFF: disparity in px or depth in m;
+    unknown where not positive or not finite.
 
     A frame's number is the number in its file name or, of several, that which differs most from
     file to file: 7 of 000007_10.png.
 
     Args:
-        folder: what ``run`` or ``simulate`` wrote, with disparity/ (preferred) or depth/ in it;
-            or a folder of images.
+        folder: what ``run`` or ``simulate`` wrote, with folders of disparity (preferred) or depth
+            in it; or a folder of images.
         kind: ``disparity`` or ``depth``; if None, as the folder's name begins (disp, depth).
 
     Attributes:
         kind: ``disparity`` or ``depth``.
         files: the images by frame number, in order.
         rig: what the rig.yaml or run.json beside them says, None if nothing.
+        reference: the camera whose view they are in, ``right`` or ``left``; None if nobody says.
 
     Raises:
         InputError: there is no such folder or no image in it, or its kind or the frame numbers
@@ -208,21 +215,25 @@ class Maps:
     """
 
     def __init__(self, folder: Path, kind: str | None = None) -> None:
-        within = [name for name in KINDS if kind in (None, name) and (folder / name).is_dir()]
+        within = [
+            name for name in _FOLDERS if name.startswith(kind or "") and (folder / name).is_dir()
+        ]
         if within:
-            kind, images, home = within[0], folder / within[0], folder
+            images, home = folder / within[0], folder
+            kind = _kind_by_name(images)
         else:
             named = _kind_by_name(folder)
             images, home = folder, folder.resolve().parent if named else folder
             kind = kind or named
-        self.files = _numbered(images, (".png", ".pfm"))
+        self.files = _numbered(images, _SUFFIXES)
         if kind is None:
             raise InputError(
                 f"{folder}: its name does not tell whether it holds disparity or depth: "
                 "give --out-kind or --truth-kind"
             )
         self.kind = kind
-        self.rig = _rig_in(home)
+        self.rig, self.reference, per_m = _said_in(home)
+        self._png_per_unit = _PER_PX if kind == "disparity" else per_m
 
     def read(self, number: int) -> Real:
         """Return a frame's disparity in px or depth in m, (height, width) float32, NaN = unknown.
@@ -232,12 +243,14 @@ class Maps:
         """
         path = self.files[number]
         image = _read(path)
-        wanted = np.float32 if path.suffix.lower() == ".pfm" else np.uint16
+        wanted = np.uint16 if path.suffix.lower() == ".png" else np.float32
         if image.ndim != 2 or image.dtype != wanted:
-            raise InputError(f"{path} is not a 16-bit grey PNG or a one-channel PFM: convert it")
+            raise InputError(
+                f"{path} is not a 16-bit grey PNG, a one-channel PFM or a float32 TIFF: convert it"
+            )
         values = image.astype(np.float32)
         if wanted is np.uint16:
-            values /= _PNG_PER_UNIT[self.kind]
+            values /= self._png_per_unit
         return np.where((values > 0) & np.isfinite(values), values, np.float32(np.nan))
 
 
@@ -253,6 +266,7 @@ class Comparison:
         numbers: the frames that both sides have, in order.
         only_out, only_truth: the frames that one side alone has.
         has_depth: a rig is known, so that there are errors in m.
+        views: the cameras whose views both sides are in, None where nobody says.
 
     Raises:
         InputError: the sides have no frame in common, a mask is missing, or depth has to be
@@ -266,6 +280,7 @@ class Comparison:
         self._out_rig = rig or out.rig or truth.rig
         self._truth_rig = rig or truth.rig or out.rig
         self.has_depth = self._out_rig is not None
+        self.views = (out.reference, truth.reference)
         if not self.has_depth and "depth" in (out.kind, truth.kind):
             raise InputError("depth becomes disparity by the rig, and none was found: give --rig")
         self.numbers = [number for number in truth.files if number in out.files]
@@ -475,17 +490,25 @@ def _numbered(folder: Path, suffixes: tuple[str, ...]) -> dict[int, Path]:
     return numbered
 
 
-def _rig_in(folder: Path) -> Rig | None:
-    if (folder / "rig.yaml").is_file():
-        return read_rig(folder / "rig.yaml")
-    record = folder / "run.json"
-    if not record.is_file():
-        return None
+def _said_in(folder: Path) -> tuple[Rig | None, str | None, int]:
+    """Return rig, reference camera and units of depth PNG per m, as files in a folder say."""
+    rig = read_rig(folder / "rig.yaml") if (folder / "rig.yaml").is_file() else None
+    path = folder / "run.json"
+    if not path.is_file():
+        return rig, "right" if rig else None, _PER_M  # simulate's truth
     try:
-        rig = json.loads(record.read_bytes())["rig"]
-        return None if rig is None else Rig(**rig)
-    except (OSError, ValueError, LookupError, TypeError) as error:
-        raise InputError(f"{record}: its rig cannot be read: give --rig, or run again") from error
+        record = json.loads(path.read_bytes())
+        if rig is None and record["rig"] is not None:
+            rig = Rig(**record["rig"])
+        per_m = int(record.get("output_settings", {}).get("depth_scale", _PER_M))
+        if not (per_m > 0 and all(map(math.isfinite, (record["rig"] or {}).values()))):
+            raise ValueError
+        return rig, record.get("settings", {}).get("reference"), per_m
+    except (
+        *(OSError, ValueError, LookupError, TypeError, AttributeError),
+        *(OverflowError, RecursionError),
+    ) as error:
+        raise InputError(f"{path}: its rig cannot be read: give --rig, or run again") from error
 
 
 def _read(path: Path) -> NDArray[Any]:

@@ -16,7 +16,7 @@ from motionstereo_cli.types import FrameResult, StereoFrame
 if TYPE_CHECKING:
     from motionstereo_cli.types import Grey, Real
 
-COLUMNS = ("(a) right image", "(b) bands", "(c) right memory", "(d) depth, near = bright")
+COLUMNS = ("(a) {} image", "(b) bands", "(c) {} memory", "(d) depth, near = bright")
 
 _GAP_PX = 4
 _HEAD_PX = 24
@@ -29,8 +29,8 @@ _FARTHEST = 40
 def draw_figure(frames: Iterable[StereoFrame], numbers: Sequence[int], settings: Settings) -> Grey:
     """Return a sheet with one row for each numbered frame, (height, width) uint8.
 
-    The columns are the right image, its bands, the right permanency memory, and depth as
-    brightness, in proportion to disparity, on one scale for the whole sheet.
+    The columns are the reference camera's image (the right one's), its bands and permanency
+    memory, and depth as brightness, in proportion to disparity, on one scale for the whole sheet.
 
     Args:
         frames: the stereo stream from its first frame; read up to the last number.
@@ -51,7 +51,8 @@ def draw_figure(frames: Iterable[StereoFrame], numbers: Sequence[int], settings:
     if last < max(numbers):
         raise InputError(f"there is no frame {max(numbers)}: the recording ends with {last}")
     nearest = max(_nearest(result.disparity_px) for result in shown.values())
-    return _sheet([(str(n), _row(shown[n], settings.bands, nearest)) for n in numbers])
+    titles = [title.format(settings.reference) for title in COLUMNS]
+    return _sheet(titles, [(str(n), _row(shown[n], settings, nearest)) for n in numbers])
 
 
 def _nearest(disparity_px: Real) -> float:
@@ -60,11 +61,11 @@ def _nearest(disparity_px: Real) -> float:
     return max(1.0, float(np.quantile(known, 0.99))) if len(known) else 1.0
 
 
-def _row(result: FrameResult, bands: int, nearest_px: float) -> Grey:
+def _row(result: FrameResult, settings: Settings, nearest_px: float) -> Grey:
     depth = _FARTHEST + (255 - _FARTHEST) * np.minimum(result.disparity_px / nearest_px, 1)
     panels = (
-        result.frame.right,
-        (result.bands.astype(np.uint16) - 1) * 255 // (bands - 1),
+        getattr(result.frame, settings.reference),
+        (result.bands.astype(np.uint16) - 1) * 255 // (settings.bands - 1),
         result.charge,
         np.nan_to_num(depth),
     )
@@ -75,11 +76,11 @@ def _framed(panel: Grey) -> Grey:
     return np.pad(panel, _GAP_PX // 2, constant_values=255)
 
 
-def _sheet(rows: Sequence[tuple[str, Grey]]) -> Grey:
+def _sheet(titles: Sequence[str], rows: Sequence[tuple[str, Grey]]) -> Grey:
     height, width = rows[0][1].shape
     sheet = np.full((_HEAD_PX + len(rows) * height, _SIDE_PX + width), 255, np.uint8)
-    for column, title in enumerate(COLUMNS):
-        _write(sheet, title, _SIDE_PX + column * width // len(COLUMNS) + _GAP_PX, _HEAD_PX - 8)
+    for column, title in enumerate(titles):
+        _write(sheet, title, _SIDE_PX + column * width // len(titles) + _GAP_PX, _HEAD_PX - 8)
     for index, (label, row) in enumerate(rows):
         top = _HEAD_PX + index * height
         sheet[top : top + height, _SIDE_PX:] = row

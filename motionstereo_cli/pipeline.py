@@ -5,13 +5,17 @@ In permanency mode the state before guidance is gone ceil((Chmax - Chmin) / D) f
 
 from __future__ import annotations
 
+import copy
 import math
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from typing import TYPE_CHECKING
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
-from motionstereo_cli.settings import Settings
+from motionstereo_cli.settings import FOREVER, Settings
 from motionstereo_cli.stages.bands import band_table, bands, blur
 from motionstereo_cli.stages.charge import accumulate, age, permanency
 from motionstereo_cli.stages.cleaning import filled, without_speckles
@@ -28,21 +32,57 @@ from motionstereo_cli.stages.guidance import (
     strip_nearness,
     travelled,
 )
-from motionstereo_cli.stages.local_map import CELL_M, CERTAIN, LocalMap, View, moved, profile, seen
+from motionstereo_cli.stages.local_map import (
+    CELL_M,
+    CERTAIN,
+    LocalMap,
+    View,
+    disc,
+    moved,
+    profile,
+    seen,
+)
 from motionstereo_cli.stages.motion import motion
+from motionstereo_cli.stages.objects import (
+    Region,
+    Sighting,
+    Track,
+    follow,
+    movement,
+    regions,
+    trust,
+)
 from motionstereo_cli.stages.regions import match_regions
 from motionstereo_cli.stages.residual import residual
 from motionstereo_cli.stages.trails import match_trails
 from motionstereo_cli.stages.units import units
-from motionstereo_cli.types import FrameResult, Pose, Rig, Steering, StereoFrame
+from motionstereo_cli.types import FrameResult, MovingObject, Pose, Rig, Steering, StereoFrame
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from motionstereo_cli.types import Grey, Real, Units
 
+_T = TypeVar("_T", bound=np.generic)
+
 #: Share of a strip of the image, or of all of it, below which its matches are taken for noise.
 LEAST_KNOWN_SHARE = 0.002
+
+#: A disparity shows where a moving object is now if it moved there at most so many frames ago.
+FRESH_FRAMES = 3
+
+#: A region is an object once it has been seen in so many frames.
+LEAST_SEEN = 3
+
+#: An object is a contact if it would be at the camera within this time, and is to be believed so
+#: far. A robot keeps clear of where the first of them will be after each of these times.
+CONTACT_S, LEAST_TRUST, FORESEEN_S = 3.0, 0.2, (0.5, 1.0)
+#: What stands is in the map already: a contact that matters moves over ground by itself. Beyond
+#: the second speed it is a mistake. It is at most so wide.
+CONTACT_MPS, CONTACT_RADIUS_M = (0.3, 2.5), 0.5
+#: Where the map has had more evidence than this, so near to a contact, it stands all the same: of
+#: a wall that the camera passes, ever new parts are seen, as if it moved along.
+STANDS, STANDS_WITHIN_M = 3.0, 0.25
 
 #: Bearings that a robot tells apart: less than a degree each for most lenses.
 BEARINGS = 80
@@ -53,8 +93,14 @@ def process(
     settings: Settings | None = None,
     rig: Rig | None = None,
     pose_of: Callable[[StereoFrame], Pose] | None = None,
+    *,
+    jobs: int = 1,
+    state: State | None = None,
 ) -> Iterator[FrameResult]:
     """Yield the result of each stereo frame, in order.
+
+    Frames are matched side by side, for that takes most of the time and needs nothing from other
+    frames but what the memories hold. What depends on the frame before is done in order.
 
     Args:
         frames: rectified stereo frames of one size.
@@ -62,38 +108,92 @@ def process(
         rig: the camera, for depth in m and steering angles; without one they are None.
         pose_of: tells where the rig was; asked once a frame, in order. With it and a rig, the
             guidance remembers what it has seen around it.
+        jobs: frames matched at a time; so many frames more are taken before a result is given.
+        state: what is known before the first frame, nothing if None. With each result it becomes
+            what is known after that frame.
     """
     settings = settings or Settings()
-    right, left = Memory(settings), Memory(settings)
-    guide = Guide(settings, rig)
-    for frame in frames:
-        right.see(frame.right)
-        left.see(frame.left)
-        disparity, chance = match(right, left, settings)
+    state = state or State.unknown(settings, rig)
+    for frame, right, left, found in _matched(frames, settings, state, jobs):
+        disparity, chance = found
+        state.right, state.left = right, left
+        shown = right if settings.reference == "right" else left
         pose = None if pose_of is None else pose_of(frame)
+        objects = state.follower.follow(disparity, shown.age_frames <= FRESH_FRAMES, frame, pose)
         yield FrameResult(
             frame=frame,
-            bands=right.bands,
-            motion=right.moved,
-            charge=right.charge,
-            age_frames=right.age_frames,
+            bands=shown.bands,
+            motion=shown.moved,
+            charge=shown.charge,
+            age_frames=shown.age_frames,
             disparity_px=disparity,
             confidence=chance,
             depth_m=None
             if rig is None
             else depth(disparity, rig.focal_px, rig.baseline_m, rig.doffs),
-            steering=guide.steer(disparity, right.moved, pose),
-            charged=float(np.count_nonzero(right.charge > settings.charge_min)) / disparity.size,
+            steering=state.guide.steer(disparity, shown.moved, pose, objects),
+            charged=float(np.count_nonzero(shown.charge > settings.charge_min)) / disparity.size,
             matched=float(np.count_nonzero(~np.isnan(disparity))) / disparity.size,
             pose=pose,
+            objects=objects,
         )
 
 
+@dataclass(slots=True)
+class State:
+    """All that is kept from frame to frame.
+
+    Attributes:
+        right, left: the permanency memories.
+        guide: the heading, and the map it is taken from.
+        follower: the moving objects.
+    """
+
+    right: Memory
+    left: Memory
+    guide: Guide
+    follower: Follower
+
+    @staticmethod
+    def unknown(settings: Settings, rig: Rig | None) -> State:
+        """Return the state before the first frame."""
+        return State(
+            Memory(settings), Memory(settings), Guide(settings, rig), Follower(settings, rig)
+        )
+
+
+def _matched(
+    frames: Iterable[StereoFrame], settings: Settings, state: State, jobs: int
+) -> Iterator[tuple[StereoFrame, Memory, Memory, tuple[Real, Real]]]:
+    """Yield each frame, the right and the left memory after it, and what :func:`match` finds."""
+    right, left = copy.copy(state.right), copy.copy(state.left)
+    with ThreadPoolExecutor(jobs, "match") as threads:
+        waiting: deque[tuple[StereoFrame, Memory, Memory, Future[tuple[Real, Real]]]] = deque()
+        for frame in frames:
+            right.see(frame.right)
+            left.see(frame.left)
+            moment = copy.copy(right), copy.copy(left)
+            waiting.append((frame, *moment, threads.submit(match, *moment, settings)))
+            if len(waiting) >= jobs:
+                first, its_right, its_left, found = waiting.popleft()
+                yield first, its_right, its_left, found.result()
+        for first, its_right, its_left, found in waiting:
+            yield first, its_right, its_left, found.result()
+
+
 def match(right: Memory, left: Memory, settings: Settings) -> tuple[Real, Real]:
-    """Return disparity in px and confidence 0..1 of the right view, NaN = unknown.
+    """Return disparity in px and confidence 0..1 of the reference view, NaN = unknown.
 
     Both are (height, width) float32.
     """
+    if settings.reference == "right":
+        return _match(right, left, settings)
+    # In a mirror the left camera is the right one, and disparities stay what they are.
+    disparity, chance = _match(left.mirrored(), right.mirrored(), settings)
+    return _mirrored(disparity), _mirrored(chance)
+
+
+def _match(right: Memory, left: Memory, settings: Settings) -> tuple[Real, Real]:
     s, wanted = settings, right.units()
     if s.matcher == "regions":
         disparity = match_regions(wanted, left.units(), s.max_disparity)
@@ -108,14 +208,12 @@ def match(right: Memory, left: Memory, settings: Settings) -> tuple[Real, Real]:
             least_votes=s.least_votes,
         )
         differs = residual(disparity, right.grey, left.grey)
-        disparity[differs > s.max_residual] = np.nan
-        disparity = without_speckles(disparity, s.speckle_px)
-        votes[np.isnan(disparity)] = differs[np.isnan(disparity)] = np.nan
-        disparity = filled(disparity, wanted > 0, s.gap_px)
-        chance = confidence(disparity, votes, differs, right.age_frames)
-        disparity[chance < s.min_confidence] = np.nan
-    disparity[right.age_frames > s.max_age] = np.nan
-    chance[np.isnan(disparity)] = np.nan
+        matched = without_speckles(disparity, differs <= s.max_residual, s.speckle_px)
+        disparity = filled(matched, wanted > 0, s.gap_px)
+        chance = confidence(disparity, matched, votes, differs, right.age_frames)
+    if s.min_confidence > 0 or s.max_age < FOREVER:
+        dropped = (chance < s.min_confidence) | (right.age_frames > s.max_age)
+        disparity[dropped] = chance[dropped] = np.nan
     return disparity, chance
 
 
@@ -165,6 +263,125 @@ class Memory:
         by_band = self._settings.match_on == "charge-band"
         return units(self.charge, self._settings.charge_min, self.bands if by_band else None)
 
+    def mirrored(self) -> Memory:
+        """Return what a camera would remember that saw the same in a mirror."""
+        twin = copy.copy(self)
+        twin.grey, twin.bands = _mirrored(self.grey), _mirrored(self.bands)
+        twin.moved, twin.charge = _mirrored(self.moved), _mirrored(self.charge)
+        return twin
+
+
+def _mirrored(image: NDArray[_T]) -> NDArray[_T]:
+    return np.ascontiguousarray(image[:, ::-1])
+
+
+class Follower:
+    """Follows what moves from frame to frame.
+
+    Args:
+        settings: parameters of the processing.
+        rig: the camera, None if unknown; lengths are then 1 / disparity.
+
+    Attributes:
+        tracks: what is followed, in the last frame or lately out of sight.
+        last_id: the number of the last new track.
+        time_s: time of the last frame, its number where the source has no time.
+    """
+
+    def __init__(self, settings: Settings, rig: Rig | None) -> None:
+        self._settings = settings
+        self._rig = rig
+        self.tracks: tuple[Track, ...] = ()
+        self.last_id = 0
+        self.time_s = -math.inf
+
+    def follow(
+        self,
+        disparity_px: Real,
+        fresh: NDArray[np.bool_],
+        frame: StereoFrame,
+        pose: Pose | None = None,
+    ) -> tuple[MovingObject, ...]:
+        """Return the objects of a frame.
+
+        Args:
+            disparity_px: (height, width) float32, NaN = unknown.
+            fresh: where the disparity shows what is there now, (height, width) bool.
+            frame: its number and time.
+            pose: where the rig is; None where nobody knows.
+        """
+        time_s = float(frame.index) if frame.time_s is None else frame.time_s
+        if time_s <= self.time_s:
+            self.tracks = ()  # another recording begins
+        self.time_s = time_s
+        near = disparity_px + np.float32(self._rig.doffs if self._rig else 0)
+        sightings = [
+            self._sighting(region, time_s, pose)
+            for region in regions(near, fresh, LEAST_KNOWN_SHARE)
+        ]
+        self.tracks = follow(self.tracks, sightings, time_s, self.last_id + 1)
+        self.last_id = max([self.last_id, *(track.number for track in self.tracks)])
+        return tuple(
+            self._object(track, pose, timed=frame.time_s is not None)
+            for track in self.tracks
+            if not track.missed and track.seen >= LEAST_SEEN
+        )
+
+    def _sighting(self, region: Region, time_s: float, pose: Pose | None) -> Sighting:
+        if self._rig is None:
+            ahead = 1 / region.nearness_px
+            return Sighting(time_s, region, (ahead, 0.0), (ahead, 0.0))
+        ahead_m = self._rig.focal_px * self._rig.baseline_m / region.nearness_px
+        cx_px = self._rig.cx_of(self._settings.reference)
+        left_m = (cx_px - region.middle_x) / self._rig.focal_px * ahead_m
+        if pose is None:
+            return Sighting(time_s, region, (ahead_m, left_m), (ahead_m, left_m))
+        cos, sin = math.cos(pose.yaw_rad), math.sin(pose.yaw_rad)
+        x_m, y_m = cos * ahead_m - sin * left_m, sin * ahead_m + cos * left_m
+        camera_x_m, camera_y_m = camera_place(self._rig, pose, self._settings.reference)
+        return Sighting(time_s, region, (x_m, y_m), (camera_x_m + x_m, camera_y_m + y_m))
+
+    def _object(self, track: Track, pose: Pose | None, *, timed: bool) -> MovingObject:
+        last, moves = track.sightings[-1], movement(track) if timed else None
+        yaw_rad = 0.0 if pose is None else pose.yaw_rad
+        cos, sin = math.cos(yaw_rad), math.sin(yaw_rad)
+        ahead, closing = cos * last.offset_m[0] + sin * last.offset_m[1], None
+        if moves is not None:
+            closing = -cos * moves.from_camera_mps[0] - sin * moves.from_camera_mps[1]
+        in_world = self._rig is not None and pose is not None
+        return MovingObject(
+            id=track.number,
+            x=last.region.x,
+            y=last.region.y,
+            width=last.region.width,
+            height=last.region.height,
+            depth_m=ahead if self._rig else None,
+            closing_mps=closing if self._rig else None,
+            time_to_contact_s=ahead / closing if closing is not None and closing > 0 else None,
+            confidence=trust(track, moves),
+            place_m=last.place_m if in_world else None,
+            velocity_mps=moves.over_ground_mps if in_world and moves else None,
+        )
+
+
+def nearest_contact(objects: Iterable[MovingObject]) -> MovingObject | None:
+    """Return the object that would be at the camera first; None where none would be soon."""
+    first, first_s = None, CONTACT_S
+    for thing in objects:
+        there_s = thing.time_to_contact_s
+        if there_s is not None and there_s < first_s and thing.confidence >= LEAST_TRUST:
+            first, first_s = thing, there_s
+    return first
+
+
+def camera_place(rig: Rig, pose: Pose, camera: str) -> tuple[float, float]:
+    """Return where the ``left`` or ``right`` camera is in the world, x and y in m."""
+    to_right_m = rig.baseline_m / (2 if camera == "right" else -2)
+    return (
+        pose.x_m + to_right_m * math.sin(pose.yaw_rad),
+        pose.y_m - to_right_m * math.cos(pose.yaw_rad),
+    )
+
 
 class Guide:
     """Steers frame by frame.
@@ -189,7 +406,11 @@ class Guide:
         self.map: LocalMap | None = None
 
     def steer(
-        self, disparity_px: Real, fresh: NDArray[np.bool_], pose: Pose | None = None
+        self,
+        disparity_px: Real,
+        fresh: NDArray[np.bool_],
+        pose: Pose | None = None,
+        objects: Iterable[MovingObject] = (),
     ) -> Steering:
         """Return the heading for a frame.
 
@@ -197,11 +418,12 @@ class Guide:
             disparity_px: (height, width) float32, NaN = unknown.
             fresh: where the disparity is of now and not of earlier frames, (height, width) bool.
             pose: where the rig is; None where nobody knows.
+            objects: what moves; with poses, the first to arrive is kept clear of.
         """
         near = disparity_px + np.float32(self._rig.doffs if self._rig else 0)
         if self._rig is None or pose is None:
             return self._steer_by_image(near)
-        return self._steer_by_map(self._rig, near, fresh, pose)
+        return self._steer_by_map(self._rig, near, fresh, pose, nearest_contact(objects))
 
     def _steer_by_image(self, near: Real) -> Steering:
         s = self._settings
@@ -220,15 +442,22 @@ class Guide:
             nearest_m=self._depth_m(nearest(near, LEAST_KNOWN_SHARE)),
         )
 
-    def _steer_by_map(self, rig: Rig, near: Real, fresh: NDArray[np.bool_], pose: Pose) -> Steering:
+    def _steer_by_map(
+        self,
+        rig: Rig,
+        near: Real,
+        fresh: NDArray[np.bool_],
+        pose: Pose,
+        contact: MovingObject | None,
+    ) -> Steering:
         s, yaw = self._settings, pose.yaw_rad
-        half_m = rig.baseline_m / 2
+        x_m, y_m = camera_place(rig, pose, s.reference)
         view = View(
-            x_m=pose.x_m + half_m * math.sin(yaw),  # the right camera
-            y_m=pose.y_m - half_m * math.cos(yaw),
+            x_m=x_m,
+            y_m=y_m,
             yaw_rad=yaw,
             focal_px=rig.focal_px,
-            cx_px=rig.cx + rig.doffs,
+            cx_px=rig.cx_of(s.reference),
             cy_px=rig.cy,
             focal_baseline=rig.focal_px * rig.baseline_m,
         )
@@ -252,7 +481,7 @@ class Guide:
         course = travelled(course, math.hypot(x_m, y_m), math.atan2(y_m, x_m))
         directions = yaw + DIRECTIONS_RAD
         way_m, possible_m = free_ways(
-            self.map.evidence > CERTAIN,
+            (self.map.evidence > CERTAIN) | self._foreseen(contact, rig, self.map),
             self.map.evidence < -CERTAIN,
             (pose.x_m / CELL_M - self.map.corner[0], pose.y_m / CELL_M - self.map.corner[1]),
             directions,
@@ -271,19 +500,43 @@ class Guide:
             nearest_m=self._depth_m(nearest(near, LEAST_KNOWN_SHARE)),
         )
 
+    def _foreseen(
+        self, contact: MovingObject | None, rig: Rig, known: LocalMap
+    ) -> NDArray[np.bool_]:
+        """Return the cells of the map where a contact will be."""
+        cells = np.zeros(known.evidence.shape, np.bool_)
+        if contact is None or contact.depth_m is None:
+            return cells
+        if contact.place_m is None or contact.velocity_mps is None:
+            return cells
+        m_per_px = contact.depth_m / rig.focal_px
+        up_m = (rig.cy - contact.y - contact.height / 2) * m_per_px
+        in_way = -self._settings.robot_below_m < up_m < self._settings.robot_above_m
+        low_mps, high_mps = CONTACT_MPS
+        if not (in_way and low_mps <= math.hypot(*contact.velocity_mps) <= high_mps):
+            return cells
+        radius_m = min(contact.width * m_per_px / 2, CONTACT_RADIUS_M)
+        (x, y), (vx, vy) = contact.place_m, contact.velocity_mps
+        if not (known.evidence[disc(known, x, y, STANDS_WITHIN_M)] > STANDS).any():
+            for after_s in FORESEEN_S:
+                cells |= disc(known, x + vx * after_s, y + vy * after_s, radius_m)
+        return cells
+
     def _place_of(self, angle_rad: float, width: int) -> float:
         """Return the place across the image of an angle, cut to what the image sees."""
         assert self._rig is not None
         if abs(angle_rad) >= math.pi / 2:
             return 0.0 if angle_rad > 0 else 1.0
-        column = self._rig.cx + self._rig.doffs - self._rig.focal_px * math.tan(angle_rad)
+        cx_px = self._rig.cx_of(self._settings.reference)
+        column = cx_px - self._rig.focal_px * math.tan(angle_rad)
         return min(max((column + 0.5) / width, 0.0), 1.0)
 
     def _angle_rad(self, place: float, width: int) -> float | None:
         if self._rig is None:
             return None
         column = place * width - 0.5  # of pixel centres
-        return math.atan2(self._rig.cx + self._rig.doffs - column, self._rig.focal_px)
+        cx_px = self._rig.cx_of(self._settings.reference)
+        return math.atan2(cx_px - column, self._rig.focal_px)
 
     def _depth_m(self, nearness_px: float | None) -> float | None:
         if self._rig is None or nearness_px is None or not nearness_px > 0:

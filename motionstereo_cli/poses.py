@@ -22,6 +22,9 @@ HEAD = "# time_s x_m y_m z_m qx qy qz qw (x forward, y left, z up)\n"
 #: How far a frame may lie before the first pose or after the last: containers round their times.
 _SLACK_S = 0.02
 
+#: Numbers are smaller than this, so that differences of them stay finite.
+_LARGEST = 1e100
+
 #: How far the length of a quaternion may be from 1: files keep few decimals.
 _LENGTH_ERROR = 0.01
 
@@ -77,7 +80,7 @@ class Trajectory:
         return self.at(frame.time_s)
 
 
-def read_poses(path: Path) -> Trajectory:
+def read_poses(path: str | Path) -> Trajectory:
     """Read a trajectory in the TUM format; empty lines and lines that begin with # are skipped.
 
     Raises:
@@ -85,7 +88,7 @@ def read_poses(path: Path) -> Trajectory:
             pose that comes after the one before.
     """
     try:
-        lines = path.read_text(encoding="utf-8-sig", errors="replace").splitlines()
+        lines = Path(path).read_text(encoding="utf-8-sig", errors="replace").splitlines()
     except OSError as error:
         raise InputError(f"cannot read the poses {path}: {error.strerror}") from error
     rows: list[list[float]] = []
@@ -127,6 +130,6 @@ def _row(line: str) -> list[float] | None:
         row = [float(text) for text in line.split()]
     except ValueError:
         return None
-    if len(row) != 8 or not all(map(math.isfinite, row)):
+    if len(row) != 8 or not all(abs(number) < _LARGEST for number in row):
         return None
     return row if abs(math.hypot(*row[4:]) - 1) <= _LENGTH_ERROR else None

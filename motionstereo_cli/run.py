@@ -23,7 +23,8 @@ from motionstereo_cli.poses import Trajectory
 from motionstereo_cli.settings import Settings
 from motionstereo_cli.sinks import DEFAULT_SAVES, SAVES, Sink, Stream, available
 from motionstereo_cli.sinks.folder import complete, prepare, tidy
-from motionstereo_cli.sinks.steering import SteeringStream
+from motionstereo_cli.sinks.settings import OutputSettings
+from motionstereo_cli.sinks.steering import SteeringFile, SteeringStream
 from motionstereo_cli.sinks.threaded import Threaded
 from motionstereo_cli.sources import StereoSource
 from motionstereo_cli.sources.settings import adapted_rig
@@ -67,12 +68,14 @@ class RunReport:
 
 def run(
     source: StereoSource,
-    out: Path | BinaryIO,
+    out: Path | None,
     settings: Settings,
     rig: Rig | None = None,
     *,
     poses: Trajectory | None = None,
     save: Sequence[str] = DEFAULT_SAVES,
+    table: Path | BinaryIO | None = None,
+    output: OutputSettings | None = None,
     overwrite: bool = False,
     inputs: Iterable[Path] = (),
     progress: Callable[[], object] = lambda: None,
@@ -82,18 +85,21 @@ def run(
 
     ``run.json`` is written last: where it stands, everything beside it is complete. When the
     run is interrupted (KeyboardInterrupt), the images written so far stay, the tables and
-    videos stay up to there under their ``.part`` names, and there is no ``run.json``. After
-    any other error the ``.part`` files are removed as well.
+    videos stay up to there under their ``.part`` names, and there is no ``run.json``; so too
+    when the reader of ``table`` goes. After any other error the ``.part`` files are removed.
 
     Args:
         source: an open source, not yet iterated.
-        out: the output folder, or a binary stream that gets the steering table alone.
+        out: the output folder; None if there is to be nothing but ``table``.
         settings: parameters of the processing.
         rig: the camera, as it is before the source's crop and scale; without one there are no
             lengths and angles, and disparity images take the place of depth images.
         poses: where the rig was, in the times of the source; needs a rig.
-        save: names of the outputs, from :data:`~motionstereo_cli.sinks.SAVES`.
-        overwrite: replace the results of a former run in ``out``.
+        save: names of the outputs in ``out``, from :data:`~motionstereo_cli.sinks.SAVES`.
+        table: where the steering table goes besides: a file, or a binary stream that gets each
+            row at once.
+        output: parameters of the output; the defaults if None.
+        overwrite: replace the results of a former run in ``out``, and a file ``table``.
         inputs: files and folders that must not be written to.
         progress: called after each frame.
         warn: called with each mistake found in the first frames; they are not checked if None.
@@ -101,23 +107,31 @@ def run(
     Raises:
         InputError: the rig is for another size, the source has no frames, or a frame has no pose.
         OutputError: the results cannot be written.
-        BrokenPipeError: whoever read the stream ``out`` has gone.
+        SettingsError: an output needs a rig, or poses.
+        BrokenPipeError: whoever read the stream ``table`` has gone.
     """
     if rig is not None:
         check_size(rig, source)
         rig = adapted_rig(rig, source.settings)
-    if isinstance(out, Path):
-        save = available(save, rig=rig is not None)
-        prepare(out, save, overwrite=overwrite, inputs=inputs)
-    else:
-        save = ()
+    stream = Stream(
+        source.time_base or DEFAULT_TIME_BASE, settings, rig, output or OutputSettings()
+    )
+    save = _prepared(
+        out,
+        save,
+        table,
+        stream,
+        poses=poses is not None,
+        overwrite=overwrite,
+        inputs=list(inputs),
+    )
 
     totals = _Totals()
     sinks: list[Sink] = []
     interrupted = False
     started_s = time.perf_counter()
     try:
-        for sink in _opened(out, save, source, settings, rig):
+        for sink in _opened(out, save, stream, table):
             sinks.append(sink)  # one by one: should the next fail, this one is abandoned
         pose_of = None if poses is None else poses.of
         for result in process(_checked(source, settings, rig, warn), settings, rig, pose_of):
@@ -132,9 +146,9 @@ def run(
     except KeyboardInterrupt:
         interrupted = True
         _abandon(sinks, keep=totals.frames > 0)
-    except BaseException:
-        _abandon(sinks, keep=False)
-        if isinstance(out, Path):
+    except BaseException as error:
+        _abandon(sinks, keep=isinstance(error, BrokenPipeError) and totals.frames > 0)
+        if out is not None:
             tidy(out)
         raise
 
@@ -143,12 +157,12 @@ def run(
         charged=totals.charged / max(totals.frames, 1),
         matched=totals.matched / max(totals.frames, 1),
         wall_s=time.perf_counter() - started_s,
-        outputs=tuple(SAVES[name].shown for name in save),
+        outputs=tuple(shown for name in save for shown in (SAVES[name].shown, *SAVES[name].beside)),
         damage=tuple(source.damage),
         interrupted=interrupted,
     )
-    if isinstance(out, Path) and not interrupted:
-        complete(out, save, _record(source, settings, rig, report))
+    if out is not None and not interrupted:
+        complete(out, save, _record(source, stream, report))
     return report
 
 
@@ -177,19 +191,52 @@ def check_size(rig: Rig, source: StereoSource) -> None:
         )
 
 
-def _opened(
-    out: Path | BinaryIO,
+def _prepared(
+    out: Path | None,
     save: Sequence[str],
-    source: StereoSource,
-    settings: Settings,
-    rig: Rig | None,
+    table: Path | BinaryIO | None,
+    stream: Stream,
+    *,
+    poses: bool,
+    overwrite: bool,
+    inputs: Sequence[Path],
+) -> tuple[str, ...]:
+    """Make ``out`` ready and return the names of the outputs in it."""
+    if isinstance(table, Path):
+        _check_free(table, out, overwrite=overwrite, inputs=inputs)
+    if out is None:
+        return ()
+    save = available(
+        save,
+        rig=stream.rig is not None,
+        poses=poses,
+        steering_format=stream.output.steering_format,
+    )
+    prepare(out, save, overwrite=overwrite, inputs=inputs)
+    return save
+
+
+def _check_free(table: Path, out: Path | None, *, overwrite: bool, inputs: Sequence[Path]) -> None:
+    """Make sure that a table is written over nothing that matters."""
+    place = table.resolve()
+    if place in {path.resolve() for path in inputs}:
+        raise OutputError(f"{table} is an input of this run: give the table another name")
+    if out is not None and place.is_relative_to(out.resolve()):
+        raise OutputError(f"{table} is in the output folder: --save steering puts a table there")
+    if table.exists() and not overwrite:
+        raise OutputError(f"{table} is there already: give another name, or --overwrite")
+
+
+def _opened(
+    out: Path | None, save: Sequence[str], stream: Stream, table: Path | BinaryIO | None
 ) -> Iterator[Sink]:
-    if not isinstance(out, Path):
-        yield SteeringStream(out, "the steering table")
-        return
-    stream = Stream(source.time_base or DEFAULT_TIME_BASE, settings.max_disparity, rig)
-    for name in save:
-        yield Threaded(SAVES[name].open(out, stream))
+    if isinstance(table, Path):
+        yield SteeringFile(table, stream.output.steering_format)
+    elif table is not None:
+        yield SteeringStream(table, "the steering table", stream.output.steering_format)
+    if out is not None:
+        for name in save:
+            yield Threaded(SAVES[name].open(out, stream))
 
 
 @dataclasses.dataclass(slots=True)
@@ -210,9 +257,7 @@ def _abandon(sinks: Iterable[Sink], *, keep: bool) -> None:
             sink.abandon(keep=keep)
 
 
-def _record(
-    source: StereoSource, settings: Settings, rig: Rig | None, report: RunReport
-) -> dict[str, Any]:
+def _record(source: StereoSource, stream: Stream, report: RunReport) -> dict[str, Any]:
     """Return what ``run.json`` says besides the outputs; all but ``timing`` is repeatable."""
     return {
         "versions": {
@@ -222,10 +267,11 @@ def _record(
             "cv2": cv2.__version__,
             "av": av.__version__,
         },
-        "settings": dataclasses.asdict(settings),
+        "settings": dataclasses.asdict(stream.settings),
         "input_settings": dataclasses.asdict(source.settings),
+        "output_settings": dataclasses.asdict(stream.output),
         "inputs": source.describe(),
-        "rig": None if rig is None else dataclasses.asdict(rig),
+        "rig": None if stream.rig is None else dataclasses.asdict(stream.rig),
         "time_base": None if source.time_base is None else str(source.time_base),
         "grey": GREY,
         "counts": {"written": report.frames, **source.counts},

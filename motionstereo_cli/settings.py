@@ -73,7 +73,7 @@ class Param:
         if self.choices and parsed not in self.choices:
             raise self._error(value, f"choose {self.range}")
         if self.kind in (int, float) and not (
-            math.isfinite(parsed)
+            (self.kind is int or math.isfinite(parsed))
             and (self.low is None or parsed >= self.low)
             and (self.high is None or parsed <= self.high)
         ):
@@ -113,6 +113,10 @@ def checked(settings: Any) -> None:
     """
     for item in params(type(settings)):
         object.__setattr__(settings, item.name, item.parse(getattr(settings, item.name)))
+
+
+#: The largest age in frames that can be told apart.
+FOREVER = 254
 
 
 @dataclass(frozen=True, slots=True)
@@ -169,6 +173,12 @@ class Settings:
         low=1,
         high=2048,
     )
+    reference: str = param(
+        "right",
+        "Camera whose view all results are in: right, as in the paper; left, as KITTI, Middlebury "
+        "and ROS have it.",
+        choices=("right", "left"),
+    )
 
     # Disparity by trails.
     vote_rows: int = param(
@@ -211,12 +221,12 @@ class Settings:
     )
     # Which of the disparities to give.
     max_age: int = param(
-        254,
+        FOREVER,
         "Oldest motion that still gives a disparity (0 = of this frame alone; "
         "permanency mode alone).",
         unit="frames",
         low=0,
-        high=254,
+        high=FOREVER,
     )
     min_confidence: float = param(
         0.0,
@@ -264,7 +274,7 @@ class Settings:
             raise SettingsError(
                 f"--charge-min {self.charge_min} is not below --charge-max {self.charge_max}"
             )
-        if self.max_age < 254 and self.charge_mode == "general":
+        if self.max_age < FOREVER and self.charge_mode == "general":
             raise SettingsError("--max-age needs --charge-mode permanency: else age is not known")
         if self.min_confidence > 0 and self.matcher == "regions":
             raise SettingsError("--min-confidence needs --matcher trails")
@@ -297,4 +307,49 @@ PRESETS: dict[str, dict[str, Any]] = {
         "match_on": "charge",
         "max_residual": 255.0,
     },
+}
+
+
+@dataclass(frozen=True, slots=True)
+class CompareSettings:
+    """How far images may differ.
+
+    Raises:
+        SettingsError: a value is out of range.
+    """
+
+    tolerance_px: float = param(
+        0.25, "How far a disparity may be from the golden one.", unit="px", low=0, high=2048
+    )
+    tolerance_mm: float = param(
+        100.0, "How far a depth may be from the golden one.", unit="mm", low=0, high=65535
+    )
+    max_differing: float = param(
+        0.01,
+        "Share of an image's pixels that may differ by more, or be known in one image alone.",
+        low=0,
+        high=1,
+    )
+
+    def __post_init__(self) -> None:
+        checked(self)
+
+
+#: How far a number of a table may be from the golden one, by its column. Encoders, decoders and
+#: SIMD differ in the last digits. A column that is not here has to be the same text.
+COLUMN_TOLERANCE = {
+    "time_s": 1e-6,
+    "steer": 0.02,
+    "steer_rad": 0.012,
+    "depth_m": 0.3,
+    "nearest_m": 0.1,
+    "charged": 0.003,
+    "matched": 0.005,
+    "x": 2.0,
+    "y": 2.0,
+    "width": 2.0,
+    "height": 2.0,
+    "closing_mps": 0.2,
+    "time_to_contact_s": 0.5,
+    "confidence": 0.1,
 }

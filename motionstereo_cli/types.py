@@ -36,6 +36,10 @@ class Rig:
     cy: float
     doffs: float = 0.0
 
+    def cx_of(self, camera: str) -> float:
+        """Return the x of the principal point of the ``left`` or ``right`` camera in px."""
+        return self.cx + self.doffs if camera == "right" else self.cx
+
 
 @dataclass(frozen=True, slots=True)
 class Pose:
@@ -106,8 +110,40 @@ class Steering:
 
 
 @dataclass(frozen=True, slots=True)
+class MovingObject:
+    """Something that moves, or that a moving camera passes, followed from frame to frame.
+
+    Attributes:
+        id: its number as long as it is followed, from 1.
+        x, y, width, height: its box in px of the reference camera's view, upper left corner first.
+        depth_m: median depth; None without a rig.
+        closing_mps: how fast its depth shrinks in m/s, positive = it comes closer; with poses, a
+            turn of the camera does not count. None without a rig, where the source has no time,
+            and as long as it is unknown.
+        time_to_contact_s: depth_m / closing_mps, which needs no rig; None where the source has no
+            time, where it does not come closer, and as long as it is unknown.
+        confidence: how far to believe in it, 0..1.
+        place_m: where it is in the world, x and y in m; None without a rig and poses.
+        velocity_mps: how fast it moves over ground, x and y in m/s; None likewise, where the
+            source has no time, and as long as it is unknown.
+    """
+
+    id: int
+    x: int
+    y: int
+    width: int
+    height: int
+    depth_m: float | None
+    closing_mps: float | None
+    time_to_contact_s: float | None
+    confidence: float
+    place_m: tuple[float, float] | None = None
+    velocity_mps: tuple[float, float] | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class FrameResult:
-    """All that the processing found out about one stereo frame, in the right camera's view.
+    """All that the processing found out about one stereo frame, in the reference camera's view.
 
     Attributes:
         frame: the input.
@@ -123,6 +159,7 @@ class FrameResult:
         steering: heading for this frame.
         charged, matched: shares of the image, 0..1, that carry charge and have a disparity.
         pose: where the rig was; None where nobody said.
+        objects: what moves, as far as it has been followed for a few frames.
     """
 
     frame: StereoFrame
@@ -137,3 +174,4 @@ class FrameResult:
     charged: float
     matched: float
     pose: Pose | None = None
+    objects: tuple[MovingObject, ...] = ()

@@ -10,6 +10,9 @@ def pytest_addoption(parser):
     parser.addoption(
         "--trials", type=int, default=2, help="simulated recordings that check is tried on"
     )
+    parser.addoption(
+        "--fuzz-seconds", type=float, default=0, help="try each reader for so long, at least once"
+    )
 
 
 def pytest_generate_tests(metafunc):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 import json
 import os
 import pty
@@ -24,10 +25,15 @@ from motionstereo_cli.__main__ import main
 from motionstereo_cli.commands import cli
 from motionstereo_cli.commands.options import settings_options
 from motionstereo_cli.errors import OutputError
+from motionstereo_cli.run import run as run_library
 from motionstereo_cli.settings import Settings, param, params
+from motionstereo_cli.sinks import SAVES
 from motionstereo_cli.sinks.video import VideoWriter
+from motionstereo_cli.sources import open_stereo
 
 COMMAND = [sys.executable, "-m", "motionstereo_cli"]
+#: Outputs that need poses as well.
+NEED_MORE = {"map"}
 FRAMES, WIDTH, HEIGHT, DISPARITY = 12, 96, 64, 6
 RIG = "width: 96\nheight: 64\nfocal_px: 80\nbaseline_m: 0.1\ncx: 47.5\ncy: 31.5\n"
 
@@ -111,7 +117,7 @@ def test_run_writes_what_the_contract_says(run_args, rig, recording):
 
 def test_without_a_rig_disparity_takes_the_place_of_depth(run_args, capsys):
     assert main(run_args) == 0
-    assert "disparity/ takes the place of depth/" in capsys.readouterr().err
+    assert "disparity takes the place of depth" in capsys.readouterr().err
     assert images("disparity") <= names(Path("motionstereo_out"))
     assert not Path("motionstereo_out/depth").exists()
     assert json.loads(Path("motionstereo_out/run.json").read_text())["rig"] is None
@@ -129,6 +135,48 @@ def test_the_table_on_stdout_is_the_same_and_nothing_is_written(run_args, rig):
     assert not list(Path().iterdir())
     assert main([*run_args, *rig, "--save", "steering"]) == 0
     assert done.stdout == Path("motionstereo_out/steering.csv").read_text()
+
+
+@pytest.mark.parametrize("table_format", ["csv", "jsonl"])
+def test_the_table_streams_beside_the_files(run_args, rig, table_format):
+    options = ["--csv", "-", "--steering-format", table_format, "--save", "steering,depth"]
+    done = called(*run_args, *rig, *options, "-o", "out")
+    assert done.returncode == 0
+    table = f"steering.{table_format}"
+    assert names(Path("out")) == {table, "run.json"} | images("depth")
+    assert done.stdout == Path("out", table).read_text()
+    assert done.stdout.count("\n") == FRAMES + (table_format == "csv")
+    alone = called(*run_args, *rig, "-o", "-", "--steering-format", table_format)
+    assert alone.stdout == done.stdout
+
+
+def test_the_table_goes_to_a_file_of_any_name(run_args, rig, recording, capsys):
+    args = [*run_args, *rig, "--save", "steering", "--csv", "mine.csv"]
+    assert main(args) == 0
+    text = Path("mine.csv").read_text()
+    assert text == Path("motionstereo_out/steering.csv").read_text()
+    for taken, said in (
+        ("mine.csv", "mine.csv is there already"),
+        (str(recording / "left.mp4"), "is an input of this run"),
+        ("motionstereo_out/steering.csv", "is in the output folder"),
+    ):
+        assert main([*args[:-1], taken, "-o", "motionstereo_out"]) == 1
+        assert said in capsys.readouterr().err
+    assert Path("mine.csv").read_text() == text
+    assert main([*args, "--overwrite"]) == 0
+
+
+def test_every_output_can_be_had_at_once(run_args, rig):
+    """But for those that need more than a rig."""
+    wanted = [name for name in SAVES if name not in NEED_MORE]
+    assert main([*run_args, *rig, "--save", ",".join(wanted)]) == 0
+    out = Path("motionstereo_out")
+    for name in wanted:
+        paths = [out / SAVES[name].path.format(index) for index in range(FRAMES)]
+        assert all(path.is_file() for path in paths), name
+    assert not list(out.rglob("*.png.part"))
+    outputs = json.loads((out / "run.json").read_text())["outputs"]
+    assert list(outputs) == wanted
 
 
 def test_the_same_run_gives_the_same_bytes_but_for_the_timing(run_args, rig):
@@ -194,14 +242,36 @@ def test_an_interrupted_run_keeps_what_is_complete(run_args, rig, name):
     assert names(Path("out")) == {"steering.csv", "run.json"}
 
 
-def test_a_closed_pipe_ends_quietly(run_args):
+@pytest.mark.parametrize("option", ["--out", "--csv"])
+def test_a_closed_pipe_ends_quietly(run_args, rig, option):
     reader, writer = os.pipe()
     os.close(reader)
     with os.fdopen(writer, "wb") as pipe:
         done = subprocess.run(
-            [*COMMAND, *run_args, "-o", "-"], stdout=pipe, stderr=subprocess.PIPE, check=False
+            [*COMMAND, *run_args, *rig, option, "-"],
+            stdout=pipe,
+            stderr=subprocess.PIPE,
+            check=False,
         )
     assert (done.returncode, done.stderr) == (0, b"")
+    assert not names(Path())
+
+
+class Head(io.BytesIO):
+    """A pipe whose reader goes after five lines, as head -5 does."""
+
+    def write(self, line: bytes, /) -> int:
+        if self.getvalue().count(b"\n") == 5:
+            raise BrokenPipeError
+        return super().write(line)
+
+
+def test_a_reader_that_has_seen_enough_leaves_what_is_complete(run_args, recording):
+    with open_stereo(*run_args[1:]) as source, pytest.raises(BrokenPipeError):
+        run_library(source, Path("out"), Settings(), table=Head())
+    assert {"run.json.part", "steering.csv.part", "charge.mp4.part"} <= names(Path("out"))
+    assert images("disparity", 4) <= names(Path("out"))
+    assert "run.json" not in names(Path("out"))
 
 
 def test_a_full_disk_behind_stdout_is_one_line(run_args):
@@ -240,8 +310,15 @@ def test_an_output_that_fails_midway_leaves_no_part(run_args, monkeypatch, capsy
         (["--matcher", "sgbm"], "choose trails | regions"),
         (["--preset", "paper2"], "paper2"),
         (["--save", "steering,dept"], "--save knows no 'dept' (did you mean 'depth'?)"),
-        (["--save", ""], "choose from steering, depth"),
+        (["--save", ""], "choose from steering, "),
         (["--save", "charge", "-o", "-"], "-o - writes the steering table alone"),
+        (["--save", "depth-mkv"], "--save depth-mkv needs --rig"),
+        (["--csv", "-", "-o", "-"], "-o - writes the steering table alone"),
+        (["--near-m", "2"], "--near-m and --far-m need --rig"),
+        (["--near-m", "2", "--far-m", "1"], "--near-m 2 is not below --far-m 1"),
+        (["--depth-scale", "0"], "--depth-scale cannot be '0'"),
+        (["--colours", "rainbow"], "choose turbo | viridis"),
+        (["--reference", "middle"], "choose right | left"),
         (["--speed", "9"], "--speed"),
         (["--config", "none.toml"], "none.toml"),
     ],
@@ -335,10 +412,11 @@ def test_the_command_line_wins_over_the_file_and_the_file_over_the_preset(run_ar
 def test_the_file_may_hold_every_kind_of_option(run_args, recording):
     Path("my.toml").write_text(
         f'out = "here"\nsave = ["charge", "depth"]\nrig = "{recording / "rig.yaml"}"\n'
-        "overwrite = true\nblur-px = 2"
+        'overwrite = true\nblur-px = 2\ncsv = "table.csv"\nnear-m = 1.0'
     )
     assert main([*run_args, "--config", "my.toml"]) == 0
     assert names(Path("here")) == {"charge.mp4", "run.json"} | images("depth")
+    assert Path("table.csv").read_text().count("\n") == 1 + FRAMES
     Path("my.toml").write_text('out = "here"\nsave = "steering"\noverwrite = true')
     assert main([*run_args, "--config", "my.toml"]) == 0
     assert names(Path("here")) == {"steering.csv", "run.json"}

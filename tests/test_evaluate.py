@@ -1,6 +1,7 @@
 """The evaluation: measures worked out by hand, formats, and the command from outside."""
 
 import csv
+import dataclasses
 import io
 import json
 import math
@@ -25,6 +26,13 @@ from motionstereo_cli.evaluate import (
     tally,
 )
 from motionstereo_cli.rig import write_rig
+from motionstereo_cli.sinks.images import (
+    depth_png,
+    disparity_png,
+    encode_pfm,
+    encode_png,
+    encode_tiff,
+)
 from motionstereo_cli.types import Rig
 
 NAN = math.nan
@@ -241,7 +249,7 @@ def spoiled(tmp_path, spoil):
 @pytest.mark.parametrize(
     ("spoil", "message"),
     [
-        (lambda t: (t / "out/disparity/000000.png").unlink(), "has no .png or .pfm files"),
+        (lambda t: (t / "out/disparity/000000.png").unlink(), "has no .png or .pfm or .tiff files"),
         (lambda t: (t / "out/disparity/000000.png").rename(t / "out/disparity/a.png"), "number"),
         (lambda t: (t / "out/disparity/000000.png").rename(t / "out/disparity/7.png"), "no frame"),
         (lambda t: (t / "out/disparity/000000.png").write_bytes(b"text"), "cannot be read"),
@@ -279,6 +287,34 @@ def test_a_missing_or_misshapen_mask_is_refused(sides, tmp_path):
         evaluate(Comparison(out, truth, mask=tmp_path / "mask"))
 
 
+DEPTH_M = np.float32([[1.25, 2.5, NAN, 5], [3, 4, 5, 6]])
+DISPARITY_PX = 100 * 0.2 / DEPTH_M - 2
+
+
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [
+        ("depth/000000.png", encode_png(depth_png(DEPTH_M, 5000))),
+        ("depth-pfm/000000.pfm", encode_pfm(DEPTH_M)),
+        ("depth-tiff/000000.tiff", encode_tiff(DEPTH_M)),
+        ("disparity/000000.png", encode_png(disparity_png(DISPARITY_PX))),
+        ("disparity-pfm/000000.pfm", encode_pfm(DISPARITY_PX)),
+    ],
+)
+def test_every_format_of_a_run_is_read_by_itself(tmp_path, name, content):
+    rig = dataclasses.replace(RIG, doffs=2)
+    record = {"rig": dataclasses.asdict(rig), "output_settings": {"depth_scale": 5000}}
+    (tmp_path / name).parent.mkdir()
+    (tmp_path / name).write_bytes(content)
+    (tmp_path / "run.json").write_text(json.dumps(record))
+    disparity(tmp_path / "truth", DISPARITY_PX)
+    truth = Maps(tmp_path / "truth", "disparity")
+    overall = evaluate(Comparison(Maps(tmp_path), truth)).overall
+    assert overall.coverage == 1
+    assert overall.rms_px < 1 / 256
+    assert overall.rmse_m < 0.01
+
+
 # The command from outside.
 
 
@@ -303,6 +339,16 @@ def test_the_command_prints_a_table_and_writes_what_is_asked_for(sides, tmp_path
     assert cv2.imread(str(tmp_path / "e.png")).shape[0] > 2
 
 
+def test_two_views_are_warned_of(sides, tmp_path):
+    """A run in the left view, beside what simulate wrote."""
+    record = {"rig": None, "settings": {"reference": "left"}}
+    (sides[0] / "run.json").write_text(json.dumps(record))
+    assert "warning" not in called(*sides, cwd=tmp_path).stderr
+    write_rig(sides[1] / "rig.yaml", RIG)
+    done = called(*sides, cwd=tmp_path)
+    assert "warning: OUT is in the left view, but TRUTH in the right one\n" in done.stderr
+
+
 def test_dash_puts_csv_on_standard_output_alone(sides, tmp_path):
     disparity(sides[0] / "disparity", np.ones((2, 4), np.float32), first=9)
     done = called(*sides, "--csv", "-", cwd=tmp_path)
@@ -315,7 +361,7 @@ def test_dash_puts_csv_on_standard_output_alone(sides, tmp_path):
     ("args", "code", "message"),
     [
         (["--csv", "-", "--json", "-"], 2, "cannot both have standard output"),
-        (["--truth-kind", "depth"], 1, "has no .png or .pfm files"),
+        (["--truth-kind", "depth"], 1, "has no .png or .pfm or .tiff files"),
         (["--picture", "5"], 1, "frame 5 is not on both sides"),
         (["--csv", "missing/s.csv"], 1, "cannot write missing/s.csv"),
         (["--rig", "missing.yaml"], 1, "cannot read the rig missing.yaml"),

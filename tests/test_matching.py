@@ -18,19 +18,20 @@ def units(*rows):
     return np.array(rows, np.uint16)
 
 
+def listed(trails):
+    """All (row, start, stop, unit) of trails."""
+    row = np.repeat(np.arange(len(trails.first) - 1), np.diff(trails.first))
+    return list(zip(row.tolist(), *(each.tolist() for each in trails[1:]), strict=True))
+
+
 class TestTrails:
     def test_a_trail_is_a_maximal_run_of_one_unit(self):
         found = find_trails(units([0, 5, 5, 7, 0, 7], [7, 7, 7, 7, 7, 7]))
-        assert found.row.tolist() == [0, 0, 0, 1]
-        assert found.start.tolist() == [1, 3, 5, 0]
-        assert found.stop.tolist() == [3, 4, 6, 6]
-        assert found.unit.tolist() == [5, 7, 7, 7]
+        assert listed(found) == [(0, 1, 3, 5), (0, 3, 4, 7), (0, 5, 6, 7), (1, 0, 6, 7)]
 
     @given(rows)
     def test_trails_are_the_oracles(self, image):
-        found = find_trails(image)
-        quadruples = zip(found.row, found.start, found.stop, found.unit, strict=True)
-        assert [tuple(map(int, q)) for q in quadruples] == oracles.trails_of(image)
+        assert listed(find_trails(image)) == oracles.trails_of(image)
 
     def test_a_slanted_trail_runs_from_one_disparity_to_another(self):
         right = units([0, 0, 9, 9, 9, 9, 0, 0, 0, 0, 0, 0])
@@ -77,9 +78,12 @@ class TestTrails:
         disparity = np.full((20, 20), np.nan, np.float32)
         disparity[2:12, 2:12] = 7.25
         disparity[15, 15] = 7.25
-        kept = without_speckles(disparity, 50)
+        everywhere = np.ones(disparity.shape, bool)
+        kept = without_speckles(disparity, everywhere, 50)
         assert np.isnan(kept[15, 15])
         assert (kept[2:12, 2:12] == 7.25).all()
+        everywhere[2:12, 6:8] = False  # two patches of 40 pixels
+        assert np.isnan(without_speckles(disparity, everywhere, 50)).all()
 
     def test_short_gaps_between_like_disparities_are_filled(self):
         nan = np.nan

@@ -10,21 +10,10 @@ import cv2
 import numpy as np
 import pytest
 
+from motionstereo_cli.compare import compare, format_table
+
 SAMPLE = Path(__file__).parent.parent / "sample_data"
 COMMAND = Path(sys.executable).with_name("motionstereo")
-
-#: How far a number may be from the expected one: encoders and SIMD differ in the last digits.
-TOLERANCE = {
-    "frame": 0,
-    "pts": 0,
-    "time_s": 1e-6,
-    "steer": 0.02,
-    "steer_rad": 0.012,
-    "depth_m": 0.3,
-    "nearest_m": 0.1,
-    "charged": 0.003,
-    "matched": 0.005,
-}
 
 
 def motionstereo(*arguments):
@@ -37,7 +26,8 @@ def motionstereo(*arguments):
 def out(tmp_path_factory):
     out = tmp_path_factory.mktemp("sample") / "out"
     done = motionstereo(
-        "run", SAMPLE / "left.mp4", SAMPLE / "right.mp4", "--rig", SAMPLE / "rig.yaml", "-o", out
+        *("run", SAMPLE / "left.mp4", SAMPLE / "right.mp4", "--rig", SAMPLE / "rig.yaml"),
+        *("--save", "steering,depth,disparity,charge,depth-video", "-o", out),
     )
     assert done.returncode == 0, done.stderr
     assert done.stdout == ""
@@ -51,20 +41,11 @@ def rows(path):
         return list(csv.DictReader(file))
 
 
-def test_the_steering_is_the_expected_one(out):
-    found, wanted = rows(out / "steering.csv"), rows(SAMPLE / "steering.csv")
-    assert len(found) == len(wanted) == 100
-    for mine, theirs in zip(found, wanted, strict=True):
-        assert mine.keys() == theirs.keys()
-        assert mine["status"] == theirs["status"]
-        for column, tolerance in TOLERANCE.items():
-            if theirs[column] == "":
-                assert mine[column] == "", column
-            else:
-                assert float(mine[column]) == pytest.approx(float(theirs[column]), abs=tolerance), (
-                    mine["frame"],
-                    column,
-                )
+def test_the_results_are_the_expected_ones(out):
+    report = compare(out, SAMPLE / "golden")
+    compared = {output.name: output.compared for output in report.outputs}
+    assert format_table(report).startswith("no difference")
+    assert (compared["steering.csv"], compared["depth/"], compared["disparity/"]) == (100, 3, 2)
 
 
 def test_steers_left_into_the_turn_and_straight_after_it(out):

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import csv
+import dataclasses
 import json
+import math
 import subprocess
 import sys
 from fractions import Fraction
@@ -10,30 +13,29 @@ from pathlib import Path
 
 import av
 import cv2
+import imageio.v3 as iio
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from motionstereo_cli.errors import OutputError
+from motionstereo_cli.errors import OutputError, SettingsError
+from motionstereo_cli.settings import Settings, params
 from motionstereo_cli.sinks import DEFAULT_SAVES, SAVES, Stream, available
 from motionstereo_cli.sinks.files import part_of, reported, write_whole
 from motionstereo_cli.sinks.folder import complete, prepare, tidy
-from motionstereo_cli.sinks.images import (
-    depth_images,
-    depth_png,
-    disparity_images,
-    disparity_png,
-)
-from motionstereo_cli.sinks.previews import charge_video, depth_colours, depth_video
+from motionstereo_cli.sinks.images import depth_png, disparity_png, encode_pfm
+from motionstereo_cli.sinks.previews import depth_colours
+from motionstereo_cli.sinks.settings import OutputSettings
 from motionstereo_cli.sinks.steering import SteeringFile, SteeringStream
 from motionstereo_cli.sinks.threaded import Threaded
-from motionstereo_cli.types import FrameResult, Steering, StereoFrame
+from motionstereo_cli.types import FrameResult, Rig, Steering, StereoFrame
 
 BLIND = Steering("blind", None, None, None, None)
 NAN = float("nan")
-STREAM = Stream(Fraction(1, 25), 64, None)
+STREAM = Stream(Fraction(1, 25), Settings(), None)
+RIG = Rig(width=6, height=4, focal_px=100, baseline_m=0.1, cx=2.5, cy=1.5)
 
 
 def frame_result(
@@ -42,6 +44,8 @@ def frame_result(
     pts: int | None = None,
     time_s: float | None = None,
     steering: Steering = BLIND,
+    bands: np.ndarray | None = None,
+    motion: np.ndarray | None = None,
     charge: np.ndarray | None = None,
     disparity_px: np.ndarray | None = None,
     age_frames: np.ndarray | None = None,
@@ -53,8 +57,8 @@ def frame_result(
     grey = np.zeros((4, 6), np.uint8)
     return FrameResult(
         frame=StereoFrame(index, index if pts is None else pts, time_s, grey, grey),
-        bands=grey,
-        motion=grey > 0,
+        bands=grey if bands is None else bands,
+        motion=grey > 0 if motion is None else motion,
         charge=grey if charge is None else charge,
         age_frames=grey + 255 if age_frames is None else age_frames,
         confidence=np.full((4, 6), NAN, np.float32) if confidence is None else confidence,
@@ -64,6 +68,17 @@ def frame_result(
         charged=charged,
         matched=matched,
     )
+
+
+def saved(
+    out: Path, name: str, *results: FrameResult, stream: Stream = STREAM, index: int = 0
+) -> Path:
+    """Write results as an output of a run; return the file, of numbered ones that of a frame."""
+    sink = SAVES[name].open(out, stream)
+    for result in results:
+        sink.write(result)
+    sink.close()
+    return out / SAVES[name].path.format(index)
 
 
 def decoded(path: Path) -> list[tuple[float, np.ndarray]]:
@@ -79,14 +94,10 @@ def test_age_and_confidence_are_read_back(tmp_path):
     age = np.array([[0, 15, 255]], np.uint8)
     chance = np.array([[1.0, 0.5, NAN, 0.0]], np.float32)
     result = frame_result(7, age_frames=age, confidence=chance)
-    for name in ("age", "confidence"):
-        sink = SAVES[name].open(tmp_path, STREAM)
-        sink.write(result)
-        sink.close()
-    found = cv2.imread(str(tmp_path / "age" / "000007.png"), cv2.IMREAD_UNCHANGED)
+    found = cv2.imread(str(saved(tmp_path, "age", result, index=7)), cv2.IMREAD_UNCHANGED)
     assert found.dtype == np.uint8
     assert found.tolist() == age.tolist()
-    found = cv2.imread(str(tmp_path / "confidence" / "000007.png"), cv2.IMREAD_UNCHANGED)
+    found = cv2.imread(str(saved(tmp_path, "confidence", result, index=7)), cv2.IMREAD_UNCHANGED)
     assert found.tolist() == [[255, 128, 0, 1]]
 
 
@@ -106,6 +117,25 @@ def test_the_steering_table_to_the_letter(tmp_path):
         b"0,0,,blind,,,,,0.0000,0.0000\n"
         b"1,512,0.033333,held,0.0000,0.1235,2.718,0.001,0.3333,1.0000\n"
         b"2,-7,-0.250000,ok,1.0000,,,,0.0000,0.0000\n"
+    )
+
+
+def test_json_lines_hold_the_same_numbers_and_null_where_unknown(tmp_path):
+    held = Steering("held", -0.00001, 0.12345, 2.71849, 0.0006)
+    results = frame_result(0), frame_result(1, pts=512, time_s=1 / 30, steering=held, charged=1 / 3)
+    lines = saved(tmp_path, "steering-jsonl", *results).read_text().splitlines()
+    with saved(tmp_path, "steering", *results).open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert len(lines) == 2
+    for line, row in zip(map(json.loads, lines), rows, strict=True):
+        assert line.keys() == row.keys()
+        for name, cell in row.items():
+            known = cell if name == "status" else float(cell or "nan")
+            assert line[name] == known or (cell == "" and line[name] is None)
+    assert lines[1] == (
+        '{"frame": 1, "pts": 512, "time_s": 0.033333, "status": "held", "steer": 0.0000, '
+        '"steer_rad": 0.1235, "depth_m": 2.718, "nearest_m": 0.001, "charged": 0.3333, '
+        '"matched": 0.0000}'
     )
 
 
@@ -165,18 +195,92 @@ def test_numbered_images_read_back(tmp_path):
     out.mkdir()
     values = np.linspace(0.5, 60, 24, dtype=np.float32).reshape(4, 6)
     result = frame_result(7, disparity_px=values, depth_m=values)
-    for sink in (
-        depth_images(out / SAVES["depth"].path, STREAM),
-        disparity_images(out / SAVES["disparity"].path, STREAM),
-    ):
-        sink.write(result)
-        sink.close()
-    depth_mm = cv2.imread(str(out / "depth/000007.png"), cv2.IMREAD_UNCHANGED)
-    disparity = cv2.imread(str(out / "disparity/000007.png"), cv2.IMREAD_UNCHANGED)
+    depth_mm = cv2.imread(str(saved(out, "depth", result, index=7)), cv2.IMREAD_UNCHANGED)
+    disparity = cv2.imread(str(saved(out, "disparity", result, index=7)), cv2.IMREAD_UNCHANGED)
     assert depth_mm.dtype == disparity.dtype == np.uint16
     np.testing.assert_array_equal(depth_mm, np.rint(values * 1000))
     np.testing.assert_array_equal(disparity, np.rint(values * 256))
     assert len(list(out.rglob("*"))) == 4
+
+
+def test_another_depth_scale_holds_for_image_and_video(tmp_path):
+    depth_m = np.float32([[NAN, 2.7111, 13.107, 13.108]])
+    stream = Stream(Fraction(1, 25), Settings(), RIG, OutputSettings(depth_scale=5000))
+    result = frame_result(depth_m=depth_m)
+    image = cv2.imread(str(saved(tmp_path, "depth", result, stream=stream)), cv2.IMREAD_UNCHANGED)
+    assert image.tolist() == [[0, 13556, 65535, 0]]
+    video = saved(tmp_path, "depth-mkv", result, stream=stream)
+    with av.open(str(video)) as container:
+        [frame] = container.decode(video=0)
+    assert frame.to_ndarray().tolist() == image.tolist()
+
+
+def test_the_lossless_depth_video_gives_every_level_back(tmp_path):
+    levels = np.arange(65536, dtype=np.uint16).reshape(255 + 1, 256)[:, :255]  # odd width
+    results = [
+        frame_result(index, pts=40 * index, depth_m=np.float32(np.roll(levels, index)) / 1000)
+        for index in range(3)
+    ]
+    stream = Stream(Fraction(1, 1000), Settings(), RIG)
+    with av.open(str(saved(tmp_path, "depth-mkv", *results, stream=stream))) as container:
+        assert container.streams.video[0].codec_context.name == "ffv1"
+        frames = list(container.decode(video=0))
+    assert [frame.time for frame in frames] == [0, 0.04, 0.08]
+    for index, frame in enumerate(frames):
+        assert frame.format.name == "gray16le"
+        expected = np.where(np.roll(levels, index) == 0, 1, np.roll(levels, index))
+        np.testing.assert_array_equal(frame.to_ndarray(), expected)  # a known 0 is 1
+
+
+@pytest.mark.parametrize(
+    ("name", "unknown"), [("depth-pfm", np.inf), ("depth-tiff", NAN), ("disparity-pfm", np.inf)]
+)
+def test_float_images_are_exact(tmp_path, name, unknown):
+    values = np.linspace(0.1, 70, 24, dtype=np.float32).reshape(4, 6)
+    values[1, 2] = NAN
+    result = frame_result(7, depth_m=values, disparity_px=values)
+    path = saved(tmp_path, name, result, index=7)
+    expected = np.where(np.isnan(values), np.float32(unknown), values)
+    for found in (
+        cv2.imread(str(path), cv2.IMREAD_UNCHANGED),
+        iio.imread(path, plugin="pillow"),
+    ):
+        assert found.dtype == np.float32
+        np.testing.assert_array_equal(found, expected)
+
+
+def test_a_pfm_file_to_the_byte():
+    """Width and height, a negative scale for little-endian, and the lowest row first."""
+    content = encode_pfm(np.float32([[1, 2, 3], [4, 5, NAN]]))
+    header, values = content[:-24], np.frombuffer(content[-24:], "<f4")
+    assert header.split() == [b"Pf", b"3", b"2", b"-1"]
+    assert values.tolist() == [4, 5, np.inf, 1, 2, 3]
+
+
+def test_bands_motion_and_charge_as_images_and_as_video(tmp_path):
+    bands = np.tile(np.repeat(np.arange(1, 9, dtype=np.uint8), 8), (48, 1))
+    motion = bands > 4
+    charge = (bands * 30).astype(np.uint8)
+    result = frame_result(bands=bands, motion=motion, charge=charge)
+    shown = {
+        "bands": (bands, (bands - 1.0) / 7 * 255),
+        "motion": (np.where(motion, 255, 0), np.where(motion, 255, 0)),
+        "charge": (charge, charge),
+    }
+    for name, (image, grey) in shown.items():
+        numbered, video = (name, f"{name}-video") if name != "charge" else ("charge-png", "charge")
+        found = cv2.imread(str(saved(tmp_path, numbered, result)), cv2.IMREAD_UNCHANGED)
+        assert found.dtype == np.uint8
+        np.testing.assert_array_equal(found, image)
+        [(_, rgb)] = decoded(saved(tmp_path, video, result))
+        middles = np.s_[:, 4::8]  # the codec blurs the seams
+        assert np.abs(rgb.mean(axis=2)[middles] - grey[middles]).max() <= 6, name
+
+
+def test_256_bands_fit(tmp_path):
+    bands = np.uint16([[1, 128, 256]])
+    path = saved(tmp_path, "bands", frame_result(bands=bands))
+    assert cv2.imread(str(path), cv2.IMREAD_UNCHANGED).tolist() == bands.tolist()
 
 
 def test_a_file_that_cannot_be_written_leaves_nothing(tmp_path):
@@ -193,7 +297,7 @@ def test_the_charge_video_gives_the_charge_back_at_the_same_times(tmp_path):
     charges = [np.full((48, 64), level, np.uint8) for level in (0, 15, 127, 239, 255)]
     for charge in charges:
         charge[:24] = 255 - charge[:24]
-    sink = charge_video(tmp_path / "charge.mp4", Stream(Fraction(1, 1000), 64, None))
+    sink = SAVES["charge"].open(tmp_path, Stream(Fraction(1, 1000), Settings(), None))
     stamps = [40, 80, 95, 95, 400]  # uneven, and one that does not come after the one before
     for index, (pts, charge) in enumerate(zip(stamps, charges, strict=True)):
         sink.write(frame_result(index, pts=pts, charge=charge))
@@ -218,14 +322,39 @@ def test_depth_colours_are_red_near_blue_far_black_unknown():
     assert depth_colours(disparity_px, 1).shape == (1, 6, 3)
 
 
+def test_colours_and_their_range_are_options(tmp_path):
+    """With f b = 10 px m, 5 m and 0.5 m are 2 px and 20 px of d + doffs."""
+    disparity_px = np.repeat(np.float32([[1.5, 0.5, 18.5]]), 16, axis=1).repeat(16, axis=0)
+    rig = dataclasses.replace(RIG, doffs=1.5)
+    output = OutputSettings(colours="viridis", near_m=0.5, far_m=5)
+    stream = Stream(Fraction(1, 25), Settings(), rig, output)
+    result = frame_result(disparity_px=disparity_px)
+    [(_, rgb)] = decoded(saved(tmp_path, "depth-video", result, stream=stream))
+    viridis = cv2.applyColorMap(np.arange(256, dtype=np.uint8)[:, None], cv2.COLORMAP_VIRIDIS)
+    viridis = viridis[:, 0, ::-1].astype(int)
+    third = 32 + int(223 * math.log10(3 / 2))
+    for column, level in ((8, third), (24, 32), (40, 255)):
+        assert np.abs(rgb[8, column] - viridis[level]).max() <= 12
+
+
+def test_every_colour_map_is_known_to_opencv():
+    [choices] = (item.choices for item in params(OutputSettings) if item.name == "colours")
+    for name in choices:
+        assert depth_colours(np.float32([[8.0]]), 64, colours=name).max() > 0
+
+
+def test_nonsense_of_the_output_is_refused():
+    with pytest.raises(SettingsError, match="--near-m 5 is not below --far-m 5"):
+        OutputSettings(near_m=5, far_m=5)
+    with pytest.raises(SettingsError, match="--depth-scale cannot be 0"):
+        OutputSettings(depth_scale=0)
+
+
 def test_the_depth_video_keeps_colours_and_pads_odd_sizes(tmp_path):
     disparity_px = np.full((31, 45), NAN, np.float32)
     disparity_px[:, 16:32] = 2
     disparity_px[:, 32:] = 60
-    sink = depth_video(tmp_path / "depth.mp4", Stream(Fraction(1, 25), 64, None))
-    sink.write(frame_result(disparity_px=disparity_px))
-    sink.close()
-    [(_, rgb)] = decoded(tmp_path / "depth.mp4")
+    [(_, rgb)] = decoded(saved(tmp_path, "depth-video", frame_result(disparity_px=disparity_px)))
     assert rgb.shape == (32, 46, 3)
     for column in (8, 24, 40):
         expected = depth_colours(disparity_px, 64)[16, column].astype(int)
@@ -234,7 +363,7 @@ def test_the_depth_video_keeps_colours_and_pads_odd_sizes(tmp_path):
 
 def test_an_interrupted_video_can_be_played_under_its_part_name(tmp_path):
     path = tmp_path / "charge.mp4"
-    sink = charge_video(path, Stream(Fraction(1, 25), 64, None))
+    sink = SAVES["charge"].open(tmp_path, STREAM)
     for index in range(3):
         sink.write(frame_result(index))
     sink.abandon(keep=True)
@@ -243,7 +372,7 @@ def test_an_interrupted_video_can_be_played_under_its_part_name(tmp_path):
 
 
 def test_a_video_given_up_leaves_nothing(tmp_path):
-    sink = charge_video(tmp_path / "charge.mp4", Stream(Fraction(1, 25), 64, None))
+    sink = SAVES["charge"].open(tmp_path, STREAM)
     sink.write(frame_result(0))
     sink.abandon(keep=False)
     assert not list(tmp_path.iterdir())
@@ -359,6 +488,11 @@ def test_every_default_is_an_output_and_depth_needs_a_rig():
     assert set(DEFAULT_SAVES) <= SAVES.keys()
     assert available(DEFAULT_SAVES, rig=True) == DEFAULT_SAVES
     assert available(["depth", "charge", "disparity"], rig=False) == ("disparity", "charge")
+    assert available(["depth-pfm"], rig=False) == ("disparity-pfm",)
+    with pytest.raises(SettingsError, match="--save depth-mkv needs --rig"):
+        available(["steering", "depth-mkv"], rig=False)
+    jsonl = available(["steering", "charge"], rig=True, steering_format="jsonl")
+    assert jsonl == ("steering-jsonl", "charge")
 
 
 def test_a_folder_with_anything_in_it_is_refused(tmp_path):
@@ -370,8 +504,9 @@ def test_a_folder_with_anything_in_it_is_refused(tmp_path):
 
 @pytest.mark.parametrize("done", [True, False])
 def test_overwrite_removes_what_a_run_wrote_and_nothing_else(tmp_path, done):
-    a_run(tmp_path, ("steering", "depth", "charge"), 3, done=done)
+    a_run(tmp_path, ("steering", "depth", "depth-tiff", "charge"), 3, done=done)
     strangers = {"notes.txt", "depth/000004.png", "depth/mine.png", "depth.mp4", "disparity/a.png"}
+    strangers |= {"depth-tiff/000001.png", "depth/000000.tiff"}
     for stranger in strangers:
         path = tmp_path / stranger
         path.parent.mkdir(exist_ok=True)

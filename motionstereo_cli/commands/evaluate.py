@@ -58,9 +58,10 @@ def evaluate(
     """Compare the disparity or depth that a run found with the truth.
 
     OUT and TRUTH are folders that run or simulate wrote, or folders of images, both in the same
-    view: KITTI disparity PNG (uint16, 1/256 px), depth PNG (uint16, mm), or PFM (px or m). Frames
-    are matched by the number in their names. Writes a table to standard output, or there what
-    --csv - or --json - asks for: coverage, bad-pixel shares, D1, errors in px and, with a rig, m.
+    view: KITTI disparity PNG (uint16, 1/256 px), depth PNG (uint16, mm or what run.json says), PFM
+    or float32 TIFF (px or m). Frames are matched by the number in their names. Writes a table to
+    standard output, or there what --csv - or --json - asks for: coverage, bad-pixel shares, D1,
+    errors in px and, with a rig, m.
     """
     if csv_path == json_path == _STDOUT:
         raise click.UsageError("--csv - and --json - cannot both have standard output: name a file")
@@ -86,6 +87,9 @@ def evaluate(
     for side, count in (("OUT", report.only_out), ("TRUTH", report.only_truth)):
         if count:
             _say("warning", f"{count} frames are in {side} alone and not scored")
+    if None not in comparison.views and len(set(comparison.views)) > 1:
+        out_view, truth_view = comparison.views
+        _say("warning", f"OUT is in the {out_view} view, but TRUTH in the {truth_view} one")
     if not comparison.has_depth:
         _say("note", "no rig is known, so errors in m are not: give --rig")
     for path, content in (

@@ -50,8 +50,8 @@ def figure(
 ) -> None:
     """Show some frames stage by stage on one sheet, as the paper's figures 2 and 3 do.
 
-    A row a frame; the columns are the right image, its bands, the right permanency memory, and
-    the depth, bright where near and black where unknown.
+    A row a frame; the columns are the right image (the left one with --reference left), its bands
+    and permanency memory, and the depth, bright where near and black where unknown.
     """
     from motionstereo_cli.figure import draw_figure
     from motionstereo_cli.sinks.files import write_whole

@@ -14,6 +14,7 @@ import click
 from motionstereo_cli.errors import SettingsError
 from motionstereo_cli.settings import PRESETS, Param, Settings, params
 from motionstereo_cli.simulate.settings import DriveSettings
+from motionstereo_cli.sinks.settings import OutputSettings
 from motionstereo_cli.sources.settings import InputSettings
 
 
@@ -77,6 +78,16 @@ def input_options(command: Callable[..., Any]) -> Callable[..., Any]:
     # Text, not paths: a path does not tell standard input, "-", from a file "./-".
     collected = click.argument("right", required=False)(collected)
     return click.argument("left")(collected)
+
+
+def output_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Give a command the options of the output; it receives them as one ``output_settings``."""
+
+    def collect(*, output_chosen: dict[str, Any], **values: Any) -> Any:
+        return command(output_settings=OutputSettings(**output_chosen), **values)
+
+    collected: Callable[..., Any] = functools.update_wrapper(collect, command)
+    return _declared(OutputSettings, "output_chosen")(collected)
 
 
 def rig_options(command: Callable[..., Any]) -> Callable[..., Any]:
@@ -152,7 +163,7 @@ def _read_config(ctx: click.Context, path: Path) -> None:
     """Make the values of a configuration file the defaults of the command's options."""
     try:
         values = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise click.UsageError(f"{path}: cannot be read as TOML: {error}", ctx) from None
     options = {
         option.name: option

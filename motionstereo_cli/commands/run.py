@@ -11,6 +11,7 @@ import click
 from motionstereo_cli.commands.options import (
     input_options,
     near_match,
+    output_options,
     processing_options,
     rig_options,
 )
@@ -21,6 +22,7 @@ from motionstereo_cli.sources.settings import InputSettings
 
 if TYPE_CHECKING:
     from motionstereo_cli.check import Finding
+    from motionstereo_cli.sinks.settings import OutputSettings
 
 DAMAGED_EXIT_CODE = 3
 INTERRUPTED_EXIT_CODE = 130
@@ -59,6 +61,12 @@ def _names(ctx: click.Context, _: click.Parameter, lists: tuple[str, ...]) -> tu
     help="What to write, as a comma list; may be repeated.  "
     f"[{', '.join(SAVES)}; default {','.join(DEFAULT_SAVES)}]",
 )
+@click.option(
+    "--csv",
+    type=click.Path(dir_okay=False, allow_dash=True, path_type=Path),
+    help="Write the steering table here as well; - is standard output, row by row.",
+)
+@output_options
 @click.option("--overwrite", is_flag=True, help="Replace the results of a former run in OUT.")
 @click.option(
     "--check/--no-check",
@@ -78,9 +86,11 @@ def run(
     baseline_unit: str | None,
     poses: Path | None,
     save: tuple[str, ...],
+    csv: Path | None,
     overwrite: bool,
     with_check: bool,
     input_settings: InputSettings,
+    output_settings: OutputSettings,
     settings: Settings,
 ) -> int:
     """Find depth and steering in the two videos of a stereo camera.
@@ -89,13 +99,16 @@ def run(
     is a video on standard input. LEFT alone is a KITTI or EuRoC folder or, with --layout, one
     recording that holds both views.
     """
-    to_stdout = str(out) == "-"
-    if to_stdout and save:
-        raise click.UsageError("-o - writes the steering table alone: leave --save out")
+    table_alone = str(out) == "-"
+    if table_alone and (save or csv):
+        raise click.UsageError("-o - writes the steering table alone: leave --save and --csv out")
+    to_stdout = table_alone or str(csv) == "-"
     if to_stdout and sys.stdout is None:
         raise OutputError("cannot write the steering table: standard output is closed")
     if poses and not rig:
         raise click.UsageError("--poses needs --rig: without it nothing is in metres")
+    if (output_settings.near_m or output_settings.far_m) and not rig:
+        raise click.UsageError("--near-m and --far-m need --rig: without it nothing is in metres")
     save = save or DEFAULT_SAVES
 
     from tqdm import tqdm
@@ -112,8 +125,8 @@ def run(
     ):
         for line in source.warnings:
             _say("warning", line)
-        if not to_stdout and not rig and available(save, rig=False) != save:
-            _say("note", "depth in mm needs --rig: disparity/ takes the place of depth/")
+        if not table_alone and not rig and available(save, rig=False) != save:
+            _say("note", "depth in m needs --rig: disparity takes the place of depth")
         calibration = rectify_source(source, rig, baseline_unit)
         for line in calibration.warnings if calibration else ():
             _say("warning", line)
@@ -125,10 +138,12 @@ def run(
 
         report = run_library(
             source,
-            sys.stdout.buffer if to_stdout else out,
+            None if table_alone else out,
             settings,
             calibration.rig if calibration else None,
             save=save,
+            table=sys.stdout.buffer if to_stdout else csv,
+            output=output_settings,
             overwrite=overwrite,
             poses=trajectory,
             inputs=[*source.paths, *rig, *([poses] if poses else [])],
@@ -145,10 +160,10 @@ def run(
         f"charged {report.charged:.1%}, matched {report.matched:.1%} of the image",
     )
     if report.interrupted:
-        kept = "" if to_stdout else f": what was done is in {out}, tables and videos end in .part"
+        kept = "" if table_alone else f": what was done is in {out}, tables and videos end in .part"
         _say("error", f"interrupted after {report.frames} frames{kept}")
         return INTERRUPTED_EXIT_CODE
-    if not to_stdout:
+    if not table_alone:
         _say("note", f"results in {out}: {', '.join((*report.outputs, 'run.json'))}")
     return DAMAGED_EXIT_CODE if report.damage else 0
 

@@ -33,6 +33,9 @@ BASELINE_UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 #: Baselines beyond these are hardly in the unit that a file has or seems to have.
 _LONGEST_BASELINE_M, _SHORTEST_BASELINE_MM = 2.0, 2.0
 
+#: Larger images than these come from a wrong file, and would not fit into memory.
+_MOST_PIXELS = 64_000_000
+
 #: Images that move by less than this need no rectification.
 _NEGLIGIBLE_PX = 0.05
 
@@ -210,6 +213,10 @@ def _agreed_size(
     size = stated or given
     if size is None:
         raise InputError(f"{name} does not say how large the images are: give --size")
+    if size[0] * size[1] > _MOST_PIXELS:
+        raise InputError(
+            f"{name}: images of {size[0]:.7g}x{size[1]:.7g} px are far too large: check the file"
+        )
     return size
 
 

@@ -34,6 +34,9 @@ _FISHEYE = ("fisheye", "equidistant", "kannala_brandt", "kannala-brandt", "kanna
 _PINHOLE_COUNTS = (0, 4, 5, 8, 12, 14)
 _FISHEYE_COUNTS = (4,)
 
+#: No length, angle or coefficient is as large, and no focal length as small.
+_LARGEST, _SMALLEST_FOCAL_PX = 1e12, 1e-3
+
 #: A rotation matrix times its transpose may differ from one by this: files hold few digits.
 _ROTATION_TOLERANCE = 1e-2
 
@@ -200,7 +203,7 @@ def _shaped(values: Values) -> Any:
         sizes = values.get("sizes") or [values["rows"], values["cols"]]
         shape = [int(size) for size in np.atleast_1d(sizes)]
         return np.array(values["data"], np.float64).reshape(shape)
-    except (LookupError, TypeError, ValueError):
+    except (LookupError, TypeError, ValueError, OverflowError):
         return None  # reported as missing by whoever needs it
 
 
@@ -229,8 +232,11 @@ class _Source:
             array = np.empty(0)
         for shape in shapes:
             if array.size == math.prod(shape) and array.ndim <= 2:
-                if not np.isfinite(array).all():
-                    raise InputError(f"{self.name}: {label} has values that are not finite")
+                if not (np.abs(array) < _LARGEST).all():
+                    raise InputError(
+                        f"{self.name}: {label} has values that are not finite or far too large: "
+                        "check the file"
+                    )
                 return array.reshape(shape)
         size = " or ".join("x".join(str(n) for n in shape) for shape in shapes)
         raise InputError(f"{self.name}: {label} is not {size} numbers: check the file")
@@ -266,7 +272,7 @@ class _Source:
             return None
         try:
             width, height = (int(value) for value in flat)
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             width = height = 0
         if width <= 0 or height <= 0:
             raise InputError(f"{self.name}: the image size is not two positive numbers")
@@ -280,7 +286,7 @@ def checked_intrinsics(name: object, label: str, matrix: Matrix) -> Matrix:
         InputError: its focal lengths are not positive and alike, or its last row is not 0 0 1.
     """
     fx, fy = matrix[0, 0], matrix[1, 1]
-    if not (fx > 0 and fy > 0 and 0.2 < fx / fy < 5):
+    if not (min(fx, fy) > _SMALLEST_FOCAL_PX and 0.2 < fx / fy < 5):
         raise InputError(f"{name}: {label} has focal lengths {fx:g} and {fy:g} px: check the file")
     if not np.allclose(matrix[2, :3], [0, 0, 1]):
         raise InputError(f"{name}: the last row of {label} is not 0 0 1: check the file")
@@ -348,7 +354,7 @@ def _opencv_camera(source: _Source, side: Sequence[str], fisheye: bool) -> Camer
 
 def _projections_of(q: Matrix, name: str) -> tuple[Matrix, Matrix]:
     """Return the projections whose reprojection matrix is Q, as cv2.stereoRectify has it."""
-    if not (q[2, 3] > 0 and q[3, 2] != 0):
+    if not (q[2, 3] > 0 and abs(q[3, 2]) > 1 / _LARGEST):
         raise InputError(f"{name}: Q is singular: check the file")
     tx = -1 / q[3, 2]
     left = np.array([[q[2, 3], 0, -q[0, 3], 0], [0, q[2, 3], -q[1, 3], 0], [0, 0, 1, 0]])
@@ -448,6 +454,8 @@ def _euroc(files: list[tuple[Path, Values]]) -> Read:
         cameras.append(Camera(matrix, distortion, fisheye))
         pose = source.matrix(("tbs",), "T_BS", (4, 4))
         _Source(path, {"tbs": pose[:3, :3]}).rotation(("tbs",), "the rotation in T_BS")
+        if not np.allclose(pose[3], [0, 0, 0, 1]):
+            raise InputError(f"{path}: the last row of T_BS is not 0 0 0 1: check the file")
         poses.append(pose)
         sizes.append(source.size("resolution"))
     _check_sizes(files, sizes)

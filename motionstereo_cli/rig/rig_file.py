@@ -20,7 +20,7 @@ _WHOLE = frozenset({"width", "height"})
 _POSITIVE = frozenset({"width", "height", "focal_px", "baseline_m"})
 
 
-def read_rig(path: Path) -> Rig:
+def read_rig(path: str | Path) -> Rig:
     """Read a rig file.
 
     Raises:
@@ -28,7 +28,7 @@ def read_rig(path: Path) -> Rig:
             finite number, or not positive where it must be.
     """
     try:
-        text = path.read_text(encoding="utf-8-sig", errors="replace")
+        text = Path(path).read_text(encoding="utf-8-sig", errors="replace")
     except OSError as error:
         raise InputError(f"cannot read the rig {path}: {error.strerror}") from error
     keys = [item.name for item in fields(Rig)]
@@ -39,9 +39,9 @@ def read_rig(path: Path) -> Rig:
             continue
         key, colon, value = (part.strip() for part in content.partition(":"))
         if not colon:
-            raise InputError(f"{path}: {content!r} is not a 'key: value' line")
+            raise InputError(f"{path}: {content[:60]!r} is not a 'key: value' line")
         if key not in keys:
-            raise InputError(f"{path}: unknown key {key!r}: the keys are {', '.join(keys)}")
+            raise InputError(f"{path}: unknown key {key[:60]!r}: the keys are {', '.join(keys)}")
         if key in values:
             raise InputError(f"{path}: {key} is given twice: keep one")
         values[key] = _number(path, key, value)
@@ -65,7 +65,7 @@ def write_rig(path: Path, rig: Rig) -> None:
     write_whole(path, format_rig(rig).encode())
 
 
-def _number(path: Path, key: str, text: str) -> float:
+def _number(path: str | Path, key: str, text: str) -> float:
     try:
         value = float(text)
     except ValueError:
@@ -77,5 +77,5 @@ def _number(path: Path, key: str, text: str) -> float:
         and (value > 0 or key not in _POSITIVE)
         and (value.is_integer() or key not in _WHOLE)
     ):
-        raise InputError(f"{path}: {key} cannot be {text!r}: give {wanted}")
+        raise InputError(f"{path}: {key} cannot be {text[:60]!r}: give {wanted}")
     return value

@@ -14,13 +14,9 @@ from motionstereo_cli.simulate.settings import ROBOT_RADIUS_M
 from motionstereo_cli.simulate.walkers import RADIUS_M
 
 if TYPE_CHECKING:
-    from motionstereo_cli.settings import Settings
-    from motionstereo_cli.types import FrameResult
+    from motionstereo_cli.mapping import Floor
 
 _PX_PER_M, _MARGIN_M = 32, 0.8
-#: Points farther away than this say little about a place; a cell counts from so many points on.
-_REACH_M, _LEAST_POINTS = 4.0, 60
-_CELL_PX = 3
 
 # RGB
 _PAPER, _FLOOR, _WALL = (225, 225, 225), (255, 255, 255), (120, 120, 120)
@@ -34,50 +30,34 @@ class Plan:
 
     Args:
         world: the world; it is looked at, not changed.
-        settings: what counts as in the robot's way.
     """
 
-    def __init__(self, world: DriveWorld, settings: Settings) -> None:
+    def __init__(self, world: DriveWorld) -> None:
         self._world = world
-        self._settings = settings
         self._half_m = world.corridor.outer_m + _MARGIN_M
-        self._size = math.ceil(2 * self._half_m * _PX_PER_M / _CELL_PX) * _CELL_PX
-        cells = self._size // _CELL_PX
-        self._points = np.zeros((cells, cells), np.int64)
+        self._size = math.ceil(2 * self._half_m * _PX_PER_M)
         self._floor = self._empty()
 
-    def add(self, result: FrameResult) -> None:
-        """Add what a frame shows, and where the walkers are; the result has depth and pose."""
-        assert result.depth_m is not None
-        assert result.pose is not None
-        rig, pose, s = self._world.settings.rig, result.pose, self._settings
-        with np.errstate(invalid="ignore"):
-            row, column = np.nonzero(result.motion & (result.depth_m < _REACH_M))
-        ahead = result.depth_m[row, column].astype(np.float64)
-        up = (rig.cy - row) * ahead / rig.focal_px
-        left = (rig.cx - column) * ahead / rig.focal_px - rig.baseline_m / 2
-        in_way = (up > -s.robot_below_m) & (up < s.robot_above_m)
-        ahead, left = ahead[in_way], left[in_way]
-        cos, sin = math.cos(pose.yaw_rad), math.sin(pose.yaw_rad)
-        x, y = pose.x_m + cos * ahead - sin * left, pose.y_m + sin * ahead + cos * left
-        places = np.stack([self._half_m - y, x + self._half_m]) * (_PX_PER_M / _CELL_PX)
-        cells = self._points.shape[0]
-        i, j = places.astype(np.int64)
-        inside = (i >= 0) & (i < cells) & (j >= 0) & (j < cells)
-        counts = np.bincount(i[inside] * cells + j[inside], minlength=cells * cells)
-        self._points += counts.reshape(cells, cells)
+    def add_walkers(self) -> None:
+        """Add where the walkers are now."""
         for walker in self._world.walkers:
             self._disc(self._floor, walker.x_m, walker.y_m, RADIUS_M, _WALKED)
 
-    def draw(self) -> NDArray[np.uint8]:
-        """Return the picture as it is now, (size, size, 3) uint8 RGB."""
+    def draw(self, seen: Floor) -> NDArray[np.uint8]:
+        """Return the picture as it is now, (size, size, 3) uint8 RGB.
+
+        Args:
+            seen: the map so far, of which the occupied cells are shown.
+        """
         picture = self._floor.copy()
-        seen = cv2.resize(
-            (self._points >= _LEAST_POINTS).astype(np.uint8),
-            (self._size, self._size),
-            interpolation=cv2.INTER_NEAREST,
+        along_m = (np.arange(self._size) + 0.5) / _PX_PER_M - self._half_m
+        column = np.floor((along_m - seen.x_m) / seen.cell_m).astype(np.intp)
+        row = np.floor((-along_m - seen.y_m) / seen.cell_m).astype(np.intp)
+        columns, rows = seen.occupied.shape
+        x, y = (column >= 0) & (column < columns), (row >= 0) & (row < rows)
+        picture[np.ix_(y, x)] = np.where(
+            seen.occupied[np.ix_(column[x], row[y])].T[..., None], _SEEN, picture[np.ix_(y, x)]
         )
-        picture[seen > 0] = _SEEN
         world = self._world
         for opening in world.corridor.openings:
             ends = [

@@ -7,8 +7,12 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Protocol
+
+from motionstereo_cli.errors import SettingsError
+from motionstereo_cli.settings import Settings
+from motionstereo_cli.sinks.settings import OutputSettings
 
 if TYPE_CHECKING:
     from fractions import Fraction
@@ -39,13 +43,15 @@ class Stream:
 
     Attributes:
         time_base: seconds per unit of the frames' time stamps.
-        max_disparity: largest disparity looked for, in px.
+        settings: parameters of the processing.
         rig: the camera; None where nobody knows.
+        output: parameters of the output.
     """
 
     time_base: Fraction
-    max_disparity: int
+    settings: Settings
     rig: Rig | None
+    output: OutputSettings = field(default_factory=OutputSettings)
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,12 +63,21 @@ class Save:
         what: what it holds, with units.
         sink: module and function that make the sink from its path and the stream.
         needs_rig: it cannot be had without a rig.
+        needs_poses: nor without poses.
+        beside: further files that come with it.
     """
 
     path: str
     what: str
     sink: str
     needs_rig: bool = False
+    needs_poses: bool = False
+    beside: tuple[str, ...] = ()
+
+    @property
+    def paths(self) -> tuple[str, ...]:
+        """All its files, as ``path`` has them."""
+        return (self.path, *self.beside)
 
     @property
     def shown(self) -> str:
@@ -81,6 +96,8 @@ class Save:
         return sink
 
 
+#: Names follow one scheme: PNG images bear the bare name of what they show, other formats add
+#: theirs, and -video is one to look at. For the charge alone the bare name is the video.
 SAVES = {
     "steering": Save(
         "steering.csv",
@@ -89,44 +106,134 @@ SAVES = {
         "empty = unknown",
         "steering.steering_file",
     ),
+    "steering-jsonl": Save(
+        "steering.jsonl",
+        "the same as JSON lines, one object a frame; null = unknown",
+        "steering.steering_file",
+    ),
+    "objects": Save(
+        "objects.csv",
+        "a row for each moving object of each frame: box in px of the reference view, depth_m in "
+        "m, closing_mps in m/s with positive = approaching, time_to_contact_s in s, confidence "
+        "0..1; empty = unknown",
+        "objects.objects_file",
+    ),
     "depth": Save(
         "depth/{:06d}.png",
-        "uint16 depth in mm, right view; 0 = unknown or over 65.535 m",
-        "images.depth_images",
+        "uint16 depth, output_settings.depth_scale units per m, reference view; "
+        "0 = unknown or over 65535 units",
+        "images.depth",
         needs_rig=True,
     ),
-    "disparity": Save(
-        "disparity/{:06d}.png",
-        "uint16 disparity in 1/256 px, right view; 0 = unknown, a known 0 is stored as 1",
-        "images.disparity_images",
+    "depth-pfm": Save(
+        "depth-pfm/{:06d}.pfm",
+        "float32 depth in m, reference view; inf = unknown",
+        "images.depth_m",
+        needs_rig=True,
     ),
-    "age": Save(
-        "age/{:06d}.png",
-        "uint8 frames since something moved there, right view; 255 = forgotten",
-        "images.age_images",
+    "depth-tiff": Save(
+        "depth-tiff/{:06d}.tiff",
+        "float32 depth in m, reference view; NaN = unknown",
+        "images.depth_m",
+        needs_rig=True,
     ),
-    "confidence": Save(
-        "confidence/{:06d}.png",
-        "uint8 chance that the disparity is right within 1 px, in 1/255, right view; "
-        "0 = no disparity",
-        "images.confidence_images",
-    ),
-    "charge": Save(
-        "charge.mp4", "right permanency memory, charge as grey", "previews.charge_video"
+    "depth-mkv": Save(
+        "depth.mkv",
+        "lossless video (FFV1, gray16le) of the images of depth; times in whole ms",
+        "previews.depth_lossless",
+        needs_rig=True,
     ),
     "depth-video": Save(
         "depth.mp4",
-        "depth in colour, red = near, blue = far, black = unknown; "
-        "log scale of the disparity from 1 px to max_disparity",
-        "previews.depth_video",
+        "depth in colour (output_settings.colours), near = its end, far = its beginning, "
+        "black = unknown; log scale of disparity + doffs from max_disparity, or near_m, to 1 px, "
+        "or far_m",
+        "previews.depth",
+    ),
+    "disparity": Save(
+        "disparity/{:06d}.png",
+        "uint16 disparity in 1/256 px, reference view; 0 = unknown, a known 0 is stored as 1",
+        "images.disparity",
+    ),
+    "disparity-pfm": Save(
+        "disparity-pfm/{:06d}.pfm",
+        "float32 disparity in px, reference view; inf = unknown",
+        "images.disparity_px",
+    ),
+    "age": Save(
+        "age/{:06d}.png",
+        "uint8 frames since something moved there, reference view; 255 = forgotten",
+        "images.age",
+    ),
+    "confidence": Save(
+        "confidence/{:06d}.png",
+        "uint8 chance that the disparity is right within 1 px, in 1/255, reference view; "
+        "0 = no disparity",
+        "images.confidence",
+    ),
+    "bands": Save(
+        "bands/{:06d}.png",
+        "grey-level bands 1..n, reference view; uint8, or uint16 for 256 bands",
+        "images.bands",
+    ),
+    "bands-video": Save(
+        "bands.mp4", "grey-level bands, reference view; 1..n as black..white", "previews.bands"
+    ),
+    "motion": Save(
+        "motion/{:06d}.png",
+        "uint8, reference view; 255 = the band has just changed, 0 = it has not",
+        "images.motion",
+    ),
+    "motion-video": Save("motion.mp4", "the images of motion as video", "previews.motion"),
+    "charge": Save(
+        "charge.mp4", "permanency memory of the reference view, charge as grey", "previews.charge"
+    ),
+    "charge-png": Save(
+        "charge-png/{:06d}.png",
+        "uint8 permanency memory of the reference view, the charge itself",
+        "images.charge",
+    ),
+    "points": Save(
+        "points/{:06d}.ply",
+        "all that has a depth as points, x right, y down, z forward of the reference camera "
+        "in m, colour = grey",
+        "points.NumberedClouds",
+        needs_rig=True,
+    ),
+    "map": Save(
+        "map.ply",
+        "what moved in the image, fused over all frames: points in the world of the poses in m, "
+        "colour = grey; map.png from above, 0 = occupied, 254 = free, 205 = unknown, its place "
+        "and scale in map.yaml as ROS's map_server has it",
+        "map.MapFiles",
+        needs_rig=True,
+        needs_poses=True,
+        beside=("map.png", "map.yaml"),
     ),
 }
 
 DEFAULT_SAVES = ("steering", "depth", "charge", "depth-video")
 
 
-def available(save: Sequence[str], *, rig: bool) -> tuple[str, ...]:
-    """Return the outputs to write, each once; without a rig, disparity takes depth's place."""
-    return tuple(
-        dict.fromkeys("disparity" if SAVES[name].needs_rig and not rig else name for name in save)
-    )
+#: What takes the place of an output in metres where there is no rig.
+_WITHOUT_RIG = {"depth": "disparity", "depth-pfm": "disparity-pfm"}
+
+
+def available(
+    save: Sequence[str], *, rig: bool, poses: bool = False, steering_format: str = "csv"
+) -> tuple[str, ...]:
+    """Return the outputs to write, each once; without a rig, disparity takes depth's place.
+
+    Raises:
+        SettingsError: an output without such a substitute needs a rig, or one needs poses.
+    """
+    instead = {} if rig else _WITHOUT_RIG
+    if steering_format != "csv":
+        instead = instead | {"steering": f"steering-{steering_format}"}
+    names = tuple(dict.fromkeys(instead.get(name, name) for name in save))
+    for name in names:
+        if SAVES[name].needs_rig and not rig:
+            raise SettingsError(f"--save {name} needs --rig: without it nothing is in metres")
+        if SAVES[name].needs_poses and not poses:
+            raise SettingsError(f"--save {name} needs --poses: they say where the rig was")
+    return names

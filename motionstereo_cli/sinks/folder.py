@@ -18,7 +18,7 @@ from motionstereo_cli.sinks.files import part_of, reported, write_whole
 #: Tells what a run wrote. Written last; until then its ``.part`` lists what is being written.
 RECORD = "run.json"
 _PROGRAM = "motionstereo"
-_NUMBERED = re.compile(r"(\d{6,})\.png(\.part)?")
+_NUMBERED = re.compile(r"(\d{6,})(\.[a-z]+)(\.part)?")
 
 
 def prepare(
@@ -44,11 +44,12 @@ def prepare(
         if not overwrite and any(out.iterdir()):
             raise OutputError(f"{out} is not empty: give another folder, or --overwrite")
         former = _written(out)
-        present = _present(out, RECORD).union(*(_present(out, SAVES[name].path) for name in save))
+        paths = [path for name in save for path in SAVES[name].paths]
+        present = _present(out, RECORD).union(*(_present(out, path) for path in paths))
         for path in sorted(present - former):
             raise OutputError(f"{path} is not from a former run: move it or give another folder")
         taken = {path.resolve() for path in inputs}
-        for path in former.union(out / SAVES[name].path for name in save):
+        for path in former.union(out / path for path in paths):
             for place in (path, path.parent):
                 if place.resolve() in taken:
                     raise OutputError(f"{place} is an input of this run: give another folder")
@@ -101,12 +102,12 @@ def _written(out: Path) -> set[Path]:
                 continue
             names = SAVES.keys() & record["outputs"].keys()
             frames = int(record["counts"]["written"]) if "counts" in record else None
-        except (OSError, ValueError, LookupError, TypeError, AttributeError):
+        except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError):
             continue  # not a record of ours
         written.add(path)
-        for name in names:
-            present = _present(out, SAVES[name].path)
-            written |= _up_to(frames, present) if "{" in SAVES[name].path else present
+        for target in (path for name in names for path in SAVES[name].paths):
+            present = _present(out, target)
+            written |= _up_to(frames, present) if "{" in target else present
     return written
 
 
@@ -117,7 +118,11 @@ def _present(out: Path, path: str) -> set[Path]:
         return {place for place in (target, part_of(target)) if os.path.lexists(place)}
     folder = target.parent
     if folder.is_dir():
-        return {place for place in folder.iterdir() if _NUMBERED.fullmatch(place.name)}
+        return {
+            place
+            for place in folder.iterdir()
+            if (match := _NUMBERED.fullmatch(place.name)) and match[2] == target.suffix
+        }
     return {folder} if os.path.lexists(folder) else set()
 
 

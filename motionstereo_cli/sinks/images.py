@@ -1,10 +1,11 @@
-"""Depth, disparity, age and confidence as PNG, one file a frame."""
+"""Images, one file a frame: PNG, PFM or TIFF."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
@@ -20,20 +21,22 @@ if TYPE_CHECKING:
     from motionstereo_cli.types import Real
 
 _UINT16_MAX = 65535
-_DEPTH_PER_M = 1000
 _DISPARITY_PER_PX = 256
 
 
-def depth_png(depth_m: Real) -> NDArray[np.uint16]:
-    """Return depth in mm as REP 118 has it; 0 = unknown or over 65.535 m.
+def depth_png(depth_m: Real, per_m: int = 1000) -> NDArray[np.uint16]:
+    """Return depth in units of 1 / ``per_m`` m; 0 = unknown or over 65535 units.
+
+    With the default, mm, as REP 118 has it.
 
     Args:
         depth_m: (height, width) float32, NaN = unknown.
+        per_m: units per metre.
 
     Returns:
         (height, width) uint16; a known depth that rounds to 0 is 1.
     """
-    return _to_uint16(depth_m, _DEPTH_PER_M)
+    return _to_uint16(depth_m, per_m)
 
 
 def disparity_png(disparity_px: Real) -> NDArray[np.uint16]:
@@ -60,6 +63,17 @@ def confidence_png(confidence: Real) -> NDArray[np.uint8]:
     return np.nan_to_num(np.maximum(np.rint(confidence * 255), 1)).astype(np.uint8)
 
 
+def motion_png(motion: NDArray[np.bool_]) -> NDArray[np.uint8]:
+    """Return 255 where something moved and 0 elsewhere, (height, width) uint8."""
+    return motion.astype(np.uint8) * np.uint8(255)
+
+
+def known_depth_m(result: FrameResult) -> Real:
+    """Return the depth of a result that has one, because there is a rig."""
+    assert result.depth_m is not None
+    return result.depth_m
+
+
 def _to_uint16(values: Real, per_unit: int) -> NDArray[np.uint16]:
     # NaN is neither above nor below anything, so it is not known.
     known = (values >= 0) & (values <= np.float32(_UINT16_MAX / per_unit))
@@ -75,35 +89,70 @@ def encode_png(image: NDArray[np.uint8] | NDArray[np.uint16]) -> bytes:
     Raises:
         OutputError: the image cannot be encoded.
     """
-    done, png = cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 1])
+    return _encoded(".png", image, cv2.IMWRITE_PNG_COMPRESSION, 1)
+
+
+def encode_pfm(image: Real) -> bytes:
+    """Return a (height, width) float32 image as a PFM file, as Middlebury has it.
+
+    Little-endian, the lowest row first, inf where the image has NaN.
+
+    Raises:
+        OutputError: the image cannot be encoded.
+    """
+    return _encoded(".pfm", np.where(np.isnan(image), np.float32(np.inf), image))
+
+
+def encode_tiff(image: Real) -> bytes:
+    """Return a (height, width) float32 image as a TIFF file, uncompressed: all readers take it.
+
+    Raises:
+        OutputError: the image cannot be encoded.
+    """
+    return _encoded(".tiff", image, cv2.IMWRITE_TIFF_COMPRESSION, 1)
+
+
+def _encoded(suffix: str, image: NDArray[Any], *how: int) -> bytes:
+    done, content = cv2.imencode(suffix, image, how)
     if not done:
-        raise OutputError(f"cannot encode an image of {image.shape} as PNG: try another size")
-    return png.tobytes()
+        raise OutputError(f"cannot encode an image of {image.shape} as {suffix}: try another size")
+    return content.tobytes()
+
+
+_ENCODE: dict[str, Callable[[Any], bytes]] = {
+    ".png": encode_png,
+    ".pfm": encode_pfm,
+    ".tiff": encode_tiff,
+}
 
 
 class NumberedImages:
-    """8-bit or 16-bit PNG files, one a frame, each written whole.
+    """Image files, one a frame, each written whole.
 
     Args:
-        path: where they go; ``{:06d}`` in its name is the number of the frame.
-        image: makes the (height, width) uint8 or uint16 image of a result.
+        path: where they go; ``{:06d}`` in its name is the number of the frame, its suffix says
+            the format: uint8 and uint16 images go to .png, float32 ones to .pfm and .tiff.
+        stream: what is known of the run.
+        image: makes the (height, width) image of a result.
 
     Raises:
         OutputError: the folder cannot be made or a file not written.
     """
 
     def __init__(
-        self, path: Path, image: Callable[[FrameResult], NDArray[np.uint8] | NDArray[np.uint16]]
+        self, path: Path, stream: Stream, image: Callable[[FrameResult, Stream], NDArray[Any]]
     ) -> None:
         self._path = path
+        self._stream = stream
         self._image = image
+        self._encode = _ENCODE[path.suffix]
         with reported(path.parent):
             path.parent.mkdir(exist_ok=True)
 
     def write(self, result: FrameResult) -> None:
         """Write the image of a frame."""
         path = self._path.with_name(self._path.name.format(result.frame.index))
-        write_whole(path, encode_png(self._image(result)))
+        write_whole(path, self._encode(self._image(result, self._stream)))
 
     def close(self) -> None:
         """Do nothing: every image is complete."""
@@ -112,26 +161,19 @@ class NumberedImages:
         """Do nothing: every image is complete."""
 
 
-def depth_images(path: Path, _: Stream) -> NumberedImages:
-    """Return a sink for depth in mm; the results must have one."""
-
-    def image(result: FrameResult) -> NDArray[np.uint16]:
-        assert result.depth_m is not None
-        return depth_png(result.depth_m)
-
-    return NumberedImages(path, image)
+# The sinks by their names in SAVES; each takes the path and the stream.
 
 
-def disparity_images(path: Path, _: Stream) -> NumberedImages:
-    """Return a sink for disparity in 1/256 px."""
-    return NumberedImages(path, lambda result: disparity_png(result.disparity_px))
+def _images(image: Callable[[FrameResult, Stream], NDArray[Any]]) -> partial[NumberedImages]:
+    return partial(NumberedImages, image=image)
 
 
-def age_images(path: Path, _: Stream) -> NumberedImages:
-    """Return a sink for frames since motion; 255 = forgotten."""
-    return NumberedImages(path, lambda result: result.age_frames)
-
-
-def confidence_images(path: Path, _: Stream) -> NumberedImages:
-    """Return a sink for confidence in 1/255; 0 = no disparity."""
-    return NumberedImages(path, lambda result: confidence_png(result.confidence))
+depth = _images(lambda result, stream: depth_png(known_depth_m(result), stream.output.depth_scale))
+depth_m = _images(lambda result, _: known_depth_m(result))
+disparity = _images(lambda result, _: disparity_png(result.disparity_px))
+disparity_px = _images(lambda result, _: result.disparity_px)
+age = _images(lambda result, _: result.age_frames)
+confidence = _images(lambda result, _: confidence_png(result.confidence))
+bands = _images(lambda result, _: result.bands)
+motion = _images(lambda result, _: motion_png(result.motion))
+charge = _images(lambda result, _: result.charge)

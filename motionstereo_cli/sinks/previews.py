@@ -1,17 +1,17 @@
-"""Videos to look at: the charge as grey, the depth in colour."""
+"""Videos of the results: most to look at, depth also lossless."""
 
 from __future__ import annotations
 
 import functools
 import math
 from collections.abc import Callable
-from fractions import Fraction
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
 
+from motionstereo_cli.sinks.images import depth_png, known_depth_m, motion_png
 from motionstereo_cli.sinks.video import VideoWriter
 from motionstereo_cli.types import FrameResult
 
@@ -29,34 +29,34 @@ _FARTHEST = 32
 _EPOCH_S = 86_400
 
 
-class Preview:
+class ResultVideo:
     """A video of one image a frame, at the times of the frames.
 
     Where these count from an epoch, as camera clocks do, the video begins at 0.
 
     Args:
-        path: final name.
-        time_base: seconds per unit of the frames' time stamps.
-        image: makes the uint8 image of a result, grey or RGB.
+        path: final name; its suffix says the format, see :class:`VideoWriter`.
+        stream: what is known of the run.
+        image: makes the image of a result, grey or RGB.
 
     Raises:
         OutputError: the file cannot be written.
     """
 
     def __init__(
-        self, path: Path, time_base: Fraction, image: Callable[[FrameResult], NDArray[np.uint8]]
+        self, path: Path, stream: Stream, image: Callable[[FrameResult, Stream], NDArray[Any]]
     ) -> None:
-        self._video = VideoWriter(path, time_base)
+        self._video = VideoWriter(path, stream.time_base)
+        self._stream = stream
         self._image = image
-        self._time_base = time_base
         self._begin: int | None = None
 
     def write(self, result: FrameResult) -> None:
         """Append the image of a frame."""
         pts = result.frame.pts
         if self._begin is None:
-            self._begin = pts if pts * self._time_base > _EPOCH_S else 0
-        self._video.write(self._image(result), pts - self._begin)
+            self._begin = pts if pts * self._stream.time_base > _EPOCH_S else 0
+        self._video.write(self._image(result, self._stream), pts - self._begin)
 
     def close(self) -> None:
         """Complete the video and give it its name."""
@@ -70,45 +70,69 @@ class Preview:
             self._video.close(keep=False)
 
 
-def charge_video(path: Path, stream: Stream) -> Preview:
-    """Return a sink for the right permanency memory, the charge as grey level."""
-    return Preview(path, stream.time_base, lambda result: result.charge)
+def depth_colours(
+    disparity_px: Real, near_px: float, far_px: float = 1.0, colours: str = "turbo"
+) -> NDArray[np.uint8]:
+    """Return depth in colour, black = unknown; in turbo, red = near and blue = far.
 
-
-def depth_video(path: Path, stream: Stream) -> Preview:
-    """Return a sink for depth in colour; see :func:`depth_colours`."""
-    return Preview(
-        path,
-        stream.time_base,
-        lambda result: depth_colours(result.disparity_px, stream.max_disparity),
-    )
-
-
-def depth_colours(disparity_px: Real, max_disparity: int) -> NDArray[np.uint8]:
-    """Return depth in colour: red = near, blue = far, black = unknown.
-
-    The scale is the logarithm of the disparity from 1 px to ``max_disparity``, the same for
-    every frame: equal steps of colour are equal ratios of depth, so that far and near both
-    show contrast, and no rig is needed.
+    The scale is the logarithm of the disparity, the same for every frame: equal steps of colour
+    are equal ratios of depth, so that far and near both show contrast, and no rig is needed.
 
     Args:
-        disparity_px: (height, width) float32, NaN = unknown.
-        max_disparity: disparity of the warmest colour in px.
+        disparity_px: (height, width) float32, doffs added if there is one; NaN = unknown.
+        near_px: disparity of the nearest colour in px.
+        far_px: disparity of the farthest colour in px, above 0; ``near_px`` counts as at least
+            twice as much.
+        colours: name of an OpenCV colour map.
 
     Returns:
         (height, width, 3) uint8 RGB.
     """
     known = ~np.isnan(disparity_px)
-    nearness = np.log(np.maximum(disparity_px[known], 1)) / math.log(max(max_disparity, 2))
+    scale = math.log(max(near_px / far_px, 2))
+    nearness = np.log(np.maximum(disparity_px[known] / np.float32(far_px), 1)) / scale
     levels = np.zeros(disparity_px.shape, np.uint8)
     levels[known] = _FARTHEST + np.minimum(nearness, 1) * (255 - _FARTHEST)
-    return cv2.applyColorMap(levels, _colours()).astype(np.uint8, copy=False)
+    return cv2.applyColorMap(levels, _palette(colours)).astype(np.uint8, copy=False)
 
 
 @functools.cache
-def _colours() -> NDArray[np.uint8]:
-    """Return the (256, 1, 3) RGB table of the colour map, with black at 0."""
-    bgr = cv2.applyColorMap(np.arange(256, dtype=np.uint8)[:, np.newaxis], cv2.COLORMAP_TURBO)
+def _palette(colours: str) -> NDArray[np.uint8]:
+    """Return the (256, 1, 3) RGB table of a colour map, with black at 0."""
+    colour_map = getattr(cv2, f"COLORMAP_{colours.upper()}")
+    bgr = cv2.applyColorMap(np.arange(256, dtype=np.uint8)[:, np.newaxis], colour_map)
     rgb = np.ascontiguousarray(bgr[..., ::-1], np.uint8)
     rgb[0] = 0
     return rgb
+
+
+def _bands(result: FrameResult, stream: Stream) -> NDArray[np.uint8]:
+    steps = stream.settings.bands - 1
+    return ((result.bands.astype(np.uint16) - 1) * 255 // steps).astype(np.uint8)
+
+
+def _depth(result: FrameResult, stream: Stream) -> NDArray[np.uint8]:
+    output, rig = stream.output, stream.rig
+    doffs = rig.doffs if rig else 0.0
+    near_px, far_px = stream.settings.max_disparity + doffs, max(1 + doffs, 1)
+    if rig and output.near_m:
+        near_px = rig.focal_px * rig.baseline_m / output.near_m
+    if rig and output.far_m:
+        far_px = rig.focal_px * rig.baseline_m / output.far_m
+    return depth_colours(result.disparity_px + np.float32(doffs), near_px, far_px, output.colours)
+
+
+# The sinks by their names in SAVES; each takes the path and the stream.
+
+
+def _video(image: Callable[[FrameResult, Stream], NDArray[Any]]) -> functools.partial[ResultVideo]:
+    return functools.partial(ResultVideo, image=image)
+
+
+depth = _video(_depth)
+depth_lossless = _video(
+    lambda result, stream: depth_png(known_depth_m(result), stream.output.depth_scale)
+)
+bands = _video(_bands)
+motion = _video(lambda result, _: motion_png(result.motion))
+charge = _video(lambda result, _: result.charge)

@@ -24,9 +24,9 @@ class VideoWriter:
     """A video file that appears under its name only when it is complete.
 
     H.264 in yuv420p (limited range, one encoder thread, so that the same images give the same
-    bytes everywhere) or, for names that end in ``.mkv``, lossless FFV1 of the grey levels.
-    Images of odd size are padded by repeating their last row or column, for yuv420p needs even
-    sizes.
+    bytes everywhere) or, for names that end in ``.mkv``, lossless FFV1 of the grey levels, 8 or
+    16 bits; Matroska rounds times to ms. For yuv420p, which needs even sizes, images of odd size
+    are padded by repeating their last row or column.
 
     Args:
         path: final name; ``.mp4`` or ``.mkv``.
@@ -55,22 +55,25 @@ class VideoWriter:
                 | ({} if self._lossless else {"movflags": "+faststart"}),
             )
 
-    def write(self, image: NDArray[np.uint8], pts: int) -> None:
-        """Append an image, (height, width) grey or (height, width, 3) RGB, uint8.
+    def write(self, image: NDArray[np.uint8] | NDArray[np.uint16], pts: int) -> None:
+        """Append an image.
+
+        (height, width) uint8 grey; for .mp4 also (height, width, 3) uint8 RGB; for .mkv also
+        (height, width) uint16.
 
         A time stamp that does not come after the one before is moved to just after it.
 
         Raises:
             OutputError: the file cannot be written.
         """
-        frame = self._grey_frame(image) if image.ndim == 2 else self._rgb_frame(image)
+        frame = self._frame(image)
         if self._last_pts is not None:
             pts = max(pts, self._last_pts + 1)
         self._last_pts = frame.pts = pts
         frame.time_base = self._time_base
         with reported(self.path):
             if self._stream is None:
-                self._stream = self._add_stream(frame.width, frame.height)
+                self._stream = self._add_stream(frame)
             self._container.mux(self._stream.encode(frame))
 
     def finish(self) -> None:
@@ -103,12 +106,12 @@ class VideoWriter:
             with reported(self.path):
                 part_of(self.path).unlink(missing_ok=True)
 
-    def _add_stream(self, width: int, height: int) -> Any:
+    def _add_stream(self, frame: av.VideoFrame) -> Any:
         # The rate is a label alone: the time stamps say when each frame is shown.
         codec = "ffv1" if self._lossless else "libx264"
         stream: Any = self._container.add_stream(codec, rate=30)
-        stream.width, stream.height = width, height
-        stream.pix_fmt = "gray" if self._lossless else "yuv420p"
+        stream.width, stream.height = frame.width, frame.height
+        stream.pix_fmt = frame.format.name
         stream.time_base = stream.codec_context.time_base = self._time_base
         stream.codec_context.thread_count = 1
         if not self._lossless:
@@ -117,15 +120,15 @@ class VideoWriter:
             stream.codec_context.color_range = 1  # limited
         return stream
 
-    def _grey_frame(self, image: NDArray[np.uint8]) -> av.VideoFrame:
+    def _frame(self, image: NDArray[Any]) -> av.VideoFrame:
         if self._lossless:
-            return av.VideoFrame.from_ndarray(image, "gray")
+            grey = "gray16le" if image.dtype == np.uint16 else "gray"
+            return av.VideoFrame.from_ndarray(image, grey)
+        if image.ndim == 3:
+            return av.VideoFrame.from_ndarray(_even(image), "rgb24").reformat(format="yuv420p")
         luma = _LIMITED_LUMA[_even(image)]
         chroma = np.full((luma.shape[0] // 2, luma.shape[1]), 128, np.uint8)
         return av.VideoFrame.from_ndarray(np.concatenate([luma, chroma]), "yuv420p")
-
-    def _rgb_frame(self, image: NDArray[np.uint8]) -> av.VideoFrame:
-        return av.VideoFrame.from_ndarray(_even(image), "rgb24").reformat(format="yuv420p")
 
 
 def _even(image: NDArray[np.uint8]) -> NDArray[np.uint8]:

@@ -30,6 +30,9 @@ SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm", 
 #: Beside a folder ``data``: the images' time stamps in ns and names, as EuRoC lays them.
 STAMPS = "data.csv"
 
+#: Of a time stamp in ns: those of 64 bits.
+_MOST_DIGITS = 19
+
 
 class FolderStream(Stream):
     """Images of one folder in natural order: frame2 before frame10.
@@ -202,7 +205,8 @@ def _stamped(path: Path) -> tuple[list[Path], list[int]]:
         stamp, comma, name = (part.strip() for part in line.partition(","))
         if not line.strip() or stamp.startswith("#"):
             continue
-        if not (stamp.isascii() and stamp.isdigit() and comma and Path(name).name == name):
+        named = comma and Path(name).name == name
+        if not (named and stamp.isascii() and stamp.isdigit() and len(stamp) <= _MOST_DIGITS):
             raise InputError(f"{table}, line {number}: give 'time stamp in ns,file name'")
         rows.append((int(stamp), path / name))
     rows.sort()

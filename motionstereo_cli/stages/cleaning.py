@@ -6,14 +6,51 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from motionstereo_cli.kernel import kernel
 
-def without_speckles(disparity_px: NDArray[np.float32], least_px: int) -> NDArray[np.float32]:
-    """Return a disparity image without connected patches of fewer than ``least_px`` pixels."""
-    sixteenths = np.where(np.isnan(disparity_px), -16, disparity_px * 16).astype(np.int16)
-    cv2.filterSpeckles(sixteenths, -16, least_px, 16)
-    return np.where(sixteenths < 0, np.float32(np.nan), disparity_px)
+#: cv2.filterSpeckles knows whole numbers alone.
+_PER_PX = 16
+_NOTHING = -_PER_PX
 
 
+def without_speckles(
+    disparity_px: NDArray[np.float32], where: NDArray[np.bool_], least_px: int
+) -> NDArray[np.float32]:
+    """Return a disparity image without connected patches of fewer than ``least_px`` pixels.
+
+    Args:
+        disparity_px: (height, width) float32, NaN = unknown.
+        where: pixels that count, (height, width) bool; all others become unknown.
+        least_px: pixels of the smallest patch that stays.
+    """
+    sixteenths = _sixteenths(disparity_px, where)
+    cv2.filterSpeckles(sixteenths, _NOTHING, least_px, _PER_PX)
+    return _kept(disparity_px, sixteenths)
+
+
+@kernel
+def _sixteenths(disparity_px: NDArray[np.float32], where: NDArray[np.bool_]) -> NDArray[np.int16]:
+    height, width = disparity_px.shape
+    result = np.empty((height, width), np.int16)
+    for y in range(height):
+        for x in range(width):
+            known = where[y, x] and not np.isnan(disparity_px[y, x])
+            result[y, x] = int(disparity_px[y, x] * _PER_PX) if known else _NOTHING
+    return result
+
+
+@kernel
+def _kept(disparity_px: NDArray[np.float32], sixteenths: NDArray[np.int16]) -> NDArray[np.float32]:
+    height, width = disparity_px.shape
+    result = disparity_px.copy()
+    for y in range(height):
+        for x in range(width):
+            if sixteenths[y, x] < 0:
+                result[y, x] = np.nan
+    return result
+
+
+@kernel
 def filled(
     disparity_px: NDArray[np.float32], where: NDArray[np.bool_], gap_px: int
 ) -> NDArray[np.float32]:
@@ -27,14 +64,20 @@ def filled(
         where: pixels that may be filled, (height, width) bool.
         gap_px: widest gap that is filled.
     """
-    known = ~np.isnan(disparity_px)
-    column = np.arange(disparity_px.shape[1], dtype=np.int32)
-    before = np.maximum.accumulate(np.where(known, column, -1), axis=1)
-    after = np.minimum.accumulate(np.where(known, column, len(column))[:, ::-1], axis=1)[:, ::-1]
-    bridged = (before >= 0) & (after < len(column)) & (after - before <= gap_px + 1)
-    y, x = np.nonzero(bridged & where & ~known)
-    a, b = before[y, x], after[y, x]
-    low, step = disparity_px[y, a], disparity_px[y, b] - disparity_px[y, a]
+    height, width = disparity_px.shape
     result = disparity_px.copy()
-    result[y, x] = np.where(np.abs(step) <= 2, low + step * ((x - a) / (b - a)), np.nan)
+    for y in range(height):
+        before = -gap_px - 2  # the last pixel known; before the row there is none in reach
+        for x in range(width):
+            if np.isnan(disparity_px[y, x]):
+                continue
+            length = x - before
+            if 1 < length <= gap_px + 1:
+                step = disparity_px[y, x] - disparity_px[y, before]
+                if abs(step) <= 2:
+                    for column in range(before + 1, x):
+                        if where[y, column]:
+                            share = (column - before) / length
+                            result[y, column] = disparity_px[y, before] + step * share
+            before = x
     return result

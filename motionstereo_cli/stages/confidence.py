@@ -5,21 +5,34 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from motionstereo_cli.kernel import kernel
+
 #: Logistic regression on what is known of a match: constant, log2 of votes, residual in grey
 #: levels, age in frames. Fitted to whether disparities are within 1 px of the truth, on the
 #: rendered corridor and cards, straight, turning, still and panning, at noise 1.5 and 4, each
 #: scene with the same weight.
-_CONSTANT, _PER_DOUBLING, _PER_GREY_LEVEL, _PER_FRAME = -4.38, 0.918, -0.157, -0.093
+_CONSTANT, _PER_DOUBLING = -4.38, 0.918
+_PER_GREY_LEVEL, _PER_FRAME = np.float32(-0.157), np.float32(-0.093)
 
 #: More votes than this say no more.
-_MOST_VOTES = 512.0
+_MOST_VOTES = 512
 
 #: A gap filled between two matches is right as often as a match with this evidence.
-_FILLED_VOTES, _FILLED_RESIDUAL = 340.0, 3.0
+_FILLED_VOTES, _FILLED_RESIDUAL = np.float32(340), np.float32(3)
+
+#: Tables, for logarithms and exponentials take their time: what votes contribute, and the
+#: logistic function from minus to plus the largest logit in steps of 1/64.
+_PER_VOTE = (_CONSTANT + _PER_DOUBLING * np.log2(np.maximum(np.arange(_MOST_VOTES + 1), 1))).astype(
+    np.float32
+)
+_LARGEST_LOGIT, _STEPS = np.float32(10), np.float32(64)
+_LOGISTIC = (1 / (1 + np.exp(10 - np.arange(2 * 10 * 64 + 1) / 64))).astype(np.float32)
 
 
+@kernel
 def confidence(
     disparity_px: NDArray[np.float32],
+    matched_px: NDArray[np.float32],
     votes: NDArray[np.float32],
     residual: NDArray[np.float32],
     age_frames: NDArray[np.uint8],
@@ -31,14 +44,26 @@ def confidence(
 
     Args:
         disparity_px: (height, width) float32, NaN = unknown.
-        votes: how many votes agree with it, (height, width) float32, NaN where it was filled in.
-        residual: difference of grey between the views, (height, width) float32, NaN likewise.
+        matched_px: the same without what was filled in, (height, width) float32.
+        votes: how many votes agree with a match, (height, width) float32.
+        residual: difference of grey between the views, (height, width) float32.
         age_frames: frames since something moved there, (height, width) uint8.
     """
-    at = ~np.isnan(disparity_px)
-    doublings = np.log2(np.clip(np.nan_to_num(votes[at], nan=_FILLED_VOTES), 1, _MOST_VOTES))
-    grey = np.nan_to_num(residual[at], nan=_FILLED_RESIDUAL)
-    logit = _CONSTANT + _PER_DOUBLING * doublings + _PER_GREY_LEVEL * grey
-    chance = np.full(disparity_px.shape, np.nan, np.float32)
-    chance[at] = 1 / (1 + np.exp(-(logit + _PER_FRAME * age_frames[at])))
+    height, width = disparity_px.shape
+    chance = np.empty((height, width), np.float32)
+    for y in range(height):
+        for x in range(width):
+            if np.isnan(disparity_px[y, x]):
+                chance[y, x] = np.nan
+                continue
+            count, grey = votes[y, x], residual[y, x]
+            if np.isnan(matched_px[y, x]):
+                count, grey = _FILLED_VOTES, _FILLED_RESIDUAL
+            logit = (
+                _PER_VOTE[min(int(count), _MOST_VOTES)]
+                + _PER_GREY_LEVEL * grey
+                + _PER_FRAME * np.float32(age_frames[y, x])
+            )
+            step = int((logit + _LARGEST_LOGIT) * _STEPS)
+            chance[y, x] = _LOGISTIC[max(min(step, len(_LOGISTIC) - 1), 0)]
     return chance

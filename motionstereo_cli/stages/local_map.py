@@ -27,7 +27,7 @@ HALF_LIFE_FRAMES = 50
 _HIT, _MISS, _MOST = 0.5, -0.5, 4.0
 CERTAIN = 0.7
 
-#: Farther points are too uncertain to be marked as occupied; the way up to them is free.
+#: How far points of the map around the robot are marked as occupied.
 _HIT_REACH_M = 6.0
 #: Errors of a disparity, in px, that a free way and an occupied place allow for.
 _FREE_ERROR_PX, _HIT_ERROR_PX = 1.0, 0.5
@@ -104,14 +104,24 @@ def profile(
     near = nearness_px[row, column]
     up_m = (view.cy_px - row) * (view.focal_baseline / view.focal_px) / near
     in_way = (up_m > -below_m) & (up_m < above_m)
-    near, bearing = near[in_way], column[in_way] * bearings // width
-    order = np.lexsort((-near, bearing))
+    return nearest_by_bearing(near[in_way], column[in_way] * bearings // width, bearings)
+
+
+def nearest_by_bearing(near_px: Reals, bearing: NDArray[np.intp], bearings: int) -> Reals:
+    """Return the nearness in each bearing, as :func:`profile` has it, (bearings,) float32 px.
+
+    Args:
+        near_px: nearness of points that are in the way, (n,) float32.
+        bearing: the bearing of each, 0 to ``bearings`` - 1, (n,).
+        bearings: number of bearings.
+    """
+    order = np.lexsort((-near_px, bearing))
     count = np.bincount(bearing, minlength=bearings)
     first = np.cumsum(count) - count
     rank = np.maximum(_LEAST_PIXELS, np.ceil(_NEARER_SHARE * count).astype(np.int64)) - 1
     enough = rank < count
     result = np.full(bearings, np.nan, np.float32)
-    result[enough] = near[order][(first + rank)[enough]]
+    result[enough] = near_px[order][(first + rank)[enough]]
     return result
 
 
@@ -140,12 +150,55 @@ def seen(known: LocalMap, near_px: Reals, view: View, width: int) -> LocalMap:
         view: the camera.
         width: width of its images in px.
     """
+    free, hit = sighted(
+        known.evidence.shape,
+        known.corner,
+        near_px,
+        view,
+        width,
+        cell_m=CELL_M,
+        reach_m=_HIT_REACH_M,
+        error_px=_HIT_ERROR_PX,
+    )
+    evidence = known.evidence * np.float32(0.5 ** (1 / HALF_LIFE_FRAMES))
+    evidence[free] += np.float32(_MISS)
+    # What comes into a place that was free for long is believed as soon as anything.
+    evidence[hit] = np.maximum(evidence[hit], 0) + np.float32(_HIT)
+    return LocalMap(evidence.clip(-_MOST, _MOST), known.corner)
+
+
+def sighted(
+    shape: tuple[int, ...],
+    corner: tuple[int, int],
+    near_px: Reals,
+    view: View,
+    width: int,
+    *,
+    cell_m: float,
+    reach_m: float,
+    error_px: float,
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Return which cells of a grid a camera sees through, and in which it sees something.
+
+    Args:
+        shape: number of cells along the world's x and y.
+        corner: world cell of the first.
+        near_px: profile of the frame, (bearings,) float32 px, NaN = unknown.
+        view: the camera.
+        width: width of its images in px.
+        cell_m: size of a cell.
+        reach_m: farther points are too uncertain to be marked; the way up to them is free.
+        error_px: error of a disparity that an occupied place allows for.
+
+    Returns:
+        Both of the given shape.
+    """
     bridged, solid = _bridged(near_px, view, width)
-    ahead, leftward = _camera_frame(known, view)
+    ahead, leftward = _camera_frame(shape, corner, view, cell_m)
     with np.errstate(divide="ignore", invalid="ignore"):
         column = view.cx_px - view.focal_px * leftward / ahead
         bearing = np.floor((column + 0.5) * len(near_px) / width)
-    inside = (ahead > CELL_M) & (bearing >= 0) & (bearing < len(near_px))
+    inside = (ahead > cell_m) & (bearing >= 0) & (bearing < len(near_px))
     bearing = np.where(inside, bearing, 0).astype(np.intp)
     near = np.where(inside, bridged[bearing], np.float32(np.nan))
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -153,13 +206,19 @@ def seen(known: LocalMap, near_px: Reals, view: View, width: int) -> LocalMap:
         off_px = np.abs(view.focal_baseline / ahead - near)
         depth_m = view.focal_baseline / near
         free = ahead < view.focal_baseline / (near + _FREE_ERROR_PX)
-        hit = (off_px < _HIT_ERROR_PX) | (np.abs(ahead - depth_m) < 0.75 * CELL_M)
-        hit &= (depth_m < _HIT_REACH_M) & solid[bearing]
-    evidence = known.evidence * np.float32(0.5 ** (1 / HALF_LIFE_FRAMES))
-    evidence[free] += np.float32(_MISS)
-    # What comes into a place that was free for long is believed as soon as anything.
-    evidence[hit] = np.maximum(evidence[hit], 0) + np.float32(_HIT)
-    return LocalMap(evidence.clip(-_MOST, _MOST), known.corner)
+        hit = (off_px < error_px) | (np.abs(ahead - depth_m) < 0.75 * cell_m)
+        hit &= (depth_m < reach_m) & solid[bearing]
+    return free, hit
+
+
+def disc(known: LocalMap, x_m: float, y_m: float, radius_m: float) -> NDArray[np.bool_]:
+    """Return the cells within a radius of a place in the world, (CELLS, CELLS) bool."""
+    x, y = (
+        (np.arange(CELLS) + known.corner[axis] + 0.5) * CELL_M - place
+        for axis, place in ((0, x_m), (1, y_m))
+    )
+    inside: NDArray[np.bool_] = np.hypot(x[:, None], y) <= radius_m
+    return inside
 
 
 def _corner(x_m: float, y_m: float) -> tuple[int, int]:
@@ -169,10 +228,12 @@ def _corner(x_m: float, y_m: float) -> tuple[int, int]:
     )
 
 
-def _camera_frame(known: LocalMap, view: View) -> tuple[Reals, Reals]:
+def _camera_frame(
+    shape: tuple[int, ...], corner: tuple[int, int], view: View, cell_m: float
+) -> tuple[Reals, Reals]:
     """Return how far ahead and leftward of the camera each cell's middle is, in m."""
     x, y = (
-        ((np.arange(CELLS) + known.corner[axis] + 0.5) * CELL_M - place).astype(np.float32)
+        ((np.arange(shape[axis]) + corner[axis] + 0.5) * cell_m - place).astype(np.float32)
         for axis, place in ((0, view.x_m), (1, view.y_m))
     )
     cos, sin = np.float32(math.cos(view.yaw_rad)), np.float32(math.sin(view.yaw_rad))

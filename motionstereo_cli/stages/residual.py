@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from motionstereo_cli.kernel import kernel
+
 #: Differences of grey beyond this say no more.
-_MOST = 64.0
+_MOST = np.float32(64)
+
+#: The median of all differences is told to this part of a grey level.
+_PER_GREY_LEVEL = 16
 
 
+@kernel
 def residual(
     disparity_px: NDArray[np.float32], right: NDArray[np.uint8], left: NDArray[np.uint8]
 ) -> NDArray[np.float32]:
@@ -24,21 +29,52 @@ def residual(
         disparity_px: x in the left view minus x in the right one, float32, NaN = unknown.
         right, left: grey levels of the two views, (height, width) uint8.
     """
-    known = ~np.isnan(disparity_px)
-    y, x = np.nonzero(known)
-    place = x + disparity_px[y, x]
-    column = np.minimum(place.astype(np.intp), left.shape[1] - 1)
-    beyond = np.minimum(column + 1, left.shape[1] - 1)
-    near, far = left[y, column].astype(np.float32), left[y, beyond].astype(np.float32)
-    difference = right[y, x] - (near + (far - near) * (place - column))
-    if len(difference):
-        difference -= np.median(difference)
-    total = np.zeros(disparity_px.shape, np.float32)
-    total[y, x] = np.minimum(np.abs(difference), _MOST)
-    count = _sum_3x3(known.astype(np.float32))
-    mean = _sum_3x3(total) / np.maximum(count, 1)
-    return np.where(known, mean, np.float32(np.nan))
+    height, width = disparity_px.shape
+    difference = np.empty((height, width), np.float32)
+    histogram = np.zeros(2 * 256 * _PER_GREY_LEVEL, np.int32)
+    known = 0
+    for y in range(height):
+        for x in range(width):
+            if np.isnan(disparity_px[y, x]):
+                difference[y, x] = np.nan
+                continue
+            place = np.float32(x) + disparity_px[y, x]
+            column = min(int(place), width - 1)
+            near = np.float32(left[y, column])
+            far = np.float32(left[y, min(column + 1, width - 1)])
+            here = np.float32(right[y, x]) - (near + (far - near) * (place - np.float32(column)))
+            difference[y, x] = here
+            histogram[
+                int((here + np.float32(256)) * np.float32(_PER_GREY_LEVEL) + np.float32(0.5))
+            ] += 1
+            known += 1
+    # The two in the middle, which are one if the number is odd.
+    lower = upper = -1
+    below = 0
+    for step in range(len(histogram)):
+        below += histogram[step]
+        if lower < 0 and 2 * below >= known:
+            lower = step
+        if 2 * below > known:
+            upper = step
+            break
+    median = np.float32((lower + upper) / (2 * _PER_GREY_LEVEL) - 256)
 
-
-def _sum_3x3(image: NDArray[np.float32]) -> NDArray[np.float32]:
-    return np.asarray(cv2.boxFilter(image, -1, (3, 3), normalize=False), np.float32)
+    result = np.empty((height, width), np.float32)
+    total = np.zeros(width + 2, np.float32)  # of three rows, with a border of nothing
+    count = np.zeros(width + 2, np.float32)
+    for y in range(height):
+        total.fill(0)
+        count.fill(0)
+        for row in range(max(y - 1, 0), min(y + 2, height)):
+            for x in range(width):
+                here = min(abs(difference[row, x] - median), _MOST)
+                is_known = not np.isnan(here)
+                total[x + 1] += here if is_known else np.float32(0)
+                count[x + 1] += np.float32(1) if is_known else np.float32(0)
+        for x in range(width):
+            mean = (total[x] + total[x + 1] + total[x + 2]) / max(
+                count[x] + count[x + 1] + count[x + 2], np.float32(1)
+            )
+            result[y, x] = np.float32(np.nan) if np.isnan(difference[y, x]) else mean
+    return result

@@ -5,7 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from motionstereo_cli.kernel import kernel
 
+
+@kernel
 def units(
     charge: NDArray[np.uint8],
     charge_min: int = 0,
@@ -22,8 +25,10 @@ def units(
         charge_min: the charge at rest.
         bands: bands 1..256, (height, width), or None.
     """
-    unit = charge.astype(np.uint16) * np.uint16(256)
-    if bands is not None:
-        unit += (bands - 1).astype(np.uint16)
-    unit[charge <= charge_min] = 0
+    height, width = charge.shape
+    unit = np.zeros((height, width), np.uint16)
+    for y in range(height):
+        for x in range(width):
+            band = 0 if bands is None else bands[y, x] - 1
+            unit[y, x] = charge[y, x] * 256 + band if charge[y, x] > charge_min else 0
     return unit

@@ -1,0 +1,146 @@
+"""Measuring time fairly: samples by contestant, a set number of cores, and child processes."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import statistics
+import subprocess
+import sys
+from collections import defaultdict
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import cv2
+
+
+class Key(NamedTuple):
+    """What was measured: a part of the benchmark, a case in it, a contestant, on how many cores."""
+
+    part: str
+    case: str
+    contestant: str
+    cores: int
+
+
+@dataclass(frozen=True, slots=True)
+class Cost:
+    """What one measurement, or the median of several, came to.
+
+    Attributes:
+        seconds: wall time.
+        peak_mb: largest resident memory of the process in MB (1e6 bytes); None where several
+            contestants shared one.
+    """
+
+    seconds: float
+    peak_mb: float | None = None
+
+
+class Samples:
+    """All measurements, in the order in which their keys came up first."""
+
+    def __init__(self) -> None:
+        self._costs: defaultdict[Key, list[Cost]] = defaultdict(list)
+
+    def add(self, part: str, case: str, contestant: str, cores: int, cost: Cost) -> None:
+        """Take in one measurement."""
+        self._costs[Key(part, case, contestant, cores)].append(cost)
+
+    def seconds(self, key: Key) -> list[float]:
+        """Return all measured times of one contestant."""
+        return [cost.seconds for cost in self._costs[key]]
+
+    def medians(self) -> dict[Key, Cost]:
+        """Return the median time of each contestant, and the largest peak of its memory."""
+        return {
+            key: Cost(
+                statistics.median(cost.seconds for cost in costs),
+                max((cost.peak_mb for cost in costs if cost.peak_mb is not None), default=None),
+            )
+            for key, costs in self._costs.items()
+        }
+
+
+@contextlib.contextmanager
+def on_cores(cores: int) -> Iterator[None]:
+    """Let this process, all its threads, and the children it starts use so many cores.
+
+    Where the system knows no affinity (it is not Linux), cv2 and the libraries that read the
+    environment are held to as many threads.
+    """
+    names = [f"{name}_NUM_THREADS" for name in ("OMP", "OPENBLAS", "NUMBA")]
+    environment = {name: os.environ.get(name) for name in names}
+    os.environ.update(dict.fromkeys(names, str(cores)))
+    cv2_threads = cv2.getNumThreads()
+    cv2.setNumThreads(cores)
+    allowed = _affinity()
+    _set_affinity(sorted(allowed)[:cores])
+    try:
+        yield
+    finally:
+        _set_affinity(allowed)
+        cv2.setNumThreads(cv2_threads)
+        for name, value in environment.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
+
+
+def core_count() -> int:
+    """Return how many cores this process may use."""
+    return len(_affinity()) or os.cpu_count() or 1
+
+
+if sys.platform == "linux":
+
+    def _affinity() -> Sequence[int]:
+        return sorted(os.sched_getaffinity(0))
+
+    def _set_affinity(cores: Sequence[int]) -> None:
+        for thread in os.listdir("/proc/self/task"):
+            with contextlib.suppress(ProcessLookupError):  # it has just ended
+                os.sched_setaffinity(int(thread), cores)
+
+else:
+
+    def _affinity() -> Sequence[int]:
+        return ()
+
+    def _set_affinity(cores: Sequence[int]) -> None:
+        pass
+
+
+#: A new process is charged with the memory of the one that started it, so a small one starts it.
+_LAUNCHER = """
+import json, os, sys, time
+started = time.perf_counter()
+child = os.posix_spawn(sys.argv[1], sys.argv[1:], os.environ)
+_, status, usage = os.wait4(child, 0)
+seconds = time.perf_counter() - started
+print(json.dumps([seconds, usage.ru_maxrss, os.waitstatus_to_exitcode(status)]), file=sys.stderr)
+"""
+
+
+def python(*arguments: str | Path) -> Cost:
+    """Run Python with some arguments to its end, and return what it cost from start to exit.
+
+    Raises:
+        RuntimeError: it failed.
+    """
+    done = subprocess.run(
+        [sys.executable, "-ISc", _LAUNCHER, sys.executable, *map(str, arguments)],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+        check=True,
+    )
+    said, _, report = done.stderr.rstrip("\n").rpartition("\n")
+    seconds, peak, exit_code = json.loads(report)
+    if exit_code:
+        raise RuntimeError(f"python {' '.join(map(str, arguments))}: {said or exit_code}")
+    return Cost(seconds, peak / 1e6 if sys.platform == "darwin" else peak * 1024 / 1e6)

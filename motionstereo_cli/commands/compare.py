@@ -1,0 +1,105 @@
+"""``motionstereo compare``: a run against an earlier one."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import click
+
+from motionstereo_cli.commands.options import settings_options
+from motionstereo_cli.settings import COLUMN_TOLERANCE, CompareSettings
+
+DIFFERENT_EXIT_CODE = 4
+
+_FILE = click.Path(dir_okay=False, path_type=Path)
+_STDOUT = Path("-")
+
+
+def _tolerances(
+    ctx: click.Context, option: click.Parameter, given: tuple[str, ...]
+) -> dict[str, float]:
+    tolerances = {}
+    for text in given:
+        column, _, value = text.partition("=")
+        try:
+            tolerance = float(value)
+        except ValueError:
+            tolerance = math.nan
+        if not 0 <= tolerance < math.inf:
+            raise click.UsageError(
+                f"--tolerance cannot be {text!r}: give COLUMN=VALUE, such as steer=0.02", ctx
+            )
+        tolerances[column.strip()] = tolerance
+    return tolerances
+
+
+@click.command()
+@click.argument("actual", type=click.Path(path_type=Path))
+@click.argument("golden", type=click.Path(path_type=Path))
+@click.option(
+    "--tolerance",
+    multiple=True,
+    metavar="COLUMN=VALUE",
+    callback=_tolerances,
+    help="How far a number of a table may be from the golden one, in the column's unit; may be "
+    "repeated. Columns without one have to be the same.  "
+    f"[default: {', '.join(f'{name}={value:g}' for name, value in COLUMN_TOLERANCE.items())}]",
+)
+@click.option("--picture", type=_FILE, help="Draw the images that differ most, PNG.")
+@click.option(
+    "--json",
+    "json_path",
+    type=click.Path(dir_okay=False, allow_dash=True, path_type=Path),
+    help="Write all as JSON; - is standard output.",
+)
+@click.option("--junit", type=_FILE, help="Write a JUnit report, a test case for each output.")
+@settings_options(CompareSettings)
+def compare(
+    *,
+    actual: Path,
+    golden: Path,
+    tolerance: dict[str, float],
+    picture: Path | None,
+    json_path: Path | None,
+    junit: Path | None,
+    chosen: dict[str, Any],
+) -> int:
+    """Tell whether a run gives what an earlier one gave. Exit code 4 if it does not.
+
+    ACTUAL and GOLDEN are folders that run wrote; GOLDEN may hold a part of it, such as
+    steering.csv, run.json and every tenth depth image: what it has is compared. That is tables,
+    depth and disparity images, and settings and counts in run.json; other files have to be there.
+    """
+    settings = CompareSettings(**chosen)
+
+    from tqdm import tqdm
+
+    from motionstereo_cli import compare as library
+    from motionstereo_cli.sinks.files import write_whole
+    from motionstereo_cli.sinks.images import encode_png
+
+    with tqdm(unit="image", disable=None) as bar:
+        report = library.compare(
+            actual, golden, settings, tolerances=tolerance, progress=bar.update
+        )
+    if picture and report.worst_image:
+        write_whole(picture, encode_png(library.draw_worst(report.worst_image)))
+    if junit:
+        write_whole(junit, library.format_junit(report))
+    if json_path and json_path != _STDOUT:
+        write_whole(json_path, library.format_json(report).encode())
+
+    for line in report.notes:
+        _note(line)
+    if picture:
+        image = report.worst_image
+        _note(f"{image.name} is in {picture}" if image else "no picture: no images were compared")
+    shown = library.format_json if json_path == _STDOUT else library.format_table
+    click.echo(shown(report), nl=False)
+    return DIFFERENT_EXIT_CODE if report.differs else 0
+
+
+def _note(text: str) -> None:
+    click.echo(f"note: {text}", err=True)

@@ -1,0 +1,91 @@
+"""The map of the surroundings: a point cloud, and the floor plane as ROS's map_server has it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from motionstereo_cli.mapping import Floor, Mapper
+from motionstereo_cli.sinks.files import part_of, write_whole
+from motionstereo_cli.sinks.images import encode_png
+from motionstereo_cli.sinks.points import encode_ply
+from motionstereo_cli.types import FrameResult
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from motionstereo_cli.sinks import Stream
+
+_FREE, _OCCUPIED, _UNKNOWN = 254, 0, 205
+
+
+def map_png(floor: Floor) -> NDArray[np.uint8]:
+    """Return the floor plane as a picture: 0 occupied, 254 free, 205 unknown.
+
+    Returns:
+        (ny, nx) uint8: to the right the world's x grows, and upward its y.
+    """
+    cells = np.where(floor.occupied, _OCCUPIED, np.where(floor.free, _FREE, _UNKNOWN))
+    return np.ascontiguousarray(cells.T[::-1].astype(np.uint8))
+
+
+def map_yaml(floor: Floor, image: str) -> str:
+    """Return what map_server has to know of the picture ``image``.
+
+    The free threshold is that of ROS 1: with the 0.25 that Nav2 writes, 205, which stands for a
+    chance of 0.196, would be read as free.
+    """
+    return (
+        f"image: {image}\n"
+        "mode: trinary\n"
+        f"resolution: {floor.cell_m!r}\n"
+        f"origin: [{floor.x_m:.6f}, {floor.y_m:.6f}, 0]\n"
+        "negate: 0\n"
+        "occupied_thresh: 0.65\n"
+        "free_thresh: 0.196\n"
+    )
+
+
+class MapFiles:
+    """The map, written at the end: .ply, and beside it .png and .yaml of the same name.
+
+    Args:
+        path: name of the point cloud.
+        stream: what is known of the run; it has a rig, and its results have poses.
+
+    Attributes:
+        mapper: makes the map.
+    """
+
+    def __init__(self, path: Path, stream: Stream) -> None:
+        assert stream.rig is not None
+        self._path = path
+        self.mapper = Mapper(stream.settings, stream.rig, stream.output.map_cell_m)
+        self._closed = False
+
+    def write(self, result: FrameResult) -> None:
+        """Take in a frame."""
+        self.mapper.add(result)
+
+    def close(self) -> None:
+        """Write the map."""
+        for path, content in self._files():
+            write_whole(path, content)
+        self._closed = True
+
+    def abandon(self, *, keep: bool) -> None:
+        """Write the map so far under ``.part`` names or, without ``keep``, nothing."""
+        if keep and not self._closed:
+            for path, content in self._files():
+                write_whole(part_of(path), content)
+
+    def _files(self) -> Iterator[tuple[Path, bytes]]:
+        points_m, grey = self.mapper.points()
+        floor = self.mapper.floor()
+        picture, yaml = self._path.with_suffix(".png"), self._path.with_suffix(".yaml")
+        yield self._path, encode_ply(points_m, grey, "m, in the world of the poses")
+        yield picture, encode_png(map_png(floor))
+        yield yaml, map_yaml(floor, picture.name).encode()

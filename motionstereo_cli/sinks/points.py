@@ -1,0 +1,80 @@
+"""Point clouds as PLY."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from motionstereo_cli.mapping import camera_points
+from motionstereo_cli.sinks.files import reported, write_whole
+from motionstereo_cli.types import FrameResult
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from motionstereo_cli.sinks import Stream
+    from motionstereo_cli.types import Grey
+
+_PLY_TYPES = {np.dtype(np.float32): "float", np.dtype(np.float64): "double"}
+
+
+def encode_ply(points_m: NDArray[np.floating[Any]], grey: Grey, comment: str) -> bytes:
+    """Return points as a binary little-endian PLY file: x, y, z and red, green, blue.
+
+    Args:
+        points_m: (n, 3) float32 or float64, which the file then has.
+        grey: their colour, (n,) uint8.
+        comment: one line, ASCII.
+    """
+    kind = points_m.dtype
+    places = [(name, kind.newbyteorder("<")) for name in ("x", "y", "z")]
+    colours = [(name, np.uint8) for name in ("red", "green", "blue")]
+    table = np.empty(len(points_m), [*places, *colours])
+    for axis, (name, _) in enumerate(places):
+        table[name] = points_m[:, axis]
+    for name, _ in colours:
+        table[name] = grey
+    head = [
+        *("ply", "format binary_little_endian 1.0", f"comment {comment}"),
+        f"element vertex {len(table)}",
+        *(f"property {_PLY_TYPES[kind]} {name}" for name, _ in places),
+        *(f"property uchar {name}" for name, _ in colours),
+        "end_header\n",
+    ]
+    return "\n".join(head).encode("ascii") + table.tobytes()
+
+
+class NumberedClouds:
+    """PLY files, one a frame, each written whole: all that has a depth, in the camera's frame.
+
+    Args:
+        path: where they go; ``{:06d}`` in its name is the number of the frame.
+        stream: what is known of the run; it has a rig.
+
+    Raises:
+        OutputError: the folder cannot be made or a file not written.
+    """
+
+    def __init__(self, path: Path, stream: Stream) -> None:
+        self._path = path
+        self._stream = stream
+        camera = stream.settings.reference
+        self._comment = f"m, optical frame of the {camera} camera: x right, y down, z forward"
+        with reported(path.parent):
+            path.parent.mkdir(exist_ok=True)
+
+    def write(self, result: FrameResult) -> None:
+        """Write the points of a frame."""
+        assert self._stream.rig is not None
+        everywhere = np.ones(result.motion.shape, np.bool_)
+        points_m, grey = camera_points(result, everywhere, self._stream.settings, self._stream.rig)
+        path = self._path.with_name(self._path.name.format(result.frame.index))
+        write_whole(path, encode_ply(points_m.astype(np.float32), grey, self._comment))
+
+    def close(self) -> None:
+        """Do nothing: every file is complete."""
+
+    def abandon(self, *, keep: bool) -> None:
+        """Do nothing: every file is complete."""

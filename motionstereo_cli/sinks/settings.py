@@ -1,0 +1,61 @@
+"""Parameters of the output: units, formats and colours."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from motionstereo_cli.errors import SettingsError
+from motionstereo_cli.settings import checked, param
+
+
+@dataclass(frozen=True, slots=True)
+class OutputSettings:
+    """How results are written; they themselves do not depend on it.
+
+    Raises:
+        SettingsError: a value is out of range, or two values contradict each other.
+    """
+
+    depth_scale: int = param(
+        1000,
+        "Unit of depth in 16-bit images and video: 1000 = mm; 5000 as TUM has it, 256 as KITTI.",
+        unit="per m",
+        low=1,
+        high=65535,
+    )
+    steering_format: str = param(
+        "csv",
+        "Format of the steering table: CSV, or JSON lines, one object a frame.",
+        choices=("csv", "jsonl"),
+    )
+    colours: str = param(
+        "turbo",
+        "Colour map of depth-video; in turbo and jet red is near.",
+        choices=("turbo", "viridis", "cividis", "magma", "inferno", "plasma", "jet", "bone"),
+    )
+    near_m: float = param(
+        0.0,
+        "Depth that has the nearest colour of depth-video (0 = that of --max-disparity).",
+        unit="m",
+        low=0,
+        high=1_000_000,
+    )
+    far_m: float = param(
+        0.0,
+        "Depth that has the farthest colour of depth-video (0 = that of a disparity of 1 px).",
+        unit="m",
+        low=0,
+        high=1_000_000,
+    )
+    map_cell_m: float = param(
+        0.05,
+        "Side of the cells of map.png, and of the voxels of which map.ply has a point each.",
+        unit="m",
+        low=0.005,
+        high=10,
+    )
+
+    def __post_init__(self) -> None:
+        checked(self)
+        if 0 < self.far_m <= self.near_m:
+            raise SettingsError(f"--near-m {self.near_m:g} is not below --far-m {self.far_m:g}")

@@ -1,0 +1,460 @@
+"""Moving objects: regions, following, speeds, the nearest contact, and their table."""
+
+import csv
+import math
+from fractions import Fraction
+
+import cv2
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from motionstereo_cli.bench import objects as bench
+from motionstereo_cli.commands import cli
+from motionstereo_cli.pipeline import Follower, Guide, nearest_contact
+from motionstereo_cli.settings import Settings
+from motionstereo_cli.simulate.settings import SimulateSettings
+from motionstereo_cli.sinks import SAVES, Stream
+from motionstereo_cli.stages import objects
+from motionstereo_cli.stages.objects import (
+    Region,
+    Sighting,
+    Track,
+    follow,
+    movement,
+    regions,
+    trust,
+)
+from motionstereo_cli.types import FrameResult, MovingObject, Pose, Rig, Steering, StereoFrame
+
+WIDTH, HEIGHT = 160, 96
+RIG = Rig(width=WIDTH, height=HEIGHT, focal_px=140, baseline_m=0.12, cx=79.5, cy=47.5)
+FB = 140 * 0.12
+NAN = np.float32(np.nan)
+
+
+def scene(*patches, ground=NAN):
+    """Nearness of (x, y, width, height, nearness) on a ground."""
+    near = np.full((HEIGHT, WIDTH), ground, np.float32)
+    for x, y, width, height, value in patches:
+        near[y : y + height, x : x + width] = value
+    return near
+
+
+def found(near, fresh=None, least_share=0.002):
+    return regions(near, np.full(near.shape, True) if fresh is None else fresh, least_share)
+
+
+class TestRegions:
+    def test_a_patch_is_a_region_with_its_box_middle_and_nearness(self):
+        (region,) = found(scene((40, 20, 32, 48, 12.25)))
+        assert (region.x, region.y, region.width, region.height) == (40, 20, 32, 48)
+        # Pixels 40..71 and 20..67: the middle pixel is half way.
+        assert (region.middle_x, region.middle_y) == pytest.approx((55.5, 43.5))
+        assert region.nearness_px == 12.25
+        assert region.known == 1
+
+    def test_a_jump_parts_what_touches_and_a_slope_does_not(self):
+        parts = found(scene((20, 20, 40, 40, 10), (60, 20, 40, 40, 14)))
+        assert sorted((r.x, r.nearness_px) for r in parts) == [(20, 10), (60, 14)]
+        slope = scene((20, 20, 80, 40, np.linspace(10, 14, 80)))
+        (region,) = found(slope)
+        assert (region.x, region.width) == (20, 80)
+
+    @pytest.mark.parametrize(("gap_px", "count"), [(8, 1), (16, 1), (24, 2)])
+    def test_gaps_close_up_to_16_px(self, gap_px, count):
+        near = scene((20, 20, 32, 40, 10), (52 + gap_px, 20, 32, 40, 10))
+        assert len(found(near)) == count
+
+    def test_only_what_is_fresh_counts(self):
+        near = scene((20, 20, 40, 40, 10))
+        fresh = np.zeros(near.shape, bool)
+        assert found(near, fresh) == ()
+        fresh[20:60, 20:40] = True
+        (region,) = found(near, fresh)
+        assert (region.x, region.width) == (20, 20)
+        fresh[::2] = False  # every other row
+        (region,) = found(near, fresh)
+        assert region.known == 0.5
+
+    def test_tiny_ones_are_dropped(self):
+        near = scene((20, 20, 8, 8, 10))  # 4 cells of 960
+        assert len(found(near, least_share=4 / 960)) == 1
+        assert found(near, least_share=5 / 960) == ()
+
+    def test_what_others_stand_before_is_none_but_they_are(self):
+        """A camera that turns: the wall moves as well, even in pieces."""
+        cards = (30, 0, 24, 96, 20), (100, 0, 24, 96, 20)
+        found_cards = found(scene(*cards, ground=6))
+        assert sorted(region.x for region in found_cards) == [
+            32,
+            100,
+        ]  # 30 and 31 are of mixed cells
+
+    def test_what_reaches_across_the_image_is_none(self):
+        assert found(scene((0, 40, 160, 56, 10))) == ()
+        assert len(found(scene((8, 40, 152, 56, 10)))) == 1
+
+    @pytest.mark.parametrize("shape", [(1, 1), (3, 5), (4, 4), (7, 200)])
+    def test_any_size_of_image_will_do(self, shape):
+        assert len(found(np.full(shape, 5, np.float32))) <= 1
+
+    @given(arrays(np.float32, (7, 9), elements=st.sampled_from([0.0, 5.0, 5.4, 6.0, 12.0])))
+    def test_labels_are_those_of_a_flood(self, near):
+        """Against the plain way: cells that a step of no jump joins are one region."""
+        count, labels = objects._labelled(near)
+        numbers = {}
+        for y, x in np.ndindex(near.shape):
+            if not near[y, x]:
+                assert labels[y, x] == 0
+                continue
+            flooded = self.flood(near, y, x)
+            number = numbers.setdefault(flooded.tobytes(), labels[y, x])
+            assert np.array_equal(labels == number, flooded)
+        assert len(set(numbers.values())) == len(numbers) == count - 1
+
+    def flood(self, near, y, x):
+        reached, todo = np.zeros(near.shape, bool), [(y, x)]
+        while todo:
+            y, x = todo.pop()
+            if reached[y, x]:
+                continue
+            reached[y, x] = True
+            for v, u in ((y - 1, x), (y + 1, x), (y, x - 1), (y, x + 1)):
+                inside = 0 <= v < near.shape[0] and 0 <= u < near.shape[1] and near[v, u] > 0
+                if inside and abs(near[v, u] - near[y, x]) <= 0.5:
+                    todo.append((v, u))
+        return reached
+
+
+def region(x, nearness_px=10.0, size=20, y=40.0):
+    return Region(int(x), int(y), size, size, x + size / 2, y + size / 2, nearness_px, 1.0)
+
+
+def sighting(time_s, place=(1.0, 0.0), where=None):
+    return Sighting(time_s, where or region(0), place, place)
+
+
+def followed(frames):
+    """Follow lists of regions; yields the numbers of those seen in each frame."""
+    tracks, last = (), 0
+    for index, found_regions in enumerate(frames):
+        sightings = [sighting(index / 10, where=each) for each in found_regions]
+        tracks = follow(tracks, sightings, index / 10, last + 1)
+        last = max([last, *(track.number for track in tracks)])
+        yield (
+            [next(t.number for t in tracks if t.sightings[-1] is each) for each in sightings],
+            tracks,
+        )
+
+
+class TestFollowing:
+    def test_two_that_cross_keep_their_numbers(self):
+        frames = [[region(10 + 4 * n, 10), region(130 - 4 * n, 20)] for n in range(31)]
+        frames[15:17] = [[each[1]] for each in frames[15:17]]  # the far one is hidden
+        numbers = [numbers for numbers, _ in followed(frames)]
+        assert numbers[14] == numbers[30] == [1, 2]
+        assert numbers[15] == [2]
+
+    def test_out_of_sight_for_a_while_it_is_the_same_and_after_long_another(self):
+        def last_number(gap):
+            frames = [[region(50)]] * 40 + [[]] * gap + [[region(52)]]
+            *_, (numbers, _) = followed(frames)
+            return numbers
+
+        assert last_number(30) == [1]
+        assert last_number(31) == [2]
+
+    def test_what_was_seen_once_is_not_waited_for(self):
+        *_, (_, tracks) = followed([[region(50)], [], []])
+        assert tracks == ()
+
+    def test_a_jump_in_place_or_depth_is_another_object(self):
+        for other in (region(50 + 25), region(50, 14)):
+            *_, (numbers, _) = followed([[region(50)]] * 5 + [[other]])
+            assert numbers == [2]
+        *_, (numbers, _) = followed([[region(50)]] * 5 + [[region(55, 11)]])
+        assert numbers == [1]
+
+    def test_the_total_cost_decides_and_not_who_comes_first(self):
+        """The nearest for the first would leave the second without."""
+        *_, (numbers, _) = followed([[region(50), region(62)]] * 3 + [[region(46), region(57)]])
+        assert numbers == [1, 2]
+
+    def test_state_is_bounded(self):
+        *_, (_, tracks) = followed([[region(50)]] * 100)
+        assert len(tracks[0].sightings) == 12
+        assert tracks[0].seen == 100
+
+
+class TestMovement:
+    def track(self, places, seen=None):
+        sightings = tuple(sighting(0.1 * n, place) for n, place in enumerate(places))
+        return Track(1, sightings, len(sightings) if seen is None else seen)
+
+    def test_even_motion_is_found_in_spite_of_three_in_twelve_that_are_off(self):
+        places = [(4 - 0.05 * n, 0.02 * n) for n in range(12)]
+        for wrong in (2, 5, 9):
+            places[wrong] = (7.0, -3.0)
+        moves = movement(self.track(places))
+        assert moves.from_camera_mps == pytest.approx((-0.5, 0.2))
+        assert moves.over_ground_mps == pytest.approx((-0.5, 0.2))
+        assert moves.residual == pytest.approx(0, abs=1e-9)
+
+    def test_it_is_unknown_before_the_sixth_frame(self):
+        assert movement(self.track([(1.0, 0.0)] * 5)) is None
+        assert movement(self.track([(1.0, 0.0)] * 6)).from_camera_mps == (0, 0)
+
+    def test_trust_by_hand(self):
+        half_known = Region(0, 0, 20, 20, 10, 10, 10.0, 0.5)
+        track = Track(1, (sighting(0.0, where=half_known),), seen=3)
+        assert trust(track, None) == pytest.approx(3 / 12 * 0.5)
+        # 1 m away, and at 10 px; two of three sightings are 5 cm off, which is 0.5 px.
+        uneven = self.track([(1.0, y) for y in [0.0, 0.05, -0.05] * 4])
+        moves = movement(uneven)
+        assert moves.residual == pytest.approx(0.05, rel=0.2)
+        assert trust(uneven, moves) == pytest.approx(0.5, rel=0.1)
+
+
+def frame(index, time_s):
+    grey = np.zeros((HEIGHT, WIDTH), np.uint8)
+    return StereoFrame(index, index, time_s, grey, grey)
+
+
+def coming(depths_m, *, rig=RIG, poses=None, timed=True, columns=None):
+    """Follow a square of 24 px at depths a tenth of a second apart; return its last state."""
+    follower = Follower(Settings(), rig)
+    everywhere = np.full((HEIGHT, WIDTH), True)
+    for index, depth_m in enumerate(depths_m):
+        x = 68 if columns is None else columns[index]
+        near = scene((x, 36, 24, 24, FB / depth_m))
+        moment = frame(index, index / 10 if timed else None)
+        seen = follower.follow(near, everywhere, moment, poses and poses[index])
+    return seen
+
+
+APPROACH_M = [4 - 0.1 * n for n in range(12)]
+
+
+class TestFollower:
+    def test_what_comes_closer_has_a_positive_speed_and_a_time(self):
+        (thing,) = coming(APPROACH_M)
+        assert (thing.id, thing.x, thing.y, thing.width, thing.height) == (1, 68, 36, 24, 24)
+        assert thing.depth_m == pytest.approx(2.9)
+        assert thing.closing_mps == pytest.approx(1.0)
+        assert thing.time_to_contact_s == pytest.approx(2.9)
+        assert thing.confidence == pytest.approx(1, abs=0.02)
+        assert (thing.place_m, thing.velocity_mps) == (None, None)
+
+    def test_what_goes_away_has_a_negative_speed_and_no_time(self):
+        (thing,) = coming(APPROACH_M[::-1])
+        assert thing.closing_mps == pytest.approx(-1.0)
+        assert thing.time_to_contact_s is None
+
+    def test_doffs_counts(self):
+        rig = Rig(WIDTH, HEIGHT, 140, 0.12, 70.0, 47.5, doffs=2.0)
+        (plain,) = coming([4 - 0.1 * n for n in range(12)])
+        (shifted,) = coming([FB / (FB / z - 2) for z in APPROACH_M], rig=rig)
+        assert shifted.depth_m == pytest.approx(plain.depth_m, rel=1e-4)
+        assert shifted.closing_mps == pytest.approx(plain.closing_mps, rel=1e-3)
+
+    def test_without_a_rig_the_time_is_known_alone(self):
+        (thing,) = coming(APPROACH_M, rig=None)
+        assert (thing.depth_m, thing.closing_mps) == (None, None)
+        assert thing.time_to_contact_s == pytest.approx(2.9)
+
+    def test_without_time_there_is_no_speed(self):
+        (thing,) = coming(APPROACH_M, timed=False)
+        assert thing.depth_m == pytest.approx(2.9)
+        assert (thing.closing_mps, thing.time_to_contact_s) == (None, None)
+
+    def test_it_is_told_from_the_third_frame_on_and_its_speed_from_the_sixth(self):
+        counts = [len(coming(APPROACH_M[:n])) for n in (1, 2, 3)]
+        assert counts == [0, 0, 1]
+        assert coming(APPROACH_M[:5])[0].closing_mps is None
+        assert coming(APPROACH_M[:6])[0].closing_mps == pytest.approx(1.0)
+
+    def test_with_poses_the_way_of_the_camera_is_told_from_that_of_the_object(self):
+        """The camera drives toward what stands, then toward what comes."""
+        driving = [Pose(0.06 * n, 0, 0, 0, 0, 0, 1) for n in range(12)]
+        (stands,) = coming([4 - 0.06 * n for n in range(12)], poses=driving)
+        assert stands.closing_mps == pytest.approx(0.6)
+        assert stands.velocity_mps == pytest.approx((0, 0), abs=0.02)
+        assert stands.place_m == pytest.approx((4.0, -0.06), abs=0.01)  # before the right camera
+        (comes,) = coming(APPROACH_M, poses=driving)
+        assert comes.closing_mps == pytest.approx(1.0)
+        assert comes.velocity_mps == pytest.approx((-0.4, 0), abs=0.02)
+
+    def test_a_turn_of_the_camera_is_no_approach(self):
+        """What stands 3 m away and 1 m to the left, while the camera turns left to face it."""
+        turns = [0.02 * n for n in range(12)]
+        ahead = [3 * math.cos(a) + 1 * math.sin(a) for a in turns]
+        left = [-3 * math.sin(a) + 1 * math.cos(a) for a in turns]
+        columns = [round(79.5 - 140 * y / x - 12) for x, y in zip(ahead, left, strict=True)]
+        poses = [Pose(0, 0, 0, 0, 0, math.sin(a / 2), math.cos(a / 2)) for a in turns]
+        assert coming(ahead, columns=columns)[0].closing_mps < -0.1
+        (thing,) = coming(ahead, columns=columns, poses=poses)
+        assert thing.closing_mps == pytest.approx(0, abs=0.05)
+
+    def test_when_time_goes_back_it_begins_anew(self):
+        follower = Follower(Settings(), RIG)
+        everywhere = np.full((HEIGHT, WIDTH), True)
+        times_s = [0.0, 0.1, 0.2, 0.1, 0.2, 0.3]
+        ids = [
+            [o.id for o in follower.follow(scene((68, 36, 24, 24, 9)), everywhere, frame(n, t))]
+            for n, t in enumerate(times_s)
+        ]
+        assert ids == [[], [], [1], [], [], [2]]
+
+
+def thing(number=1, *, there_s=2.0, confidence=0.5, depth_m=2.0, **rest):
+    box = {"x": 68, "y": 36, "width": 24, "height": 24}
+    return MovingObject(
+        number,
+        **{**box, "depth_m": depth_m, "closing_mps": 1.0, **rest},
+        time_to_contact_s=there_s,
+        confidence=confidence,
+    )
+
+
+class TestNearestContact:
+    def test_the_first_to_arrive_counts_if_it_is_soon_and_to_be_believed(self):
+        things = [
+            thing(1, there_s=None),
+            thing(2, there_s=2.5),
+            thing(3, there_s=1.5),
+            thing(4, there_s=0.5, confidence=0.1),
+        ]
+        assert nearest_contact(things).id == 3
+        assert nearest_contact(things[:1]) is None
+        assert nearest_contact([thing(there_s=3.5)]) is None
+        assert nearest_contact([]) is None
+
+    def way(self, *objects):
+        """Steer before a wall 6 m away that has been seen for long."""
+        guide = Guide(Settings(), RIG)
+        near = np.full((HEIGHT, WIDTH), FB / 6, np.float32)
+        fresh, pose = np.full(near.shape, True), Pose(0, 0, 0, 0, 0, 0, 1)
+        for _ in range(15):
+            steering = guide.steer(near, fresh, pose)
+        for _ in range(5):
+            steering = guide.steer(near, fresh, pose, objects)
+        return steering
+
+    def walker(self, **changes):
+        """Who will be 1.5 m ahead within a second, and is now to the right of the way."""
+        at = {"place_m": (2.0, -0.8), "velocity_mps": (-0.5, 0.8), **changes}
+        return thing(**at)
+
+    def test_the_way_ends_where_it_will_be(self):
+        free = self.way()
+        assert free.depth_m > 3
+        assert abs(free.steer) < 0.1
+        careful = self.way(self.walker())
+        assert careful.depth_m is None or careful.depth_m < 1.5 or careful.steer > 0.3
+
+    @pytest.mark.parametrize(
+        "changes",
+        [
+            {"velocity_mps": (0.0, 0.1)},  # the map has what stands
+            {"velocity_mps": (-9.0, 0.0)},  # a mistake
+            {"y": 94, "height": 2, "depth_m": 4.0},  # on the floor
+            {"confidence": 0.1},
+            {"there_s": None},
+            {"place_m": None},
+        ],
+    )
+    def test_what_is_none_of_that_changes_nothing(self, changes):
+        assert self.way(self.walker(**changes)) == self.way()
+
+
+def test_the_table_to_the_letter(tmp_path):
+    sink = SAVES["objects"].open(tmp_path, Stream(Fraction(1, 30), Settings(), None))
+    image = np.zeros((4, 6), np.float32)
+    known = MovingObject(3, 0, 4, 8, 12, 2.71849, -0.00001, 12.5, 1 / 3)
+    unknown = MovingObject(12, 100, 4, 8, 12, None, None, None, 1.0)
+    for index, seen in ((0, ()), (7, (known, unknown))):
+        sink.write(
+            FrameResult(
+                frame=frame(index, None),
+                bands=image,
+                motion=image,
+                charge=image,
+                age_frames=image,
+                disparity_px=image,
+                confidence=image,
+                depth_m=None,
+                steering=Steering("blind", None, None, None, None),
+                charged=0,
+                matched=0,
+                objects=seen,
+            )
+        )
+    assert [path.name for path in tmp_path.iterdir()] == ["objects.csv.part"]
+    sink.close()
+    assert (tmp_path / "objects.csv").read_bytes() == (
+        b"frame,id,x,y,width,height,depth_m,closing_mps,time_to_contact_s,confidence\n"
+        b"7,3,0,4,8,12,2.718,0.000,12.500,0.33\n"
+        b"7,12,100,4,8,12,,,,1.00\n"
+    )
+
+
+@pytest.mark.parametrize("keep", [True, False])
+def test_an_abandoned_table_never_gets_its_name(tmp_path, keep):
+    sink = SAVES["objects"].open(tmp_path, Stream(Fraction(1, 30), Settings(), None))
+    sink.abandon(keep=keep)
+    assert [path.name for path in tmp_path.iterdir()] == (["objects.csv.part"] if keep else [])
+
+
+def test_run_follows_a_square_that_slides_over_a_wall(tmp_path):
+    """From images to the table: 2 px a frame to the right, at 12 px of disparity."""
+    paint = np.random.default_rng(0).integers(0, 256, (2, 48, 40), np.uint8)
+    paint = cv2.GaussianBlur(np.moveaxis(paint, 0, 2), (0, 0), 1.2)
+    wall, square = cv2.normalize(paint, None, 0, 255, cv2.NORM_MINMAX).transpose(2, 0, 1)
+    for side, shift in (("right", 0), ("left", 12)):
+        (tmp_path / side).mkdir()
+        for number in range(12):
+            image = np.tile(wall, (2, 4))
+            x = 30 + 2 * number + shift
+            image[24:72, x : x + 40] = square
+            assert cv2.imwrite(str(tmp_path / side / f"{number:03d}.png"), image)
+    out = tmp_path / "out"
+    given_paths = [str(tmp_path / side) for side in ("left", "right")]
+    done = CliRunner().invoke(cli, ["run", *given_paths, "--save", "objects", "-o", str(out)])
+    assert done.exit_code == 0, done.output
+    with (out / "objects.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert {row["id"] for row in rows} == {"1"}
+    assert [int(row["frame"]) for row in rows] == list(range(int(rows[0]["frame"]), 12))
+    assert len(rows) >= 6
+    last = rows[-1]
+    x, y, width, height = (int(last[name]) for name in ("x", "y", "width", "height"))
+    # The square, where it was in the last three frames, and a cell.
+    assert 52 - 6 - 4 <= x <= 52
+    assert 92 <= x + width <= 92 + 4
+    assert 24 - 4 <= y <= 24
+    assert 72 <= y + height <= 72 + 4
+    assert (last["depth_m"], last["closing_mps"]) == ("", "")
+
+
+def test_cards_are_followed_through_noise_and_h264(capsys):
+    """The reach: speed within 15 %, no wrong sign, at most a switch per object in 100 frames."""
+    settings = SimulateSettings(
+        scene="cards", frames="0:60", width=320, height=214, noise_sigma=1.5
+    )
+    score = bench.measure(settings)
+    assert len(score.errors) >= 20
+    assert score.error < 0.15
+    assert score.wrong_signs == 0
+    assert score.switches_per_100 <= 1
+    assert score.found > 0.6 * score.visible
+    assert np.median(score.across_mps) < 0.1
+
+
+def test_the_bench_prints_its_table(capsys):
+    bench.main(["--frames", "0:40", "--width", "240"])
+    table = capsys.readouterr().out.splitlines()
+    assert [line.split("|")[1].strip() for line in table] == ["camera", "---", "still", "panning"]
