@@ -13,6 +13,7 @@ import click
 
 from motionstereo_cli.commands import cli
 from motionstereo_cli.commands.run import INTERRUPTED_EXIT_CODE
+from motionstereo_cli.commands.talk import say
 from motionstereo_cli.errors import MotionStereoError
 
 
@@ -59,7 +60,9 @@ def _fail(error: BaseException) -> int:
             message, exit_code = f"internal: {type(error).__name__}: {error}", 1
     if os.environ.get("MOTIONSTEREO_DEBUG") == "1":
         traceback.print_exception(error)
-    click.echo(f"error: {' '.join(message.split())}", err=True)
+    say("error", message)
+    for note in getattr(error, "__notes__", []):
+        say("note", note)
     return exit_code
 
 

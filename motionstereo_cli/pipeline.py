@@ -84,6 +84,9 @@ CONTACT_MPS, CONTACT_RADIUS_M = (0.3, 2.5), 0.5
 #: a wall that the camera passes, ever new parts are seen, as if it moved along.
 STANDS, STANDS_WITHIN_M = 3.0, 0.25
 
+#: To steer by an image, so many of its rows are enough, and larger images take no longer.
+STEERING_ROWS = 240
+
 #: Bearings that a robot tells apart: less than a degree each for most lenses.
 BEARINGS = 80
 
@@ -94,6 +97,7 @@ def process(
     rig: Rig | None = None,
     pose_of: Callable[[StereoFrame], Pose] | None = None,
     *,
+    with_objects: bool = True,
     jobs: int = 1,
     state: State | None = None,
 ) -> Iterator[FrameResult]:
@@ -108,6 +112,7 @@ def process(
         rig: the camera, for depth in m and steering angles; without one they are None.
         pose_of: tells where the rig was; asked once a frame, in order. With it and a rig, the
             guidance remembers what it has seen around it.
+        with_objects: find moving objects; with poses, the guidance keeps clear of them.
         jobs: frames matched at a time; so many frames more are taken before a result is given.
         state: what is known before the first frame, nothing if None. With each result it becomes
             what is known after that frame.
@@ -119,7 +124,10 @@ def process(
         state.right, state.left = right, left
         shown = right if settings.reference == "right" else left
         pose = None if pose_of is None else pose_of(frame)
-        objects = state.follower.follow(disparity, shown.age_frames <= FRESH_FRAMES, frame, pose)
+        objects: tuple[MovingObject, ...] = ()
+        if with_objects:
+            fresh = shown.age_frames <= FRESH_FRAMES
+            objects = state.follower.follow(disparity, fresh, frame, pose)
         yield FrameResult(
             frame=frame,
             bands=shown.bands,
@@ -364,6 +372,10 @@ class Follower:
         )
 
 
+def _thinned(near: Real) -> Real:
+    return near[:: max(near.shape[0] // STEERING_ROWS, 1)]
+
+
 def nearest_contact(objects: Iterable[MovingObject]) -> MovingObject | None:
     """Return the object that would be at the camera first; None where none would be soon."""
     first, first_s = None, CONTACT_S
@@ -427,6 +439,7 @@ class Guide:
 
     def _steer_by_image(self, near: Real) -> Steering:
         s = self._settings
+        near = _thinned(near)
         strips = strip_nearness(near, min(s.steer_strips, near.shape[1]), LEAST_KNOWN_SHARE)
         target = heading(strips)
         if target is not None:
@@ -497,7 +510,7 @@ class Guide:
             steer=1 - 2 * self._place,
             steer_rad=self._angle_rad(self._place, near.shape[1]),
             depth_m=free_m,
-            nearest_m=self._depth_m(nearest(near, LEAST_KNOWN_SHARE)),
+            nearest_m=self._depth_m(nearest(_thinned(near), LEAST_KNOWN_SHARE)),
         )
 
     def _foreseen(

@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import functools
+import hashlib
+import itertools
+import json
 import platform
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from fractions import Fraction
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -17,12 +21,25 @@ import numpy as np
 
 from motionstereo_cli import __version__
 from motionstereo_cli.check import Finding, watched
+from motionstereo_cli.checkpoint import Checkpoint, CheckpointWriter, read_checkpoint
 from motionstereo_cli.errors import InputError, OutputError
-from motionstereo_cli.pipeline import process
+from motionstereo_cli.interrupts import finishing
+from motionstereo_cli.pipeline import State, process
 from motionstereo_cli.poses import Trajectory
 from motionstereo_cli.settings import Settings
 from motionstereo_cli.sinks import DEFAULT_SAVES, SAVES, Sink, Stream, available
-from motionstereo_cli.sinks.folder import complete, prepare, tidy
+from motionstereo_cli.sinks.files import part_of
+from motionstereo_cli.sinks.folder import (
+    CHECKPOINT,
+    RECORD,
+    clear,
+    complete,
+    head,
+    locked,
+    prepare,
+    record_of,
+    tidy,
+)
 from motionstereo_cli.sinks.settings import OutputSettings
 from motionstereo_cli.sinks.steering import SteeringFile, SteeringStream
 from motionstereo_cli.sinks.threaded import Threaded
@@ -45,6 +62,7 @@ class RunReport:
 
     Attributes:
         frames: stereo frames processed.
+        resumed: how many of them a former process had done.
         charged, matched: mean shares of the image, 0..1, with charge and with a disparity.
         wall_s: duration in s, from the first frame's decoding to the last output's completion.
         outputs: paths under the output folder, numbered files as their folder.
@@ -53,6 +71,7 @@ class RunReport:
     """
 
     frames: int
+    resumed: int
     charged: float
     matched: float
     wall_s: float
@@ -62,8 +81,8 @@ class RunReport:
 
     @property
     def frames_per_second(self) -> float:
-        """Speed of the whole run."""
-        return self.frames / self.wall_s
+        """Speed of this process, 0 if there was nothing left to do."""
+        return (self.frames - self.resumed) / self.wall_s if self.wall_s else 0.0
 
 
 def run(
@@ -76,17 +95,19 @@ def run(
     save: Sequence[str] = DEFAULT_SAVES,
     table: Path | BinaryIO | None = None,
     output: OutputSettings | None = None,
+    jobs: int = 1,
     overwrite: bool = False,
+    resume: bool = False,
     inputs: Iterable[Path] = (),
     progress: Callable[[], object] = lambda: None,
     warn: Callable[[Finding], object] | None = None,
 ) -> RunReport:
     """Process a stereo source and write the results.
 
-    ``run.json`` is written last: where it stands, everything beside it is complete. When the
-    run is interrupted (KeyboardInterrupt), the images written so far stay, the tables and
-    videos stay up to there under their ``.part`` names, and there is no ``run.json``; so too
-    when the reader of ``table`` goes. After any other error the ``.part`` files are removed.
+    ``run.json`` is written last: where it stands, everything beside it is complete. However the
+    run ends before, what was done stays: images whole, tables and videos under ``.part`` names,
+    and what another process needs to go on from the last checkpoint. Its results are then the
+    same to the byte. An interrupt waits until all outputs have the frame at hand.
 
     Args:
         source: an open source, not yet iterated.
@@ -99,14 +120,17 @@ def run(
         table: where the steering table goes besides: a file, or a binary stream that gets each
             row at once.
         output: parameters of the output; the defaults if None.
+        jobs: frames matched at a time; results do not depend on it.
         overwrite: replace the results of a former run in ``out``, and a file ``table``.
-        inputs: files and folders that must not be written to.
+        resume: go on where the same run was ended in ``out``, or begin if it has not yet.
+        inputs: files and folders that must not be written to. The content of those that are not
+            the source's own, such as calibration and poses, is part of what the run is.
         progress: called after each frame.
         warn: called with each mistake found in the first frames; they are not checked if None.
 
     Raises:
         InputError: the rig is for another size, the source has no frames, or a frame has no pose.
-        OutputError: the results cannot be written.
+        OutputError: the results cannot be written, or what is there is of another run.
         SettingsError: an output needs a rig, or poses.
         BrokenPipeError: whoever read the stream ``table`` has gone.
     """
@@ -116,53 +140,74 @@ def run(
     stream = Stream(
         source.time_base or DEFAULT_TIME_BASE, settings, rig, output or OutputSettings()
     )
-    save = _prepared(
-        out,
-        save,
-        table,
-        stream,
-        poses=poses is not None,
-        overwrite=overwrite,
-        inputs=list(inputs),
-    )
+    inputs = list(inputs)
+    if isinstance(table, Path):
+        _check_free(table, out, overwrite=overwrite or resume, inputs=inputs)
+    save = () if out is None else _available(save, stream, poses)
+    identity = functools.cache(lambda: _identity(source, stream, save, inputs))
 
-    totals = _Totals()
-    sinks: list[Sink] = []
-    interrupted = False
-    started_s = time.perf_counter()
-    try:
-        for sink in _opened(out, save, stream, table):
-            sinks.append(sink)  # one by one: should the next fail, this one is abandoned
-        pose_of = None if poses is None else poses.of
-        for result in process(_checked(source, settings, rig, warn), settings, rig, pose_of):
-            for sink in sinks:
-                sink.write(result)
-            totals.add(result)
-            progress()
-        if not totals.frames:
-            raise InputError("the recordings have no frame in common: check that they are whole")
-        for sink in sinks:
-            sink.close()
-    except KeyboardInterrupt:
-        interrupted = True
-        _abandon(sinks, keep=totals.frames > 0)
-    except BaseException as error:
-        _abandon(sinks, keep=isinstance(error, BrokenPipeError) and totals.frames > 0)
+    with contextlib.ExitStack() as held:
+        since: Checkpoint | None = None
         if out is not None:
-            tidy(out)
-        raise
+            held.enter_context(locked(out))
+            if resume and (finished := record_of(out)):
+                _check_same(out, identity(), finished)
+                clear(out)
+                return _report_of(finished)
+            if resume:
+                since = _resumed(out, identity, [*save, *_table_name(table)])
+                overwrite = part_of(out / RECORD).exists()
+            if since is None:
+                prepare(out, save, overwrite=overwrite, inputs=inputs)
+        since = since or Checkpoint(State.unknown(settings, rig), _Totals(), {})
+        totals: _Totals = since.totals
+        resumed = totals.frames
+        checkpoints = CheckpointWriter(
+            out / CHECKPOINT if out is not None and source.rereadable else None,
+            stream.output.checkpoint_frames,
+            identity,
+        )
+        held.callback(checkpoints.close)
 
-    report = RunReport(
-        frames=totals.frames,
-        charged=totals.charged / max(totals.frames, 1),
-        matched=totals.matched / max(totals.frames, 1),
-        wall_s=time.perf_counter() - started_s,
-        outputs=tuple(shown for name in save for shown in (SAVES[name].shown, *SAVES[name].beside)),
-        damage=tuple(source.damage),
-        interrupted=interrupted,
-    )
-    if out is not None and not interrupted:
-        complete(out, save, _record(source, stream, report))
+        sinks: dict[str, Sink] = {}
+        interrupted = False
+        started_s = time.perf_counter()
+        try:
+            for name, sink in _opened(out, save, stream, table, since.sinks):
+                sinks[name] = sink  # one by one: should the next fail, this one is abandoned
+            frames = iter(_checked(source, settings, rig, warn))
+            for _ in itertools.islice(frames, resumed):
+                progress()
+            pose_of = None if poses is None else poses.of
+            results = process(
+                frames,
+                settings,
+                rig,
+                pose_of,
+                # They take time: only for whom it concerns.
+                with_objects="objects" in save or poses is not None,
+                jobs=jobs,
+                state=since.state,
+            )
+            _write(results, sinks, since, checkpoints, progress)
+        except BaseException as error:
+            interrupted = isinstance(error, KeyboardInterrupt)
+            _end_early(sinks.values(), out, totals.frames, error)
+            if not interrupted:
+                raise
+
+        report = RunReport(
+            frames=totals.frames,
+            resumed=resumed,
+            charged=totals.charged / max(totals.frames, 1),
+            matched=totals.matched / max(totals.frames, 1),
+            wall_s=time.perf_counter() - started_s,
+            outputs=_shown(save),
+            damage=tuple(source.damage),
+            interrupted=interrupted,
+        )
+        if out is not None and not interrupted:
+            complete(out, identity() | _results(source, report))
     return report
 
 
@@ -191,29 +236,67 @@ def check_size(rig: Rig, source: StereoSource) -> None:
         )
 
 
-def _prepared(
-    out: Path | None,
-    save: Sequence[str],
-    table: Path | BinaryIO | None,
-    stream: Stream,
-    *,
-    poses: bool,
-    overwrite: bool,
-    inputs: Sequence[Path],
-) -> tuple[str, ...]:
-    """Make ``out`` ready and return the names of the outputs in it."""
-    if isinstance(table, Path):
-        _check_free(table, out, overwrite=overwrite, inputs=inputs)
-    if out is None:
-        return ()
-    save = available(
+def _available(save: Sequence[str], stream: Stream, poses: Trajectory | None) -> tuple[str, ...]:
+    return available(
         save,
         rig=stream.rig is not None,
-        poses=poses,
+        poses=poses is not None,
         steering_format=stream.output.steering_format,
     )
-    prepare(out, save, overwrite=overwrite, inputs=inputs)
-    return save
+
+
+def _resumed(
+    out: Path, identity: Callable[[], Mapping[str, Any]], sinks: Sequence[str]
+) -> Checkpoint | None:
+    """Return where the same run was ended in ``out``, None if it left nothing to go on from."""
+    since = read_checkpoint(out / CHECKPOINT)
+    if since is not None:
+        _check_same(out, identity(), since.identity)
+        if set(since.sinks) != set(sinks):
+            raise OutputError(
+                f"{out} was begun with the outputs {', '.join(since.sinks)}: "
+                "give the same ones, or --overwrite to begin anew"
+            )
+    return since
+
+
+def _check_same(out: Path, identity: Mapping[str, Any], found: Mapping[str, Any]) -> None:
+    """Make sure that a run is the one that ``out`` was begun by.
+
+    Raises:
+        OutputError: it is not.
+    """
+    # As JSON has them: tuples are lists there.
+    wanted, there = json.loads(json.dumps([identity, {key: found.get(key) for key in identity}]))
+    if difference := _difference(wanted, there):
+        raise OutputError(
+            f"{out} is of another run, {difference}: "
+            "give the same input and options, or --overwrite to begin anew"
+        )
+
+
+def _difference(wanted: Any, there: Any, name: str = "") -> str:
+    """Return the first difference of two JSON values; where files lie makes none."""
+    if wanted is None or there is None:
+        return "" if wanted is there else f"with{'out' if there is None else ''} {name}"
+    if isinstance(wanted, list) and isinstance(there, list):
+        wanted, there = (dict(enumerate(each)) for each in (wanted, there))
+    if isinstance(wanted, dict) and isinstance(there, dict):
+        for key in sorted(wanted.keys() | there.keys()):
+            where = f"{name}.{key}" if name else str(key)
+            found = _difference(wanted.get(key), there.get(key), where)
+            if found and key != "path":
+                return found
+        return ""
+    return "" if wanted == there else f"with {name} {there!s:.16}, not {wanted!s:.16}"
+
+
+def _table_name(table: Path | BinaryIO | None) -> tuple[str, ...]:
+    return (str(table),) if isinstance(table, Path) else ()
+
+
+def _shown(save: Iterable[str]) -> tuple[str, ...]:
+    return tuple(shown for name in save for shown in (SAVES[name].shown, *SAVES[name].beside))
 
 
 def _check_free(table: Path, out: Path | None, *, overwrite: bool, inputs: Sequence[Path]) -> None:
@@ -228,15 +311,23 @@ def _check_free(table: Path, out: Path | None, *, overwrite: bool, inputs: Seque
 
 
 def _opened(
-    out: Path | None, save: Sequence[str], stream: Stream, table: Path | BinaryIO | None
-) -> Iterator[Sink]:
+    out: Path | None,
+    save: Sequence[str],
+    stream: Stream,
+    table: Path | BinaryIO | None,
+    marks: Mapping[str, Any],
+) -> Iterator[tuple[str, Sink]]:
+    """Open the sinks, where there are ``marks`` to go on from them, and yield their names too."""
     if isinstance(table, Path):
-        yield SteeringFile(table, stream.output.steering_format)
+        name = str(table)
+        file = SteeringFile(table, stream.output.steering_format, marks.get(name))
+        yield name, Threaded(file)
     elif table is not None:
-        yield SteeringStream(table, "the steering table", stream.output.steering_format)
+        name = "the steering table"
+        yield name, SteeringStream(table, name, stream.output.steering_format)
     if out is not None:
         for name in save:
-            yield Threaded(SAVES[name].open(out, stream))
+            yield name, Threaded(SAVES[name].open(out, stream, marks.get(name)))
 
 
 @dataclasses.dataclass(slots=True)
@@ -251,15 +342,49 @@ class _Totals:
         self.matched += result.matched
 
 
-def _abandon(sinks: Iterable[Sink], *, keep: bool) -> None:
+def _write(
+    results: Iterable[FrameResult],
+    sinks: Mapping[str, Sink],
+    since: Checkpoint,
+    checkpoints: CheckpointWriter,
+    progress: Callable[[], object],
+) -> None:
+    """Write the results to the sinks, and complete these."""
+    for result in results:
+        with finishing():
+            for sink in sinks.values():
+                sink.write(result)
+            since.totals.add(result)
+            checkpoints.after(since.totals.frames, since.state, since.totals, sinks)
+        progress()
+    if not since.totals.frames:
+        raise InputError("the recordings have no frame in common: check that they are whole")
+    checkpoints.wait()
+    for sink in sinks.values():
+        sink.close()
+
+
+def _end_early(sinks: Iterable[Sink], out: Path | None, frames: int, error: BaseException) -> None:
+    """Leave what was done in order, and say where it is."""
     for sink in sinks:
         with contextlib.suppress(OutputError):  # why the run ends matters more
-            sink.abandon(keep=keep)
+            sink.abandon(keep=frames > 0)
+    if out is not None and frames:
+        error.add_note(
+            f"what was done is in {out}: with --resume the same command goes on from the last "
+            "checkpoint"
+        )
+    elif out is not None:
+        tidy(out)
 
 
-def _record(source: StereoSource, stream: Stream, report: RunReport) -> dict[str, Any]:
-    """Return what ``run.json`` says besides the outputs; all but ``timing`` is repeatable."""
+def _identity(
+    source: StereoSource, stream: Stream, save: Sequence[str], inputs: Iterable[Path]
+) -> dict[str, Any]:
+    """Return what ``run.json`` says of what the run is: its results follow from it."""
+    files = [path for path in inputs if path not in source.paths]
     return {
+        **head(save),
         "versions": {
             "motionstereo": __version__,
             "python": platform.python_version(),
@@ -271,10 +396,18 @@ def _record(source: StereoSource, stream: Stream, report: RunReport) -> dict[str
         "input_settings": dataclasses.asdict(source.settings),
         "output_settings": dataclasses.asdict(stream.output),
         "inputs": source.describe(),
+        "files": [{"path": str(path), "sha256": _sha256(path)} for path in files],
         "rig": None if stream.rig is None else dataclasses.asdict(stream.rig),
         "time_base": None if source.time_base is None else str(source.time_base),
         "grey": GREY,
+    }
+
+
+def _results(source: StereoSource, report: RunReport) -> dict[str, Any]:
+    """Return what ``run.json`` says of what came of it; all but ``timing`` is repeatable."""
+    return {
         "counts": {"written": report.frames, **source.counts},
+        "shares": {"charged": report.charged, "matched": report.matched},
         "warnings": source.warnings,
         "damage": list(report.damage),
         "timing": {
@@ -282,3 +415,23 @@ def _record(source: StereoSource, stream: Stream, report: RunReport) -> dict[str
             "frames_per_second": round(report.frames_per_second, 2),
         },
     }
+
+
+def _report_of(record: Mapping[str, Any]) -> RunReport:
+    """Return the report of a run that was complete already."""
+    frames = record["counts"]["written"]
+    return RunReport(
+        frames=frames,
+        resumed=frames,
+        charged=record["shares"]["charged"],
+        matched=record["shares"]["matched"],
+        wall_s=0.0,
+        outputs=_shown(record["outputs"]),
+        damage=tuple(record["damage"]),
+        interrupted=False,
+    )
+
+
+def _sha256(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()

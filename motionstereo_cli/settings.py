@@ -118,6 +118,10 @@ def checked(settings: Any) -> None:
 #: The largest age in frames that can be told apart.
 FOREVER = 254
 
+#: Larger images than these, in px, come from a damaged or hostile file unless the user says
+#: otherwise. Beyond the second number Pillow reads none.
+MOST_PIXELS, MOST_PIXELS_OF_ALL = 64_000_000, 178_000_000
+
 
 @dataclass(frozen=True, slots=True)
 class Settings:

@@ -87,7 +87,7 @@ def test_run_writes_what_the_contract_says(run_args, rig, recording):
     done = called(*run_args, *rig, "-o", "out")
     assert (done.returncode, done.stdout) == (0, "")
     assert [line.split(":")[0] for line in done.stderr.splitlines()] == ["note", "note"]
-    assert "12 frames in" in done.stderr
+    assert "12 frames, in" in done.stderr
     assert done.stderr.endswith(
         "note: results in out: steering.csv, depth/, charge.mp4, depth.mp4, run.json\n"
     )
@@ -214,8 +214,8 @@ from motionstereo_cli.__main__ import main
 
 whole = library.process
 
-def cut(*args):
-    for result in whole(*args):
+def cut(*args, **options):
+    for result in whole(*args, **options):
         if result.frame.index == 7:
             os.kill(os.getpid(), signal.Signals[sys.argv[1]])
         yield result
@@ -232,10 +232,10 @@ def test_an_interrupted_run_keeps_what_is_complete(run_args, rig, name):
     done = subprocess.run(args, capture_output=True, text=True, check=False)
     assert done.returncode == 130
     assert done.stderr.splitlines()[-1].startswith("error: interrupted after 7 frames")
-    parts = {"steering.csv.part", "charge.mp4.part", "depth.mp4.part", "run.json.part"}
+    parts = {"steering.csv.part", "charge.0000.mp4.part", "depth.0000.mp4.part", "run.json.part"}
     assert names(Path("out")) == parts | images("depth", 7)
     assert Path("out/steering.csv.part").read_text().count("\n") == 1 + 7
-    with av.open("out/charge.mp4.part") as video:
+    with av.open("out/charge.0000.mp4.part") as video:
         assert len(list(video.decode(video=0))) == 7
     # And --overwrite knows what was left.
     assert main([*run_args, "-o", "out", "--overwrite", "--save", "steering"]) == 0
@@ -269,7 +269,7 @@ class Head(io.BytesIO):
 def test_a_reader_that_has_seen_enough_leaves_what_is_complete(run_args, recording):
     with open_stereo(*run_args[1:]) as source, pytest.raises(BrokenPipeError):
         run_library(source, Path("out"), Settings(), table=Head())
-    assert {"run.json.part", "steering.csv.part", "charge.mp4.part"} <= names(Path("out"))
+    assert {"run.json.part", "steering.csv.part", "charge.0000.mp4.part"} <= names(Path("out"))
     assert images("disparity", 4) <= names(Path("out"))
     assert "run.json" not in names(Path("out"))
 
@@ -283,16 +283,24 @@ def test_a_full_disk_behind_stdout_is_one_line(run_args):
     assert done.stderr == b"error: cannot write the steering table: No space left on device\n"
 
 
-def test_an_output_that_fails_midway_leaves_no_part(run_args, monkeypatch, capsys):
+def test_an_output_that_fails_midway_is_named_and_nothing_is_lost(run_args, monkeypatch, capsys):
     def full(path: Path, content: bytes) -> None:
         if path.name == "000004.png":
             raise OutputError(f"cannot write {path}: No space left on device")
         path.write_bytes(content)
 
-    monkeypatch.setattr("motionstereo_cli.sinks.images.write_whole", full)
-    assert main(run_args) == 1
-    assert "error: cannot write motionstereo_out/disparity/000004.png" in capsys.readouterr().err
-    assert names(Path("motionstereo_out")) == {"run.json.part"} | images("disparity", 4)
+    with monkeypatch.context() as disk:
+        disk.setattr("motionstereo_cli.sinks.files.write_whole", full)
+        assert main(run_args) == 1
+    out = Path("motionstereo_out")
+    lines = capsys.readouterr().err.splitlines()
+    assert lines[-2].startswith(f"error: cannot write {out}/disparity/000004.png: No space left")
+    assert lines[-1].startswith(f"note: what was done is in {out}: with --resume")
+    assert images("disparity", 4) <= names(out)
+    assert all(name.endswith(".part") for name in names(out) - images("disparity", 4))
+    assert main([*run_args, "--resume"]) == 0
+    videos = {"charge.mp4", "depth.mp4"}
+    assert names(out) == {"steering.csv", "run.json"} | videos | images("disparity")
 
 
 # Bad input: one line, the right exit code, nothing written.
@@ -379,7 +387,7 @@ def test_overwrite_keeps_the_files_of_strangers_and_the_input(recording, tmp_pat
 
 
 def test_an_unexpected_error_is_one_line_unless_debugging(run_args, monkeypatch, capsys):
-    def broken(*args: object) -> None:
+    def broken(*args: object, **options: object) -> None:
         raise ZeroDivisionError("by nought")
 
     monkeypatch.setattr("motionstereo_cli.run.process", broken)

@@ -97,7 +97,15 @@ def test_contract_of_layouts(
     with opener(tmp_path, join(lefts, rights), settings, monkeypatch) as source:
         frames = list(source)
         assert (source.width, source.height) == (source.view_width, source.view_height) == (64, 48)
-        whole = {"read": 12, "paired": 12, "unpaired": 0, "damaged": 0, "flawed": 0, "unread": 0}
+        whole = {
+            "read": 12,
+            "paired": 12,
+            "unpaired": 0,
+            "damaged": 0,
+            "flawed": 0,
+            "repeated": 0,
+            "unread": 0,
+        }
         assert source.counts == {"skipped": 0, "left": whole, "right": whole}
         assert (source.damage, source.warnings) == ([], [])
         assert list(source.describe()) == ["both"]
@@ -762,6 +770,7 @@ def test_a_corrupt_image_and_a_gap_at_the_command_line(
         "unpaired": 1,
         "damaged": 1,
         "flawed": 0,
+        "repeated": 0,
         "unread": 0,
     }
     assert record["warnings"] == [warnings[0].removeprefix("warning: ")]

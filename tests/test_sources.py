@@ -134,7 +134,7 @@ def test_a_stereo_source_is_its_two_streams(tmp_path: Path, kind: str) -> None:
         assert source.expected_frames == COUNT
         assert source.damage == []
         undamaged = {"read": COUNT, "paired": COUNT, "unpaired": 0}
-        undamaged |= {"damaged": 0, "flawed": 0, "unread": 0}
+        undamaged |= {"damaged": 0, "flawed": 0, "repeated": 0, "unread": 0}
         assert source.counts == {"skipped": 0, "left": undamaged, "right": undamaged}
     assert [frame.index for frame in frames] == list(range(COUNT))
     for frame, one, other in zip(frames, lefts, rights, strict=True):
@@ -255,6 +255,7 @@ def check_in_step(left: Path, right: Path, lost_left: set[int], lost_right: set[
             "unpaired": len(other - lost),
             "damaged": len(lost),
             "flawed": 0,
+            "repeated": 0,
             "unread": 0,
         }
     assert any(str(left) in line for line in damage) == bool(lost_left | lost_right)
@@ -331,6 +332,7 @@ def test_an_unreadable_image_costs_its_pair_alone(tmp_path: Path) -> None:
             "unpaired": 1,
             "damaged": 2,
             "flawed": 0,
+            "repeated": 0,
             "unread": 0,
         }
         assert source.damage[0] == (f"{left}: 2 images could not be read, the first is frame0.png")

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from motionstereo_cli.commands.options import input_options, rig_options
+from motionstereo_cli.commands.talk import say
 from motionstereo_cli.settings import Settings
 from motionstereo_cli.sources.settings import InputSettings
 
@@ -64,7 +65,7 @@ def check(
             progress=bar.update,
         )
     for line in (*source.warnings, *(calibration.warnings if calibration else ()), *source.damage):
-        click.echo(f"warning: {line}", err=True)
+        say("warning", line)
     if not report.frames:
         raise InputError("the recordings have no frame in common: check that they are whole")
     click.echo(json.dumps(report.as_json(), indent=2) if as_json else _table(report), nl=as_json)

@@ -9,6 +9,7 @@ from typing import Any
 import click
 
 from motionstereo_cli.commands.options import settings_options
+from motionstereo_cli.commands.talk import say
 from motionstereo_cli.settings import COLUMN_TOLERANCE, CompareSettings
 
 DIFFERENT_EXIT_CODE = 4
@@ -102,4 +103,4 @@ def compare(
 
 
 def _note(text: str) -> None:
-    click.echo(f"note: {text}", err=True)
+    say("note", text)

@@ -9,6 +9,7 @@ from typing import Any
 import click
 
 from motionstereo_cli.commands.options import processing_options, world_options
+from motionstereo_cli.commands.talk import announce_compiling, say
 from motionstereo_cli.settings import Settings
 from motionstereo_cli.simulate.settings import DriveSettings
 
@@ -38,13 +39,14 @@ def drive(
 
     started_s = time.perf_counter()
     driven = DriveWorld(world_settings)
+    announce_compiling()
     with tqdm(unit="frame", disable=None) as bar:
         record = library(out, driven, settings, view=view, overwrite=overwrite, progress=bar.update)
     wall_s = time.perf_counter() - started_s
-    click.echo(
-        f"note: {record['ended']} after {record['frames']} frames "
+    say(
+        "note",
+        f"{record['ended']} after {record['frames']} frames "
         f"({record['frames'] / wall_s:.0f} frames per second): {record['laps']:.2f} laps, "
         f"{record['distance_m']:.1f} m, nearest pass {record['nearest_pass_m']:.2f} m; "
         f"results in {out}",
-        err=True,
     )

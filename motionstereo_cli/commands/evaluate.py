@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from motionstereo_cli.commands.options import config_option
+from motionstereo_cli.commands.talk import say
 
 _KIND = click.Choice(["disparity", "depth"])
 _TABLE = click.Path(dir_okay=False, allow_dash=True, path_type=Path)
@@ -86,12 +87,12 @@ def evaluate(
 
     for side, count in (("OUT", report.only_out), ("TRUTH", report.only_truth)):
         if count:
-            _say("warning", f"{count} frames are in {side} alone and not scored")
+            say("warning", f"{count} frames are in {side} alone and not scored")
     if None not in comparison.views and len(set(comparison.views)) > 1:
         out_view, truth_view = comparison.views
-        _say("warning", f"OUT is in the {out_view} view, but TRUTH in the {truth_view} one")
+        say("warning", f"OUT is in the {out_view} view, but TRUTH in the {truth_view} one")
     if not comparison.has_depth:
-        _say("note", "no rig is known, so errors in m are not: give --rig")
+        say("note", "no rig is known, so errors in m are not: give --rig")
     for path, content in (
         (csv_path, library.format_csv),
         (json_path, library.format_json),
@@ -102,8 +103,4 @@ def evaluate(
     shown = library.format_json if json_path == _STDOUT else shown
     click.echo(shown(report), nl=False)
     if picture is not None:
-        _say("note", f"errors of frame {picture} in {picture_path}")
-
-
-def _say(kind: str, text: str) -> None:
-    click.echo(f"{kind}: {text}", err=True)
+        say("note", f"errors of frame {picture} in {picture_path}")

@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from motionstereo_cli.commands.options import input_options, processing_options
+from motionstereo_cli.commands.talk import announce_compiling, say
 from motionstereo_cli.settings import Settings
 from motionstereo_cli.sources.settings import InputSettings
 
@@ -58,6 +59,7 @@ def figure(
     from motionstereo_cli.sinks.images import encode_png
     from motionstereo_cli.sources import open_stereo
 
+    announce_compiling()
     with open_stereo(left, right, input_settings) as source:
         write_whole(out, encode_png(draw_figure(source, numbers, settings)))
-    click.echo(f"note: {len(numbers)} frames in {out}", err=True)
+    say("note", f"{len(numbers)} frames in {out}")

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from motionstereo_cli.commands.options import input_options, rig_options
+from motionstereo_cli.commands.talk import printable, say
 from motionstereo_cli.sources.settings import InputSettings, adapted_rig
 
 if TYPE_CHECKING:
@@ -44,7 +45,7 @@ def info(
             facts["rig"] = asdict(adapted_rig(calibration.rig, input_settings))
     click.echo(json.dumps(facts, indent=2) if as_json else _table(facts))
     for line in (*source.warnings, *(calibration.warnings if calibration else ())):
-        click.echo(f"warning: {line}", err=True)
+        say("warning", line)
 
 
 def _facts(source: StereoSource) -> dict[str, Any]:
@@ -88,5 +89,5 @@ def _line(fact: dict[str, Any]) -> str:
         parts += [fact["codec"], fact["pixel_format"], f"{fact['range']} range"]
         if fact["rotation_deg"]:
             parts.append(f"turned by {fact['rotation_deg']} degrees")
-        parts.append(fact["path"])
+        parts.append(printable(fact["path"]))
     return ", ".join(parts)

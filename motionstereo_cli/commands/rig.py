@@ -8,6 +8,7 @@ from pathlib import Path
 import click
 
 from motionstereo_cli.commands.options import baseline_unit_option
+from motionstereo_cli.commands.talk import say
 
 _STDOUT = Path("-")
 
@@ -69,9 +70,9 @@ def rig(
     calibration = read_calibration(files, size, baseline_unit=baseline_unit, pair=cameras)
     click.echo(calibration.describe(), nl=False, err=True)
     for line in calibration.warnings:
-        click.echo(f"warning: {line}", err=True)
+        say("warning", line)
     if out == _STDOUT:
         click.echo(format_rig(calibration.rig), nl=False)
     else:
         write_rig(out, calibration.rig)
-        click.echo(f"note: the rig of the rectified images is in {out}", err=True)
+        say("note", f"the rig of the rectified images is in {out}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -15,13 +16,14 @@ from motionstereo_cli.commands.options import (
     processing_options,
     rig_options,
 )
+from motionstereo_cli.commands.talk import announce_compiling
+from motionstereo_cli.commands.talk import say as _say
 from motionstereo_cli.errors import OutputError
 from motionstereo_cli.settings import Settings
 from motionstereo_cli.sinks import DEFAULT_SAVES, SAVES, available
 from motionstereo_cli.sources.settings import InputSettings
 
 if TYPE_CHECKING:
-    from motionstereo_cli.check import Finding
     from motionstereo_cli.sinks.settings import OutputSettings
 
 DAMAGED_EXIT_CODE = 3
@@ -69,6 +71,18 @@ def _names(ctx: click.Context, _: click.Parameter, lists: tuple[str, ...]) -> tu
 @output_options
 @click.option("--overwrite", is_flag=True, help="Replace the results of a former run in OUT.")
 @click.option(
+    "--resume",
+    is_flag=True,
+    help="Go on where the same run into OUT was ended, by whatever; begin if it has not yet.",
+)
+@click.option(
+    "--jobs",
+    type=click.IntRange(1, 256),
+    metavar="INTEGER",
+    help="Frames matched at a time; results do not depend on it.  "
+    "[1 to 256; default the number of processor cores]",
+)
+@click.option(
     "--check/--no-check",
     "with_check",
     default=True,
@@ -88,6 +102,8 @@ def run(
     save: tuple[str, ...],
     csv: Path | None,
     overwrite: bool,
+    resume: bool,
+    jobs: int | None,
     with_check: bool,
     input_settings: InputSettings,
     output_settings: OutputSettings,
@@ -100,15 +116,24 @@ def run(
     recording that holds both views.
     """
     table_alone = str(out) == "-"
-    if table_alone and (save or csv):
-        raise click.UsageError("-o - writes the steering table alone: leave --save and --csv out")
     to_stdout = table_alone or str(csv) == "-"
+    in_metres = output_settings.near_m or output_settings.far_m
+    no_metres = "need --rig: without it nothing is in metres"
+    clashes = {
+        "-o - writes the steering table alone: leave --save and --csv out": (
+            table_alone and (save or csv)
+        ),
+        "--resume goes on, --overwrite begins anew: give one of them": resume and overwrite,
+        "--resume cannot go on with a table on standard output: give a file": resume and to_stdout,
+        "--resume cannot read standard input again: give files": resume and "-" in (left, right),
+        f"--poses {no_metres}": poses and not rig,
+        f"--near-m and --far-m {no_metres}": in_metres and not rig,
+    }
+    for message, given in clashes.items():
+        if given:
+            raise click.UsageError(message)
     if to_stdout and sys.stdout is None:
         raise OutputError("cannot write the steering table: standard output is closed")
-    if poses and not rig:
-        raise click.UsageError("--poses needs --rig: without it nothing is in metres")
-    if (output_settings.near_m or output_settings.far_m) and not rig:
-        raise click.UsageError("--near-m and --far-m need --rig: without it nothing is in metres")
     save = save or DEFAULT_SAVES
 
     from tqdm import tqdm
@@ -131,11 +156,12 @@ def run(
         for line in calibration.warnings if calibration else ():
             _say("warning", line)
 
-        def warn(finding: Finding) -> None:
+        def say(kind: str, text: str) -> None:
             bar.clear()
-            _say("warning", finding.text)
+            _say(kind, text)
             bar.refresh()
 
+        announce_compiling(say)
         report = run_library(
             source,
             None if table_alone else out,
@@ -144,23 +170,28 @@ def run(
             save=save,
             table=sys.stdout.buffer if to_stdout else csv,
             output=output_settings,
+            jobs=jobs or os.cpu_count() or 1,
             overwrite=overwrite,
+            resume=resume,
             poses=trajectory,
             inputs=[*source.paths, *rig, *([poses] if poses else [])],
-            warn=warn if with_check else None,
+            warn=(lambda finding: say("warning", finding.text)) if with_check else None,
             progress=bar.update,
         )
 
     for line in report.damage:
         _say("warning", line)
+    if report.resumed == report.frames and not report.interrupted:
+        _say("note", f"{out} is complete already")
+    before = f", {report.resumed} of them before" if report.resumed else ""
     _say(
         "note",
-        f"{report.frames} frames in {report.wall_s:.1f} s "
+        f"{report.frames} frames{before}, in {report.wall_s:.1f} s "
         f"({report.frames_per_second:.0f} frames per second), "
         f"charged {report.charged:.1%}, matched {report.matched:.1%} of the image",
     )
     if report.interrupted:
-        kept = "" if table_alone else f": what was done is in {out}, tables and videos end in .part"
+        kept = "" if table_alone else f": what was done is in {out}, --resume goes on from there"
         _say("error", f"interrupted after {report.frames} frames{kept}")
         return INTERRUPTED_EXIT_CODE
     if not table_alone:
@@ -173,7 +204,3 @@ def _quiet(to_stdout: bool) -> bool | None:
     if sys.stderr is None or (to_stdout and sys.stdout.isatty()):
         return True
     return None
-
-
-def _say(kind: str, text: str) -> None:
-    click.echo(f"{kind}: {text}", err=True)

@@ -8,6 +8,7 @@ from typing import Any
 import click
 
 from motionstereo_cli.commands.options import settings_options
+from motionstereo_cli.commands.talk import say
 from motionstereo_cli.simulate.settings import SimulateSettings
 
 
@@ -30,4 +31,4 @@ def simulate(out: Path, overwrite: bool, chosen: dict[str, Any]) -> None:
     frames = len(settings.frame_range)
     with tqdm(total=frames, unit="frame", disable=None) as bar:
         write(out, settings, overwrite=overwrite, progress=bar.update)
-    click.echo(f"note: {frames} frames of the {settings.scene} in {out}", err=True)
+    say("note", f"{frames} frames of the {settings.scene} in {out}")

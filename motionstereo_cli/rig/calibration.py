@@ -16,6 +16,7 @@ import numpy as np
 
 from motionstereo_cli.errors import InputError
 from motionstereo_cli.rig.formats import Pair, checked_intrinsics, read_files
+from motionstereo_cli.settings import MOST_PIXELS
 from motionstereo_cli.types import Rig
 
 if TYPE_CHECKING:
@@ -32,9 +33,6 @@ BASELINE_UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 
 #: Baselines beyond these are hardly in the unit that a file has or seems to have.
 _LONGEST_BASELINE_M, _SHORTEST_BASELINE_MM = 2.0, 2.0
-
-#: Larger images than these come from a wrong file, and would not fit into memory.
-_MOST_PIXELS = 64_000_000
 
 #: Images that move by less than this need no rectification.
 _NEGLIGIBLE_PX = 0.05
@@ -106,6 +104,7 @@ def read_calibration(
     *,
     baseline_unit: str | None = None,
     pair: tuple[int, int] | None = None,
+    max_pixels: int = MOST_PIXELS,
 ) -> Calibration:
     """Read the calibration of a stereo camera.
 
@@ -119,6 +118,7 @@ def read_calibration(
         baseline_unit: unit of length in the files, ``m``, ``cm`` or ``mm``; None is what the format
             says, or a guess where that gives an unlikely baseline.
         pair: numbers of the left and right camera, for KITTI.
+        max_pixels: largest width times height of the images.
 
     Raises:
         InputError: a file cannot be read, lacks or spoils a value, is for another size, or does not
@@ -127,8 +127,8 @@ def read_calibration(
     read = read_files(paths, pair)
     name = " and ".join(str(path) for path in paths)
     if isinstance(read.content, Rig):
-        return _of_rig(read.content, name, size, baseline_unit)
-    size = _agreed_size(name, read.size, size)
+        return _of_rig(read.content, name, size, baseline_unit, max_pixels)
+    size = _agreed_size(name, read.size, size, max_pixels)
     if isinstance(read.content, Pair):
         for camera, side in zip(read.content.cameras, ("left", "right"), strict=True):
             _check_centre(name, side, camera.matrix, size)
@@ -182,16 +182,26 @@ def rectify_source(
     pair = (
         (int(numbers[0][-1]), int(numbers[1][-1])) if len(numbers) == 2 and all(numbers) else None
     )
-    calibration = read_calibration(paths, size, baseline_unit=baseline_unit, pair=pair)
+    calibration = read_calibration(
+        paths,
+        size,
+        baseline_unit=baseline_unit,
+        pair=pair,
+        max_pixels=source.settings.max_pixels,
+    )
     if calibration.maps is not None:
         source.rectify(*calibration.rectifiers())
     return calibration
 
 
 def _of_rig(
-    rig: Rig, name: str, size: tuple[int, int] | None, baseline_unit: str | None
+    rig: Rig,
+    name: str,
+    size: tuple[int, int] | None,
+    baseline_unit: str | None,
+    max_pixels: int,
 ) -> Calibration:
-    _agreed_size(name, (rig.width, rig.height), size)
+    _agreed_size(name, (rig.width, rig.height), size, max_pixels)
     rig = dataclasses.replace(rig, baseline_m=rig.baseline_m * BASELINE_UNITS[baseline_unit or "m"])
     warnings: tuple[str, ...] = ()
     if rig.baseline_m > _LONGEST_BASELINE_M:
@@ -203,7 +213,7 @@ def _of_rig(
 
 
 def _agreed_size(
-    name: str, stated: tuple[int, int] | None, given: tuple[int, int] | None
+    name: str, stated: tuple[int, int] | None, given: tuple[int, int] | None, max_pixels: int
 ) -> tuple[int, int]:
     if stated is not None and given is not None and stated != given:
         raise InputError(
@@ -213,7 +223,7 @@ def _agreed_size(
     size = stated or given
     if size is None:
         raise InputError(f"{name} does not say how large the images are: give --size")
-    if size[0] * size[1] > _MOST_PIXELS:
+    if size[0] * size[1] > max_pixels:
         raise InputError(
             f"{name}: images of {size[0]:.7g}x{size[1]:.7g} px are far too large: check the file"
         )

@@ -18,6 +18,7 @@ import cv2
 import numpy as np
 
 from motionstereo_cli.errors import InputError
+from motionstereo_cli.reading import MOST_CALIBRATION_BYTES, read_text
 from motionstereo_cli.rig.rig_file import read_rig
 from motionstereo_cli.types import Rig
 
@@ -112,7 +113,7 @@ def read_files(paths: Sequence[Path], pair: tuple[int, int] | None = None) -> Re
     """
     if not 1 <= len(paths) <= 2:
         raise InputError(f"{len(paths)} calibration files are too many: give one, or a pair")
-    texts = [_text(path) for path in paths]
+    texts = [read_text(path, "the rig", MOST_CALIBRATION_BYTES) for path in paths]
     first = texts[0]
     if re.search(r"^\s*cam0\s*=", first, re.MULTILINE):
         return _middlebury(*_alone(paths, "a Middlebury calib.txt"), first)
@@ -129,13 +130,6 @@ def read_files(paths: Sequence[Path], pair: tuple[int, int] | None = None) -> Re
         " and ".join(str(path) for path in paths),
         {k: v for each in values for k, v in each.items()},
     )
-
-
-def _text(path: Path) -> str:
-    try:
-        return path.read_text(encoding="utf-8-sig", errors="replace")
-    except OSError as error:
-        raise InputError(f"cannot read the rig {path}: {error.strerror}") from error
 
 
 def _alone(paths: Sequence[Path], what: str) -> tuple[Path]:

@@ -13,6 +13,7 @@ from dataclasses import MISSING, fields
 from pathlib import Path
 
 from motionstereo_cli.errors import InputError
+from motionstereo_cli.reading import MOST_CALIBRATION_BYTES, read_text
 from motionstereo_cli.sinks.files import write_whole
 from motionstereo_cli.types import Rig
 
@@ -27,10 +28,7 @@ def read_rig(path: str | Path) -> Rig:
         InputError: the file cannot be read, or a value is missing, unknown, given twice, not a
             finite number, or not positive where it must be.
     """
-    try:
-        text = Path(path).read_text(encoding="utf-8-sig", errors="replace")
-    except OSError as error:
-        raise InputError(f"cannot read the rig {path}: {error.strerror}") from error
+    text = read_text(path, "the rig", MOST_CALIBRATION_BYTES)
     keys = [item.name for item in fields(Rig)]
     values: dict[str, float] = {}
     for line in text.splitlines():

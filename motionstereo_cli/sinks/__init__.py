@@ -27,6 +27,12 @@ class Sink(Protocol):
     def write(self, result: FrameResult) -> None:
         """Take in the result of the next frame."""
 
+    def checkpoint(self) -> object:
+        """Have the disk hold what was taken in so far.
+
+        Returns what a sink of the same output, opened ``since`` then, needs to go on from here.
+        """
+
     def close(self) -> None:
         """Complete the output and give it its final name."""
 
@@ -61,7 +67,7 @@ class Save:
     Attributes:
         path: where it lies under the output folder; ``{:06d}`` is the number of the frame.
         what: what it holds, with units.
-        sink: module and function that make the sink from its path and the stream.
+        sink: module and function that make the sink from its path, the stream and a checkpoint.
         needs_rig: it cannot be had without a rig.
         needs_poses: nor without poses.
         beside: further files that come with it.
@@ -84,15 +90,20 @@ class Save:
         """The path as told to users: a folder for numbered files."""
         return self.path.partition("{")[0]
 
-    def open(self, out: Path, stream: Stream) -> Sink:
+    def open(self, out: Path, stream: Stream, since: object = None) -> Sink:
         """Return the sink of a run into the folder ``out``.
 
+        Args:
+            out: the folder.
+            stream: what is known of the run.
+            since: go on from this checkpoint of the same output in the same folder.
+
         Raises:
-            OutputError: the output cannot be written.
+            OutputError: the output cannot be written, or is not what the checkpoint says.
         """
         module, function = self.sink.split(".")
         factory = getattr(importlib.import_module(f"{__name__}.{module}"), function)
-        sink: Sink = factory(out / self.path, stream)
+        sink: Sink = factory(out / self.path, stream, since)
         return sink
 
 

@@ -5,7 +5,9 @@ from __future__ import annotations
 import contextlib
 import math
 import os
+import re
 from collections.abc import Iterable, Iterator
+from io import BufferedRandom, BufferedWriter
 from pathlib import Path
 
 from motionstereo_cli.errors import OutputError
@@ -14,6 +16,16 @@ from motionstereo_cli.errors import OutputError
 def part_of(path: Path) -> Path:
     """Return the name that ``path`` has while it is being written."""
     return path.with_name(path.name + ".part")
+
+
+def segment_of(path: Path, number: int) -> Path:
+    """Return the name of a segment, counted from 0, of the video ``path`` that is being written."""
+    return part_of(path.with_name(f"{path.stem}.{number:04d}{path.suffix}"))
+
+
+def is_segment(name: str, path: Path) -> bool:
+    """Return whether a file's name is that of a segment of the video ``path``."""
+    return re.fullmatch(rf"{path.stem}\.\d{{4,}}{path.suffix}\.part", name) is not None
 
 
 @contextlib.contextmanager
@@ -32,8 +44,10 @@ def reported(path: Path | str) -> Iterator[None]:
         raise OutputError(f"cannot write {path}: {error.strerror or error}") from error
 
 
-def write_whole(path: Path, content: bytes) -> None:
+def write_whole(path: Path, content: bytes, *, durable: bool = False) -> None:
     """Write a small file at once: beside its final name, then renamed.
+
+    With ``durable``, the disk holds it before it gets its name.
 
     Raises:
         OutputError: the file cannot be written.
@@ -42,10 +56,26 @@ def write_whole(path: Path, content: bytes) -> None:
     with reported(path):
         try:
             part.write_bytes(content)
+            if durable:
+                sync(part)
             os.replace(part, path)
         except BaseException:
             part.unlink(missing_ok=True)
             raise
+
+
+def sync(path: Path) -> None:
+    """Have the disk hold a file, should the machine go down.
+
+    Raises:
+        OutputError: it cannot.
+    """
+    with reported(path):
+        file = os.open(path, os.O_RDONLY)
+        try:
+            os.fsync(file)
+        finally:
+            os.close(file)
 
 
 def cell(value: float | None, decimals: int) -> str:
@@ -60,23 +90,32 @@ class TableFile:
 
     Args:
         path: final name.
-        header: names of the columns.
+        header: names of the columns; none if empty.
+        since: go on from this checkpoint of a former table: its size in bytes.
 
     Raises:
-        OutputError: the file cannot be written.
+        OutputError: the file cannot be written, or is not what the checkpoint says.
     """
 
-    def __init__(self, path: Path, header: str) -> None:
+    def __init__(self, path: Path, header: str, since: int | None = None) -> None:
         self._path = path
+        self._file: BufferedWriter | BufferedRandom
         with reported(path):
-            self._file = part_of(path).open("wb")
-        self.add([header])
+            self._file = part_of(path).open("wb") if since is None else _reopened(path, since)
+        if header and since is None:
+            self.add([header])
 
     def add(self, lines: Iterable[str]) -> None:
         """Append lines, without their ends, and pass them on at once."""
         with reported(self._path):
             self._file.writelines(line.encode("ascii") + b"\n" for line in lines)
             self._file.flush()
+
+    def checkpoint(self) -> int:
+        """Have the disk hold what was written so far, and return its size in bytes."""
+        with reported(self._path):
+            os.fsync(self._file.fileno())
+            return self._file.tell()
 
     def close(self) -> None:
         """Complete the table and give it its name."""
@@ -90,3 +129,50 @@ class TableFile:
             self._file.close()
         if not keep:
             part_of(self._path).unlink(missing_ok=True)
+
+
+def _reopened(path: Path, size: int) -> BufferedRandom:
+    if path.exists():  # completed, but not all that belongs to it
+        os.replace(path, part_of(path))
+    file = part_of(path).open("r+b")
+    if file.seek(0, os.SEEK_END) < size:
+        file.close()
+        raise OutputError(f"{part_of(path)} was cut: --resume cannot go on, give --overwrite")
+    file.truncate(size)
+    file.seek(size)
+    return file
+
+
+class NumberedFiles:
+    """Files of one kind, one a frame, each written whole.
+
+    Args:
+        path: where they go; ``{:06d}`` in its name is the number of the frame.
+
+    Raises:
+        OutputError: the folder cannot be made or a file not written.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._unsynced: list[Path] = []
+        with reported(path.parent):
+            path.parent.mkdir(exist_ok=True)
+
+    def add(self, number: int, content: bytes) -> None:
+        """Write the file of a frame."""
+        path = self._path.with_name(self._path.name.format(number))
+        write_whole(path, content)
+        self._unsynced.append(path)
+
+    def checkpoint(self) -> None:
+        """Have the disk hold what was written so far."""
+        for path in self._unsynced:
+            sync(path)
+        self._unsynced.clear()
+
+    def close(self) -> None:
+        """Do nothing: every file is complete."""
+
+    def abandon(self, *, keep: bool) -> None:
+        """Do nothing: every file is complete."""

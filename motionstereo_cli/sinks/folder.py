@@ -7,16 +7,23 @@ import itertools
 import json
 import os
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from motionstereo_cli.errors import OutputError
 from motionstereo_cli.sinks import SAVES
-from motionstereo_cli.sinks.files import part_of, reported, write_whole
+from motionstereo_cli.sinks.files import is_segment, part_of, reported, write_whole
+
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None  # type: ignore[assignment]
 
 #: Tells what a run wrote. Written last; until then its ``.part`` lists what is being written.
 RECORD = "run.json"
+#: What a run needs to go on after its process is gone; removed when it is complete.
+CHECKPOINT = "run.checkpoint"
 _PROGRAM = "motionstereo"
 _NUMBERED = re.compile(r"(\d{6,})(\.[a-z]+)(\.part)?")
 
@@ -56,21 +63,66 @@ def prepare(
         for path in former:
             path.unlink()
         _remove_empty_folders(out)
-        part_of(out / RECORD).write_bytes(_json(_head(save)))
+        part_of(out / RECORD).write_bytes(_json(head(save)))
 
 
-def complete(out: Path, save: Sequence[str], record: dict[str, Any]) -> None:
+def complete(out: Path, record: Mapping[str, Any]) -> None:
     """Write the record of a run that is done.
 
     Args:
         out: the folder.
-        save: names of the outputs.
-        record: what to say besides the outputs; its ``counts.written`` is the number of frames.
+        record: what to say: the :func:`head`, and at least ``counts.written``, the frames.
 
     Raises:
         OutputError: the record cannot be written.
     """
-    write_whole(out / RECORD, _json(_head(save) | record))
+    # The .part stays what it is until all is on the disk: it says that this folder is ours.
+    part = part_of(out / RECORD)
+    write_whole(part, _json(record), durable=True)
+    with reported(out / RECORD):
+        os.replace(part, out / RECORD)
+    clear(out)
+
+
+def clear(out: Path) -> None:
+    """Remove what a complete run needs no more: its checkpoint, and the segments of its videos."""
+    with reported(out):
+        for path in _temporary(out):
+            path.unlink(missing_ok=True)
+
+
+def record_of(out: Path) -> dict[str, Any] | None:
+    """Return what a complete run says of itself, None where there is none."""
+    return _read_record(out / RECORD)
+
+
+@contextlib.contextmanager
+def locked(out: Path) -> Iterator[None]:
+    """Make a folder, and keep other runs out of it until the block is done.
+
+    The lock goes with its process, whatever becomes of that. On systems and disks without such
+    locks there is none.
+
+    Raises:
+        OutputError: another run is writing there, or the folder cannot be made.
+    """
+    with reported(out):
+        out.mkdir(parents=True, exist_ok=True)
+        folder = os.open(out, os.O_RDONLY) if fcntl else -1
+    try:
+        if fcntl:
+            try:
+                fcntl.flock(folder, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                raise OutputError(
+                    f"{out} is being written by another run: wait for it, or give another folder"
+                ) from None
+            except OSError:
+                pass  # a network disk without locks
+        yield
+    finally:
+        if fcntl:
+            os.close(folder)
 
 
 def tidy(out: Path) -> None:
@@ -81,14 +133,15 @@ def tidy(out: Path) -> None:
             _remove_empty_folders(out)
 
 
-def _head(save: Sequence[str]) -> dict[str, Any]:
+def head(save: Sequence[str]) -> dict[str, Any]:
+    """Return the beginning of a record: who wrote the folder, and what is in it."""
     outputs = {
         name: {"path": SAVES[name].path.format(0), "what": SAVES[name].what} for name in save
     }
     return {"program": _PROGRAM, "outputs": outputs}
 
 
-def _json(record: dict[str, Any]) -> bytes:
+def _json(record: Mapping[str, Any]) -> bytes:
     return json.dumps(record, indent=2, allow_nan=False).encode() + b"\n"
 
 
@@ -96,19 +149,39 @@ def _written(out: Path) -> set[Path]:
     """Return the files present that former runs wrote, complete or not."""
     written: set[Path] = set()
     for path in (out / RECORD, part_of(out / RECORD)):
+        record = _read_record(path)
+        if record is None:
+            continue
         try:
-            record = json.loads(path.read_bytes())
-            if record["program"] != _PROGRAM:
-                continue
             names = SAVES.keys() & record["outputs"].keys()
             frames = int(record["counts"]["written"]) if "counts" in record else None
-        except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError):
+        except (ValueError, LookupError, TypeError, AttributeError):
             continue  # not a record of ours
         written.add(path)
+        written |= _temporary(out)
         for target in (path for name in names for path in SAVES[name].paths):
             present = _present(out, target)
             written |= _up_to(frames, present) if "{" in target else present
     return written
+
+
+def _read_record(path: Path) -> dict[str, Any] | None:
+    try:
+        record = json.loads(path.read_bytes())
+        return record if record["program"] == _PROGRAM else None
+    except (OSError, ValueError, LookupError, TypeError, RecursionError):
+        return None  # not a record of ours
+
+
+def _temporary(out: Path) -> set[Path]:
+    """Return the files present that a run needs only until it is complete."""
+    checkpoint, videos = out / CHECKPOINT, [Path(save.path) for save in SAVES.values()]
+    names = {checkpoint.name, part_of(checkpoint).name, part_of(part_of(out / RECORD)).name}
+    return {
+        path
+        for path in out.iterdir()
+        if path.name in names or any(is_segment(path.name, video) for video in videos)
+    }
 
 
 def _present(out: Path, path: str) -> set[Path]:

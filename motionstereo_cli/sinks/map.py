@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from motionstereo_cli.mapping import Floor, Mapper
+from motionstereo_cli.mapping import Floor, Mapper, Surroundings
 from motionstereo_cli.sinks.files import part_of, write_whole
 from motionstereo_cli.sinks.images import encode_png
 from motionstereo_cli.sinks.points import encode_ply
@@ -55,20 +55,26 @@ class MapFiles:
     Args:
         path: name of the point cloud.
         stream: what is known of the run; it has a rig, and its results have poses.
+        since: go on from this checkpoint: what was known then.
 
     Attributes:
         mapper: makes the map.
     """
 
-    def __init__(self, path: Path, stream: Stream) -> None:
+    def __init__(self, path: Path, stream: Stream, since: Surroundings | None = None) -> None:
         assert stream.rig is not None
         self._path = path
         self.mapper = Mapper(stream.settings, stream.rig, stream.output.map_cell_m)
+        self.mapper.known = since
         self._closed = False
 
     def write(self, result: FrameResult) -> None:
         """Take in a frame."""
         self.mapper.add(result)
+
+    def checkpoint(self) -> Surroundings | None:
+        """Return what is known so far."""
+        return self.mapper.known
 
     def close(self) -> None:
         """Write the map."""

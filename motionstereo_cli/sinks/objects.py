@@ -32,20 +32,13 @@ def object_row(frame: int, thing: MovingObject) -> str:
 
 
 class ObjectsFile(TableFile):
-    """The table of moving objects as a file: a row for each object of each frame.
-
-    Raises:
-        OutputError: the file cannot be written.
-    """
-
-    def __init__(self, path: Path) -> None:
-        super().__init__(path, HEADER)
+    """The table of moving objects as a file: a row for each object of each frame."""
 
     def write(self, result: FrameResult) -> None:
         """Append the rows of a frame."""
         self.add(object_row(result.frame.index, thing) for thing in result.objects)
 
 
-def objects_file(path: Path, _: Stream) -> ObjectsFile:
+def objects_file(path: Path, _: Stream, since: int | None = None) -> ObjectsFile:
     """Return a sink for the table of moving objects."""
-    return ObjectsFile(path)
+    return ObjectsFile(path, HEADER, since)

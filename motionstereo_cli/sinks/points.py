@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from motionstereo_cli.mapping import camera_points
-from motionstereo_cli.sinks.files import reported, write_whole
+from motionstereo_cli.sinks.files import NumberedFiles
 from motionstereo_cli.types import FrameResult
 
 if TYPE_CHECKING:
@@ -46,35 +46,23 @@ def encode_ply(points_m: NDArray[np.floating[Any]], grey: Grey, comment: str) ->
     return "\n".join(head).encode("ascii") + table.tobytes()
 
 
-class NumberedClouds:
-    """PLY files, one a frame, each written whole: all that has a depth, in the camera's frame.
+class NumberedClouds(NumberedFiles):
+    """PLY files, one a frame: all that has a depth, in the camera's frame.
 
     Args:
-        path: where they go; ``{:06d}`` in its name is the number of the frame.
+        path: see :class:`~motionstereo_cli.sinks.files.NumberedFiles`.
         stream: what is known of the run; it has a rig.
-
-    Raises:
-        OutputError: the folder cannot be made or a file not written.
     """
 
-    def __init__(self, path: Path, stream: Stream) -> None:
-        self._path = path
+    def __init__(self, path: Path, stream: Stream, _: None = None) -> None:
+        super().__init__(path)
         self._stream = stream
         camera = stream.settings.reference
         self._comment = f"m, optical frame of the {camera} camera: x right, y down, z forward"
-        with reported(path.parent):
-            path.parent.mkdir(exist_ok=True)
 
     def write(self, result: FrameResult) -> None:
         """Write the points of a frame."""
         assert self._stream.rig is not None
         everywhere = np.ones(result.motion.shape, np.bool_)
         points_m, grey = camera_points(result, everywhere, self._stream.settings, self._stream.rig)
-        path = self._path.with_name(self._path.name.format(result.frame.index))
-        write_whole(path, encode_ply(points_m.astype(np.float32), grey, self._comment))
-
-    def close(self) -> None:
-        """Do nothing: every file is complete."""
-
-    def abandon(self, *, keep: bool) -> None:
-        """Do nothing: every file is complete."""
+        self.add(result.frame.index, encode_ply(points_m.astype(np.float32), grey, self._comment))

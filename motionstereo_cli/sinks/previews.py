@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 
 from motionstereo_cli.sinks.images import depth_png, known_depth_m, motion_png
-from motionstereo_cli.sinks.video import VideoWriter
+from motionstereo_cli.sinks.video import SegmentedVideo
 from motionstereo_cli.types import FrameResult
 
 if TYPE_CHECKING:
@@ -35,21 +35,27 @@ class ResultVideo:
     Where these count from an epoch, as camera clocks do, the video begins at 0.
 
     Args:
-        path: final name; its suffix says the format, see :class:`VideoWriter`.
+        path: final name; its suffix says the format, see :class:`SegmentedVideo`.
         stream: what is known of the run.
+        since: go on from this checkpoint: that of the video, and the first time stamp.
         image: makes the image of a result, grey or RGB.
 
     Raises:
-        OutputError: the file cannot be written.
+        OutputError: the file cannot be written, or is not what the checkpoint says.
     """
 
     def __init__(
-        self, path: Path, stream: Stream, image: Callable[[FrameResult, Stream], NDArray[Any]]
+        self,
+        path: Path,
+        stream: Stream,
+        since: tuple[tuple[int, int | None], int | None] | None = None,
+        *,
+        image: Callable[[FrameResult, Stream], NDArray[Any]],
     ) -> None:
-        self._video = VideoWriter(path, stream.time_base)
+        segments, self._begin = since or ((0, None), None)
+        self._video = SegmentedVideo(path, stream.time_base, segments)
         self._stream = stream
         self._image = image
-        self._begin: int | None = None
 
     def write(self, result: FrameResult) -> None:
         """Append the image of a frame."""
@@ -58,16 +64,17 @@ class ResultVideo:
             self._begin = pts if pts * self._stream.time_base > _EPOCH_S else 0
         self._video.write(self._image(result, self._stream), pts - self._begin)
 
+    def checkpoint(self) -> tuple[tuple[int, int | None], int | None]:
+        """End a segment."""
+        return self._video.checkpoint(), self._begin
+
     def close(self) -> None:
         """Complete the video and give it its name."""
         self._video.close()
 
     def abandon(self, *, keep: bool) -> None:
-        """Complete the video under its ``.part`` name or, without ``keep``, remove it."""
-        if keep:
-            self._video.finish()
-        else:
-            self._video.close(keep=False)
+        """Complete the last segment or, without ``keep``, remove all."""
+        self._video.abandon(keep=keep)
 
 
 def depth_colours(
@@ -88,11 +95,10 @@ def depth_colours(
     Returns:
         (height, width, 3) uint8 RGB.
     """
-    known = ~np.isnan(disparity_px)
     scale = math.log(max(near_px / far_px, 2))
-    nearness = np.log(np.maximum(disparity_px[known] / np.float32(far_px), 1)) / scale
-    levels = np.zeros(disparity_px.shape, np.uint8)
-    levels[known] = _FARTHEST + np.minimum(nearness, 1) * (255 - _FARTHEST)
+    nearness = cv2.log(np.fmax(disparity_px * np.float32(1 / far_px), 1))  # not of NaN
+    steps = np.minimum(_FARTHEST + nearness * np.float32((255 - _FARTHEST) / scale), 255)
+    levels = steps.astype(np.uint8) * ~np.isnan(disparity_px)
     return cv2.applyColorMap(levels, _palette(colours)).astype(np.uint8, copy=False)
 
 

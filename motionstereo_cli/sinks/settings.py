@@ -55,6 +55,15 @@ class OutputSettings:
         high=10,
     )
 
+    checkpoint_frames: int = param(
+        250,
+        "After so many frames each, a run leaves what --resume goes on from; videos have a key "
+        "frame there.",
+        unit="frames",
+        low=1,
+        high=1_000_000,
+    )
+
     def __post_init__(self) -> None:
         checked(self)
         if 0 < self.far_m <= self.near_m:

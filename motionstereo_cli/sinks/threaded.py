@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pickle
+from concurrent.futures import Future
 from queue import Queue
 from threading import Thread
 
@@ -20,7 +22,7 @@ class Threaded:
 
     def __init__(self, sink: Sink) -> None:
         self._sink = sink
-        self._queue: Queue[FrameResult | None] = Queue(_WAITING)
+        self._queue: Queue[FrameResult | Future[bytes] | None] = Queue(_WAITING)
         self._error: Exception | None = None
         self._closed = False
         self._thread = Thread(target=self._work, name=type(sink).__name__, daemon=True)
@@ -31,6 +33,12 @@ class Threaded:
         if self._error is not None:
             raise self._error
         self._queue.put(result)
+
+    def checkpoint(self) -> Future[bytes]:
+        """Return the sink's checkpoint after the results so far, pickled, once it has made it."""
+        made: Future[bytes] = Future()
+        self._queue.put(made)
+        return made
 
     def close(self) -> None:
         """Wait until all is written, then complete the output."""
@@ -53,9 +61,15 @@ class Threaded:
 
     def _work(self) -> None:
         # After an error the queue is still emptied, so that nobody waits for room in it.
-        while (result := self._queue.get()) is not None:
-            if self._error is None:
-                try:
-                    self._sink.write(result)
-                except Exception as error:
-                    self._error = error
+        while (item := self._queue.get()) is not None:
+            try:
+                if self._error is not None:
+                    raise self._error
+                if isinstance(item, Future):
+                    item.set_result(pickle.dumps(self._sink.checkpoint()))
+                else:
+                    self._sink.write(item)
+            except Exception as error:
+                self._error = error
+                if isinstance(item, Future):
+                    item.set_exception(error)

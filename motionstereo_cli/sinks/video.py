@@ -4,20 +4,32 @@ from __future__ import annotations
 
 import contextlib
 import os
+from collections.abc import Sequence
 from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import av
+import cv2
 import numpy as np
 
-from motionstereo_cli.sinks.files import part_of, reported
+from motionstereo_cli.errors import OutputError
+from motionstereo_cli.sinks.files import part_of, reported, segment_of, sync
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 #: Luma of a limited-range stream for each grey level: 0..255 becomes 16..235.
 _LIMITED_LUMA = (16.5 + np.arange(256) * (219 / 255)).astype(np.uint8)
+
+
+def _container(path: Path) -> dict[str, Any]:
+    """Return how to open a container for writing: its format, and options."""
+    # No random identifiers; the index in front, so that browsers start at once and a cut copy can
+    # still be read.
+    if path.suffix == ".mkv":
+        return {"format": "matroska", "options": {"fflags": "+bitexact"}}
+    return {"format": "mp4", "options": {"fflags": "+bitexact", "movflags": "+faststart"}}
 
 
 class VideoWriter:
@@ -32,28 +44,34 @@ class VideoWriter:
         path: final name; ``.mp4`` or ``.mkv``.
         time_base: seconds per unit of the time stamps given to :meth:`write`.
         quality: H.264 constant rate factor, 0 (best) to 51.
+        part: its name while it is being written; ``.part`` appended to ``path`` if None.
+        preview: take half the time for a file twice as large, and have no picture depend on a
+            later one, so that files can be joined.
 
     Raises:
         OutputError: the file cannot be written.
     """
 
-    def __init__(self, path: Path, time_base: Fraction, *, quality: int = 18) -> None:
+    def __init__(
+        self,
+        path: Path,
+        time_base: Fraction,
+        *,
+        quality: int = 18,
+        part: Path | None = None,
+        preview: bool = False,
+    ) -> None:
         self.path = path
+        self._part = part or part_of(path)
         self._time_base = time_base
-        self._quality = quality
+        preset = {"preset": "ultrafast", "bf": "0"} if preview else {"preset": "veryfast"}
+        # x264's macroblock tree is not repeatable with AVX2: it reads unset memory.
+        self._options = {"crf": str(quality), "mbtree": "0", **preset}
         self._lossless = path.suffix == ".mkv"
         self._stream: Any = None
         self._last_pts: int | None = None
         with reported(path):
-            self._container = av.open(
-                str(part_of(path)),
-                "w",
-                format="matroska" if self._lossless else "mp4",
-                # No random identifiers; the index in front, so that browsers start at once and
-                # a cut copy can still be read.
-                options={"fflags": "+bitexact"}
-                | ({} if self._lossless else {"movflags": "+faststart"}),
-            )
+            self._container = av.open(str(self._part), "w", **_container(path))
 
     def write(self, image: NDArray[np.uint8] | NDArray[np.uint16], pts: int) -> None:
         """Append an image.
@@ -99,12 +117,12 @@ class VideoWriter:
         if keep:
             self.finish()
             with reported(self.path):
-                os.replace(part_of(self.path), self.path)
+                os.replace(self._part, self.path)
         else:
             with contextlib.suppress(OSError):  # what is left to write does not matter
                 self._container.close()
             with reported(self.path):
-                part_of(self.path).unlink(missing_ok=True)
+                self._part.unlink(missing_ok=True)
 
     def _add_stream(self, frame: av.VideoFrame) -> Any:
         # The rate is a label alone: the time stamps say when each frame is shown.
@@ -115,8 +133,7 @@ class VideoWriter:
         stream.time_base = stream.codec_context.time_base = self._time_base
         stream.codec_context.thread_count = 1
         if not self._lossless:
-            # x264's macroblock tree is not repeatable with AVX2: it reads unset memory.
-            stream.options = {"crf": str(self._quality), "preset": "veryfast", "mbtree": "0"}
+            stream.options = self._options
             stream.codec_context.color_range = 1  # limited
         return stream
 
@@ -125,10 +142,112 @@ class VideoWriter:
             grey = "gray16le" if image.dtype == np.uint16 else "gray"
             return av.VideoFrame.from_ndarray(image, grey)
         if image.ndim == 3:
-            return av.VideoFrame.from_ndarray(_even(image), "rgb24").reformat(format="yuv420p")
+            planes = cv2.cvtColor(_even(image), cv2.COLOR_RGB2YUV_I420)  # BT.601, limited range
+            return av.VideoFrame.from_ndarray(np.asarray(planes, np.uint8), "yuv420p")
         luma = _LIMITED_LUMA[_even(image)]
         chroma = np.full((luma.shape[0] // 2, luma.shape[1]), 128, np.uint8)
         return av.VideoFrame.from_ndarray(np.concatenate([luma, chroma]), "yuv420p")
+
+
+class SegmentedVideo:
+    """A preview that can go on after the process that began it is gone.
+
+    A new segment begins at each checkpoint: a video of its own, beside the final name. At the end
+    the segments are joined, as they are, without decoding. They stay for whoever completes the
+    output folder: until all of it is complete, another process may have to begin here.
+
+    Args:
+        path: final name; see :class:`VideoWriter`.
+        time_base: seconds per unit of the time stamps given to :meth:`write`.
+        since: go on from this checkpoint: number of segments, and the last time stamp.
+
+    Raises:
+        OutputError: the file cannot be written, or a segment is missing.
+    """
+
+    def __init__(
+        self, path: Path, time_base: Fraction, since: tuple[int, int | None] = (0, None)
+    ) -> None:
+        self._path = path
+        self._time_base = time_base
+        self._complete, self._last_pts = since
+        self._writer: VideoWriter | None = None
+        for number in range(self._complete):
+            if not (segment := segment_of(path, number)).exists():
+                raise OutputError(
+                    f"{segment} is missing: --resume cannot go on without it, give --overwrite"
+                )
+
+    def write(self, image: NDArray[np.uint8] | NDArray[np.uint16], pts: int) -> None:
+        """Append an image; one not after the last gets the next time stamp.
+
+        Raises:
+            OutputError: the file cannot be written.
+        """
+        if self._writer is None:
+            segment = segment_of(self._path, self._complete)
+            self._writer = VideoWriter(self._path, self._time_base, part=segment, preview=True)
+        if self._last_pts is not None:
+            pts = max(pts, self._last_pts + 1)
+        self._last_pts = pts
+        self._writer.write(image, pts)
+
+    def checkpoint(self) -> tuple[int, int | None]:
+        """End the segment, and return what a new process needs to go on.
+
+        Raises:
+            OutputError: the segment cannot be completed.
+        """
+        if self._writer is not None:
+            self._writer.finish()
+            sync(segment_of(self._path, self._complete))
+            self._writer = None
+            self._complete += 1
+        return self._complete, self._last_pts
+
+    def close(self) -> None:
+        """Complete the video and give it its name.
+
+        Raises:
+            OutputError: the file cannot be written.
+        """
+        self.checkpoint()
+        join(self._segments(), self._path)
+
+    def abandon(self, *, keep: bool) -> None:
+        """Complete the last segment or, without ``keep``, remove all."""
+        if self._writer is not None:
+            if keep:
+                self._writer.finish()
+            else:
+                self._writer.close(keep=False)
+        if not keep:
+            for segment in self._segments():
+                segment.unlink(missing_ok=True)
+
+    def _segments(self) -> list[Path]:
+        return [segment_of(self._path, number) for number in range(self._complete)]
+
+
+def join(segments: Sequence[Path], path: Path) -> None:
+    """Write the pictures of several videos of one kind, one after the other, as one video.
+
+    Raises:
+        OutputError: the file cannot be written, or a segment cannot be read.
+    """
+    with reported(path):
+        with av.open(str(part_of(path)), "w", **_container(path)) as joined:
+            stream: Any = None
+            for segment in segments:
+                with av.open(str(segment)) as source:
+                    if stream is None:
+                        stream = joined.add_stream_from_template(source.streams.video[0])
+                    for packet in source.demux(source.streams.video[0]):
+                        if packet.dts is not None:  # the last one is empty
+                            packet.stream = stream
+                            joined.mux(packet)
+        sync(part_of(path))
+        os.replace(part_of(path), path)
 
 
 def _even(image: NDArray[np.uint8]) -> NDArray[np.uint8]:

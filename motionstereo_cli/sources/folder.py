@@ -7,6 +7,7 @@ import itertools
 import operator
 import re
 import statistics
+import warnings
 from collections.abc import Iterable, Iterator
 from fractions import Fraction
 from pathlib import Path
@@ -15,8 +16,11 @@ from typing import TYPE_CHECKING, Any
 import cv2
 import imageio.v3 as iio
 import numpy as np
+from PIL import Image as Pillow
 
 from motionstereo_cli.errors import InputError
+from motionstereo_cli.reading import MOST_TABLE_BYTES, read_text
+from motionstereo_cli.settings import MOST_PIXELS
 from motionstereo_cli.sources.stream import Image, Stream, images
 
 if TYPE_CHECKING:
@@ -27,8 +31,14 @@ if TYPE_CHECKING:
 #: Files with these suffixes are images; all others are passed over.
 SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm", ".webp"})
 
+# Pillow warns of large images, which are refused here, and of notes in images that do not matter.
+warnings.filterwarnings("ignore", module=r"PIL\.")
+
 #: Beside a folder ``data``: the images' time stamps in ns and names, as EuRoC lays them.
 STAMPS = "data.csv"
+
+#: What Pillow raises on damaged images.
+_DAMAGE = (OSError, ValueError, SyntaxError)
 
 #: Of a time stamp in ns: those of 64 bits.
 _MOST_DIGITS = 19
@@ -49,16 +59,23 @@ class FolderStream(Stream):
         path: an existing folder, or a glob pattern for the messages.
         files: the images, where not those of the folder.
         frame_rate: images per second, 0 = unknown.
+        max_pixels: largest width times height of an image.
 
     Raises:
-        InputError: there is no readable image; while iterating: an image differs from the first
-            in size.
+        InputError: there is no readable image; while iterating: an image is too large, or differs
+            from the first in size.
     """
 
     def __init__(
-        self, path: Path, files: Iterable[Path] | None = None, frame_rate: float = 0.0
+        self,
+        path: Path,
+        files: Iterable[Path] | None = None,
+        frame_rate: float = 0.0,
+        *,
+        max_pixels: int = MOST_PIXELS,
     ) -> None:
         self._path = path
+        self._max_pixels = max_pixels
         self._unreadable: list[str] = []
         stamps_ns: list[int] = []
         try:
@@ -142,9 +159,14 @@ class FolderStream(Stream):
         shape: tuple[int, ...] | None = None
         for number, (pts, file) in enumerate(zip(self._pts, self._files, strict=True)):
             try:
+                with Pillow.open(file) as head:
+                    if head.width * head.height > self._max_pixels:
+                        raise self._too_large(file, f" ({head.width}x{head.height} px)")
                 # Pillow by name: otherwise imageio tries its video plugins on damaged files.
                 pixels = iio.imread(file, plugin="pillow", index=0, rotate=True)
-            except (OSError, ValueError, SyntaxError):  # Pillow raises all three on damage
+            except Pillow.DecompressionBombError:
+                raise self._too_large(file) from None
+            except _DAMAGE:
                 self._unreadable.append(file.name)
                 continue
             grey = _grey(pixels, file)
@@ -157,6 +179,12 @@ class FolderStream(Stream):
                     f"{shape[1]}x{shape[0]}: make all images of a folder the same size"
                 )
             yield Image(number, pts, grey)
+
+    def _too_large(self, file: Path, size: str = "") -> InputError:
+        return InputError(
+            f"{file} is larger than --max-pixels {self._max_pixels}{size}: "
+            "raise it if the image is to be trusted"
+        )
 
 
 def natural_key(name: str) -> list[tuple[int, str]]:
@@ -201,7 +229,8 @@ def _stamped(path: Path) -> tuple[list[Path], list[int]]:
     """Return the images of a EuRoC camera and their time stamps in ns, in the order of time."""
     table = path.parent / STAMPS
     rows = []
-    for number, line in enumerate(table.read_text(errors="replace").splitlines(), 1):
+    text = read_text(table, "the time stamps", MOST_TABLE_BYTES)
+    for number, line in enumerate(text.splitlines(), 1):
         stamp, comma, name = (part.strip() for part in line.partition(","))
         if not line.strip() or stamp.startswith("#"):
             continue

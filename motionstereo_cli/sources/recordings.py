@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import glob
+import re
 from pathlib import Path
 
 from motionstereo_cli.errors import InputError, SettingsError
@@ -14,6 +15,9 @@ from motionstereo_cli.sources.video import VideoStream
 
 #: The name of standard input. A file of that name is ``./-``.
 STDIN = "-"
+
+#: What FFmpeg takes for an address: a protocol and a colon. One letter is a drive of Windows.
+_ADDRESS = re.compile(r"[A-Za-z][A-Za-z0-9+.,-]+:")
 
 #: Where the left and right images lie in folders that hold a whole recording. Of KITTI's two
 #: pairs of cameras the grey one comes first: it needs no conversion.
@@ -27,7 +31,7 @@ PAIRS = (
 )
 
 
-def named(left: str | Path, right: str | Path | None, layout: str) -> list[str]:
+def named(left: str | Path, right: str | Path | None, settings: InputSettings) -> list[str]:
     """Return the names of the recordings to open: left and right, or one that holds both.
 
     Raises:
@@ -36,8 +40,13 @@ def named(left: str | Path, right: str | Path | None, layout: str) -> list[str]:
     """
     # As text: pathlib makes "./-" the same as "-".
     names = [str(left)] if right is None else [str(left), str(right)]
+    layout = settings.layout
     for name in names:
-        if name != STDIN and not _files(name):
+        if is_address(name) and not settings.allow_network:
+            raise InputError(
+                f"there is no file {name}: if it is an address, --allow-network lets it be read"
+            )
+        if name != STDIN and not is_address(name) and not _files(name):
             raise InputError(f"there is no file or folder {name}: check the path")
     if layout != "two":
         if right is not None:
@@ -62,13 +71,21 @@ def open_stream(name: str, settings: InputSettings) -> Stream:
         InputError: it cannot be decoded or has no images.
     """
     if name == STDIN:
-        return VideoStream(Pipe())
+        return VideoStream(Pipe(), max_pixels=settings.max_pixels)
     path = Path(name)
-    if path.is_dir():
-        return FolderStream(path, frame_rate=settings.frame_rate)
-    if path.exists():
-        return VideoStream(path)
-    return FolderStream(path, _files(name), settings.frame_rate)
+    if is_address(name):
+        return VideoStream(name, max_pixels=settings.max_pixels)
+    if path.exists() and not path.is_dir():
+        return VideoStream(
+            path, max_pixels=settings.max_pixels, allow_network=settings.allow_network
+        )
+    files = None if path.is_dir() else _files(name)
+    return FolderStream(path, files, settings.frame_rate, max_pixels=settings.max_pixels)
+
+
+def is_address(name: str) -> bool:
+    """Return whether a name is a network address, or the like, and no file."""
+    return bool(_ADDRESS.match(name)) and not _files(name)
 
 
 def _files(name: str) -> list[Path]:

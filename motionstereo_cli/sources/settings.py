@@ -9,7 +9,7 @@ from fractions import Fraction
 from typing import NamedTuple
 
 from motionstereo_cli.errors import SettingsError
-from motionstereo_cli.settings import checked, param
+from motionstereo_cli.settings import MOST_PIXELS, MOST_PIXELS_OF_ALL, checked, param
 from motionstereo_cli.types import Rig
 
 #: A place in the stream: an int is the number of a frame, a Fraction a time in s.
@@ -88,6 +88,22 @@ class InputSettings:
         "Factor to the size of the views, after --crop; disparity grows with it, depth does not.",
         low=0.01,
         high=8,
+    )
+    strict: bool = param(
+        False, "End with an error at the first damage to the input, instead of counting it."
+    )
+    max_pixels: int = param(
+        MOST_PIXELS,
+        "Larger images than this are refused before they are decoded, for they would fill the "
+        "memory.",
+        unit="px",
+        low=1,
+        high=MOST_PIXELS_OF_ALL,
+    )
+    allow_network: bool = param(
+        False,
+        "Read from network addresses as well, given as LEFT or RIGHT or in a playlist; without it "
+        "a recording makes nothing but itself be read.",
     )
 
     def __post_init__(self) -> None:

@@ -10,12 +10,15 @@ from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+import cv2
+import numpy as np
+
 from motionstereo_cli.errors import InputError, SettingsError
 from motionstereo_cli.sources import views
 from motionstereo_cli.sources.folder import FolderStream
 from motionstereo_cli.sources.pairing import pair
 from motionstereo_cli.sources.prefetch import prefetch
-from motionstereo_cli.sources.recordings import STDIN, named, open_stream
+from motionstereo_cli.sources.recordings import STDIN, is_address, named, open_stream
 from motionstereo_cli.sources.settings import InputSettings, Place
 from motionstereo_cli.sources.stream import Stream, images
 from motionstereo_cli.types import StereoFrame
@@ -25,6 +28,10 @@ if TYPE_CHECKING:
 
 #: Images decoded ahead on each side: enough to even out key frames, little memory.
 _DEPTH = 4
+
+#: Something moves where this share of an image changes by more than so many grey levels. A still
+#: scene may look the same twice to one camera, and through its encoder, and not to the other.
+_MOVING_SHARE, _MOTION_GREY = 0.01, 12
 
 SIDES = ("left", "right")
 
@@ -95,6 +102,14 @@ class StereoSource:
         self.view_width, self.view_height = sizes[0]
         self.width, self.height = s.delivered(*sizes[0])
         self._box = s.box(*sizes[0])
+        for width, height in (sizes[0], (self.width, self.height)):
+            if width * height > s.max_pixels:
+                raise InputError(
+                    f"views of {width}x{height} px are more than --max-pixels {s.max_pixels}: "
+                    "raise it, or give a smaller --scale"
+                )
+        if s.strict and self.warnings:
+            raise self._stopped(self.warnings[0])
         self.time_base = right.stream.time_base
         rate = right.stream.frame_rate
         self.frame_rate = rate / s.every if rate else None
@@ -122,6 +137,11 @@ class StereoSource:
         for stream in self._streams:
             stream.close()
 
+    @property
+    def rereadable(self) -> bool:
+        """Whether another process can read the same again: not from standard input."""
+        return len(self.paths) == len(self._streams)
+
     def rectify(self, left: Callable[[Grey], Grey], right: Callable[[Grey], Grey]) -> None:
         """Have each whole view go through a function; to be called before the iteration.
 
@@ -137,6 +157,8 @@ class StereoSource:
         ``skipped``: pairs left out by --start, --end and --every. For ``left`` and ``right``:
         ``read`` = ``paired`` + ``unpaired`` + ``damaged``, where damaged images are those that
         should have come and did not; ``flawed``: came with visible errors, and were used;
+        ``repeated``: were the image before once more while things moved in the other view, and
+        were used;
         ``unread``: about how many follow, None where nobody knows.
         """
         sides = {name: side.counts for name, side in zip(SIDES, self._sides, strict=True)}
@@ -155,6 +177,11 @@ class StereoSource:
             if dropped := side.between + early:
                 lines.append(
                     f"{side.stream.name}: {images(dropped)} dropped: no partner on the other side"
+                )
+            if side.repeated:
+                lines.append(
+                    f"{side.stream.name}: {images(side.repeated)} repeated while the other side "
+                    "moves"
                 )
             longer = side.late + (side.counts["unread"] or 0) - max(over_last, 0)
             if self._to_the_end and longer > 0:
@@ -177,8 +204,21 @@ class StereoSource:
         }
 
     def __iter__(self) -> Iterator[StereoFrame]:
-        self._frames = self._deliver()
+        self._frames = self._strictly() if self.settings.strict else self._deliver()
         return self._frames
+
+    def _strictly(self) -> Generator[StereoFrame]:
+        with closing(self._deliver()) as frames:
+            for frame in frames:
+                if damage := self.damage:  # up to and with this frame
+                    raise self._stopped(damage[0])
+                yield frame
+        if damage := self.damage:
+            raise self._stopped(damage[0])
+
+    @staticmethod
+    def _stopped(damage: str) -> InputError:
+        return InputError(f"{damage}: stopped there, as --strict says")
 
     def _deliver(self) -> Generator[StereoFrame]:
         s = self.settings
@@ -194,10 +234,14 @@ class StereoSource:
             pairs = pair(
                 left_side.follow(feeds[0]), right_side.follow(feeds[1]), self._lead, self._tolerance
             )
-            number = -1
+            number, last = -1, None
             for number, (left, right) in enumerate(itertools.islice(pairs, _whole(s.stop))):
                 left_side.use(left)
                 right_side.use(right)
+                if last is not None:
+                    left_side.repeated += left.repeats and _moves(right, last[1])
+                    right_side.repeated += right.repeats and _moves(left, last[0])
+                last = left, right
                 if s.stop is not None and self._reached(s.stop, number, right):
                     self._skipped += 1
                     break
@@ -223,13 +267,16 @@ class StereoSource:
             rectify = (rectify[self._sides.index(side)],)
         elif rectify and s.swap:
             rectify = rectify[::-1]
+        last: Grey | None = None
         for order, image in enumerate(stream):
+            repeats, last = last is not None and _same(image.grey, last), image.grey
             parts = views.split(image.grey, s.layout)
             if rectify:
                 parts = tuple(each(part) for each, part in zip(rectify, parts, strict=True))
             cut = (views.cut(part, self._box, self.width, self.height) for part in parts)
             time_s = None if stream.time_base is None else image.pts * stream.time_base
-            yield _Shot(order, image.number, image.pts, time_s, tuple(cut), _Loss.of(stream))
+            loss = _Loss.of(stream)
+            yield _Shot(order, image.number, image.pts, time_s, tuple(cut), repeats, loss)
         yield _Loss.of(stream)
 
     def _pairing(self) -> tuple[Callable[[_Shot, _Shot], Fraction], Fraction]:
@@ -303,6 +350,7 @@ class _Shot(NamedTuple):
         number, pts: as in :class:`~motionstereo_cli.sources.stream.Image`.
         time_s: pts in s, None where there is no time.
         views: the view, or the two views, in it.
+        repeats: the image is that before it, byte for byte.
         loss: what was lost before it.
     """
 
@@ -311,6 +359,7 @@ class _Shot(NamedTuple):
     pts: int
     time_s: Fraction | None
     views: tuple[Grey, ...]
+    repeats: bool
     loss: _Loss
 
 
@@ -320,13 +369,14 @@ class _Side:
     Attributes:
         paired: images used in pairs.
         early: images that came before the first of those.
+        repeated: images used that were the one before, while things moved in the other view.
         loss: what was lost up to the last image that came.
         begin_s: time of the first image.
     """
 
     def __init__(self, stream: Stream, half: int = 0) -> None:
         self.stream, self.half = stream, half
-        self.paired = self.early = 0
+        self.paired = self.early = self.repeated = 0
         self.loss = _Loss(0, 0, ())
         self.begin_s = Fraction(0)
         self._came = 0
@@ -373,8 +423,20 @@ class _Side:
             "unpaired": self._came - self.paired,
             "damaged": self.loss.lost,
             "flawed": self.loss.flawed,
+            "repeated": self.repeated,
             "unread": unread,
         }
+
+
+def _same(one: Grey, other: Grey) -> bool:
+    """Return whether two images are equal; a few rows tell most that are not."""
+    return np.array_equal(one[::32], other[::32]) and np.array_equal(one, other)
+
+
+def _moves(shot: _Shot, last: _Shot) -> bool:
+    """Return whether things move from one image to the next of the same camera."""
+    changed = cv2.absdiff(shot.views[-1], last.views[-1]) > _MOTION_GREY
+    return not shot.repeats and float(np.mean(changed)) > _MOVING_SHARE
 
 
 def _time_lead(one: _Shot, other: _Shot) -> Fraction:
@@ -398,7 +460,8 @@ def open_stereo(
 
     Args:
         left: a video file, a folder of images, a glob pattern of images, or ``-`` for standard
-            input; without ``right`` also a KITTI or EuRoC folder.
+            input; without ``right`` also a KITTI or EuRoC folder. With ``allow_network`` in the
+            settings also an address.
         right: the like; None where ``left`` has both views.
         settings: how the views lie, which images belong together, and what to use of them.
 
@@ -408,7 +471,7 @@ def open_stereo(
         SettingsError: the settings do not fit the recordings.
     """
     settings = settings or InputSettings()
-    names = named(left, right, settings.layout)
+    names = named(left, right, settings)
     with ExitStack() as opened:
         streams = [opened.enter_context(closing(open_stream(name, settings))) for name in names]
         timeless = (isinstance(each, FolderStream) and not each.stamped for each in streams)
@@ -416,6 +479,7 @@ def open_stereo(
             raise SettingsError(
                 f"--frame-rate is for image folders, but {names[0]} has time stamps: leave it out"
             )
-        source = StereoSource(streams, settings, [Path(name) for name in names if name != STDIN])
+        files = [Path(name) for name in names if name != STDIN and not is_address(name)]
+        source = StereoSource(streams, settings, files)
         opened.pop_all()
     return source

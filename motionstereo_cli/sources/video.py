@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import logging
 from collections.abc import Iterator
 from fractions import Fraction
 from pathlib import Path
@@ -15,6 +16,7 @@ import numpy as np
 from av.video.reformatter import ColorRange
 
 from motionstereo_cli.errors import InputError
+from motionstereo_cli.settings import MOST_PIXELS
 from motionstereo_cli.sources.pipe import Pipe
 from motionstereo_cli.sources.stream import Image, Stream, images
 
@@ -22,6 +24,15 @@ if TYPE_CHECKING:
     from motionstereo_cli.types import Grey
 
 _PIPE_ADVICE = "pipe yuv4mpegpipe, Matroska, or MP4 with its index in front (-movflags +faststart)"
+
+#: What a file may have FFmpeg open besides, where the network is allowed.
+_NETWORK = "file,crypto,data,http,https,httpproxy,tls,tcp,udp,rtp"
+
+#: How long a network address may be silent, in s.
+_PATIENCE_S = 10.0
+
+#: The decoder of this codec tells of wrong checksums in FFmpeg's log and nowhere else.
+_TELLS_THE_LOG = "ffv1"
 
 #: Grey level for each luma of a limited-range stream: 16..235 becomes 0..255.
 _GREY_OF_LIMITED_LUMA = np.clip(np.rint((np.arange(256) - 16) * (255 / 219)), 0, 255).astype(
@@ -36,7 +47,8 @@ class VideoStream(Stream):
     give BT.601 luma. Time stamps are those of the file, not shifted to begin at 0. Rotation
     metadata is obeyed.
 
-    Images with visible decoding errors are delivered and counted. An image that cannot be
+    Images with visible decoding errors are delivered and counted, and so are those that are
+    decoded from such or in place of lost ones, until the next key frame. An image that cannot be
     decoded leaves its number out, so that the numbers of those after it still hold. So does one
     that is missing from the file, which shows in either of two ways: the file's index lists more
     images than come, or, in files without an index and at a constant rate, time stamps leap.
@@ -44,14 +56,25 @@ class VideoStream(Stream):
     Decoding uses one thread: with more, FFmpeg decodes damaged files differently each time, and
     with slice threads it does not report the damage.
 
+    Nothing but the file itself is read, whatever it holds: FFmpeg gets it as an open file, and
+    may open no other.
+
     Args:
-        path: an existing file, or standard input.
+        path: an existing file, standard input, or a network address as text.
+        max_pixels: largest width times height of an image.
+        allow_network: let a playlist name files and network addresses.
 
     Raises:
-        InputError: not a video, or none of its images can be decoded.
+        InputError: not a video, too large, or none of its images can be decoded.
     """
 
-    def __init__(self, path: Path | Pipe) -> None:
+    def __init__(
+        self,
+        path: Path | Pipe | str,
+        *,
+        max_pixels: int = MOST_PIXELS,
+        allow_network: bool = False,
+    ) -> None:
         self._path = path
         self._corrupt = self._undecodable = self._missing = self._cut_off = 0
         self._failed: list[int] = []  # pts of packets that gave no image, not yet passed
@@ -59,10 +82,9 @@ class VideoStream(Stream):
         self._packet_end = 0  # in bytes from the beginning of the file
         self._constant_rate: bool | None = None  # not known before the second image
         self._end_error = ""
-        av.logging.set_level(None)
+        _keep_quiet()
         try:
-            # An absolute path: FFmpeg takes what precedes a colon for a protocol.
-            self._container = av.open(path if isinstance(path, Pipe) else str(path.absolute()), "r")
+            self._container = _opened(path, max_pixels, allow_network)
         except (av.FFmpegError, OSError) as error:
             self._check_interrupt()
             advice = "give a whole video file, or a folder of images"
@@ -74,7 +96,14 @@ class VideoStream(Stream):
             if not self._container.streams.video:
                 raise InputError(f"{path} has no video stream: give a video file")
             self._stream = self._container.streams.video[0]
-            self._stream.codec_context.thread_count = 1
+            codec = self._stream.codec_context
+            if codec.width * codec.height > max_pixels:
+                raise InputError(
+                    f"{path} is {codec.width}x{codec.height}: that is more than --max-pixels "
+                    f"{max_pixels}, raise it if the video is to be trusted"
+                )
+            codec.thread_count = 1
+            codec.options = _decoder_limits(max_pixels)
             self.frame_rate = self._stream.average_rate or self._stream.guessed_rate
             self._begin_s = Fraction(self._container.start_time or 0, av.time_base)
             self._listed = self._count_listed()
@@ -112,7 +141,7 @@ class VideoStream(Stream):
     def damage(self) -> list[str]:
         """What was damaged so far, one line for each kind."""
         found = {
-            "decoded with errors": self._corrupt,
+            "decoded with errors, or after errors and before a key frame": self._corrupt,
             "could not be decoded": self._undecodable,
             "missing within the video": self._missing,
             "missing at its end": self._cut_off,
@@ -141,6 +170,8 @@ class VideoStream(Stream):
         """Return size in bytes and SHA-256 of the file, or of what came through the pipe."""
         if isinstance(self._path, Pipe):
             return {"bytes": self._path.bytes_read, "sha256": self._path.sha256}
+        if isinstance(self._path, str):
+            return {"bytes": None, "sha256": None}
         with self._path.open("rb") as file:
             sha256 = hashlib.file_digest(file, "sha256").hexdigest()
         return {"bytes": self._path.stat().st_size, "sha256": sha256}
@@ -168,7 +199,8 @@ class VideoStream(Stream):
     def _read(self) -> Iterator[Image]:
         number, last_pts = -1, None
         shape: tuple[int, ...] | None = None
-        for frame in self._decode():
+        flawed = False
+        for frame, complained in self._decode():
             pts = self._pts(frame, last_pts)
             if shape is None:
                 self._quarters = round(frame.rotation / 90) % 4
@@ -178,13 +210,19 @@ class VideoStream(Stream):
                 self._fail(pts)  # a damaged header, or a change that cannot be followed
                 continue
             shape = grey.shape
-            self._corrupt += frame.is_corrupt
-            number += 1 + self._lost_between(last_pts, pts, number)
+            lost = self._lost_between(last_pts, pts, number)
+            # What is wrong with an image is wrong with all that are decoded from it.
+            inherited = (flawed or lost > 0) and not frame.key_frame
+            flawed = frame.is_corrupt or complained or inherited
+            self._corrupt += flawed
+            number += 1 + lost
             last_pts = pts
             yield Image(number, pts, grey)
         self._cut_off = self._lost_at_end(last_pts)
 
-    def _decode(self) -> Iterator[av.VideoFrame]:
+    def _decode(self) -> Iterator[tuple[av.VideoFrame, bool]]:
+        """Yield the images, and whether the decoder complained of them in its log alone."""
+        heeded = self._stream.codec_context.name == _TELLS_THE_LOG
         packets = self._container.demux(self._stream)
         while True:
             try:
@@ -199,11 +237,13 @@ class VideoStream(Stream):
             if packet.pos is not None:
                 self._packet_end = max(self._packet_end, packet.pos + packet.size)
             try:
-                frames = packet.decode()
+                with av.logging.Capture() as log:  # of this thread alone
+                    frames = packet.decode()
             except av.FFmpegError:
                 self._fail(packet.pts if packet.pts is not None else packet.dts)
                 continue
-            yield from frames
+            for frame in frames:
+                yield frame, heeded and bool(log)
 
     def _fail(self, pts: int | None) -> None:
         self._undecodable += 1
@@ -245,6 +285,8 @@ class VideoStream(Stream):
             return max(self._listed - self._packets, 0)
         if self._container.format.name == "yuv4mpegpipe":  # bare images: a rest is a torn one
             path = self._path
+            if isinstance(path, str):
+                return 0
             size = path.bytes_read if isinstance(path, Pipe) else path.stat().st_size
             return int(size > self._packet_end)
         # The length stands in the header of these; in others it is an estimate.
@@ -253,6 +295,35 @@ class VideoStream(Stream):
             return 0
         last = round((last_pts * self.time_base - self._begin_s) * self.frame_rate)
         return max((self.expected_images or 0) - 1 - last - len(self._failed), 0)
+
+
+def _opened(
+    path: Path | Pipe | str, max_pixels: int, allow_network: bool
+) -> av.container.InputContainer:
+    limits = _decoder_limits(max_pixels)
+    if isinstance(path, Pipe):
+        return av.open(path, "r", options=limits | {"protocol_whitelist": "none"})
+    if isinstance(path, str):
+        return av.open(path, "r", options=limits, timeout=_PATIENCE_S)
+    if allow_network:
+        # An absolute path: FFmpeg takes what precedes a colon for a protocol.
+        options = limits | {"protocol_whitelist": _NETWORK, "allowed_extensions": "ALL"}
+        return av.open(str(path.absolute()), "r", options=options, timeout=_PATIENCE_S)
+    with path.open("rb") as file:  # FFmpeg duplicates it
+        options = limits | {"fd": str(file.fileno()), "protocol_whitelist": "fd"}
+        return av.open("fd:", "r", options=options)
+
+
+def _decoder_limits(max_pixels: int) -> dict[str, str]:
+    # Twice, for coded images have a margin. This is for sizes that a file's head does not tell.
+    return {"max_pixels": str(2 * max_pixels)}
+
+
+def _keep_quiet() -> None:
+    """Have FFmpeg's errors told to those who capture them, and to nobody else."""
+    av.logging.set_level(av.logging.ERROR)
+    av.logging.set_skip_repeated(False)
+    logging.getLogger("libav").setLevel(logging.CRITICAL + 1)
 
 
 def is_full_range(frame: av.VideoFrame) -> bool:

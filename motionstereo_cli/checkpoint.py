@@ -1,0 +1,139 @@
+"""What a run leaves, so that another process can go on after its own is gone."""
+
+from __future__ import annotations
+
+import importlib
+import io
+import pickle
+from collections.abc import Callable, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from motionstereo_cli.errors import OutputError
+from motionstereo_cli.sinks import Sink
+from motionstereo_cli.sinks.files import write_whole
+
+#: What may stand in a checkpoint besides plain values: of this package what holds state, and
+#: NumPy's arrays. Nothing that could do harm, whoever wrote the file.
+_OUR_MODULES = (
+    "motionstereo_cli.pipeline",
+    "motionstereo_cli.run",
+    "motionstereo_cli.mapping",
+    "motionstereo_cli.settings",
+    "motionstereo_cli.stages.",
+    "motionstereo_cli.types",
+)
+_OF_NUMPY = {"ndarray", "dtype", "scalar", "_reconstruct", "_frombuffer"}
+
+
+@dataclass(frozen=True, slots=True)
+class Checkpoint:
+    """Where a run stood after some frame.
+
+    Attributes:
+        state: all that is kept from frame to frame.
+        totals: sums over the frames so far.
+        sinks: the checkpoint of each output.
+        identity: what makes it this run and no other, as ``run.json`` has it.
+    """
+
+    state: Any
+    totals: Any
+    sinks: Mapping[str, Any]
+    identity: Mapping[str, Any] = field(default_factory=dict)
+
+
+class CheckpointWriter:
+    """Writes checkpoints beside the stream, each in the place of the one before.
+
+    Args:
+        path: where to; None = nowhere.
+        every: frames from one to the next.
+        identity: makes the identity of the run; called in another thread.
+    """
+
+    def __init__(
+        self, path: Path | None, every: int, identity: Callable[[], Mapping[str, Any]]
+    ) -> None:
+        self._path = path
+        self._every = every
+        self._identity = identity
+        self._thread = ThreadPoolExecutor(1, "checkpoint")
+        self._written: Future[None] | None = None
+
+    def after(self, frames: int, state: Any, totals: Any, sinks: Mapping[str, Sink]) -> None:
+        """Write a checkpoint after so many frames, if it is time, once all outputs made theirs.
+
+        ``state`` and ``totals`` may change as soon as this returns.
+
+        Raises:
+            OutputError: the checkpoint before could not be written.
+        """
+        if self._path is None or frames % self._every:
+            return
+        self.wait()
+        marks = {name: sink.checkpoint() for name, sink in sinks.items()}
+        moment = pickle.dumps((state, totals))
+        self._written = self._thread.submit(self._write, self._path, moment, marks)
+
+    def wait(self) -> None:
+        """Wait until the last checkpoint is written.
+
+        Raises:
+            OutputError: it could not be.
+        """
+        if self._written is not None:
+            self._written.result()
+
+    def close(self) -> None:
+        """End the thread after the last checkpoint."""
+        self._thread.shutdown()
+
+    def _write(self, path: Path, moment: bytes, marks: Mapping[str, object]) -> None:
+        made = {name: mark.result() for name, mark in marks.items() if isinstance(mark, Future)}
+        write_whole(path, pickle.dumps((self._identity(), moment, made)), durable=True)
+
+
+def read_checkpoint(path: Path) -> Checkpoint | None:
+    """Return a checkpoint, None where there is none.
+
+    Raises:
+        OutputError: the file is no checkpoint of this version.
+    """
+    try:
+        content = path.read_bytes()
+    except FileNotFoundError:
+        return None
+    except OSError as error:
+        raise OutputError(f"cannot read {path}: {error.strerror}") from error
+    try:
+        identity, moment, sinks = loads(content)
+        state, totals = loads(moment)
+        marks = {name: loads(mark) for name, mark in sinks.items()}
+    except Exception as error:  # damaged pickles raise anything
+        raise OutputError(
+            f"{path} is no checkpoint that can be used ({error}): give --overwrite to begin anew"
+        ) from error
+    return Checkpoint(state, totals, marks, identity)
+
+
+def loads(content: bytes) -> Any:
+    """Return what was pickled, if it is of the kind that checkpoints hold.
+
+    Raises:
+        Exception: of any kind, for what is damaged or of another kind.
+    """
+    return _Reader(io.BytesIO(content)).load()
+
+
+class _Reader(pickle.Unpickler):
+    def find_class(self, module: str, name: str) -> Any:
+        ours = module.startswith(_OUR_MODULES) and "." not in name
+        numpys = module.partition(".")[0] == "numpy" and name in _OF_NUMPY
+        if ours or numpys:
+            found = getattr(importlib.import_module(module), name)
+            if numpys or (isinstance(found, type) and found.__module__ == module):
+                return found
+        raise pickle.UnpicklingError(f"it holds {module}.{name}")

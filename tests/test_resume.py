@@ -1,0 +1,365 @@
+"""A run that was ended, by whatever, goes on: its results are those of one that was not."""
+
+import csv
+import json
+import os
+import pickle
+import re
+import signal
+import subprocess
+import sys
+import threading
+import time
+from fractions import Fraction
+
+import av
+import numpy as np
+import pytest
+
+from motionstereo_cli.__main__ import main
+from motionstereo_cli.checkpoint import loads, read_checkpoint
+from motionstereo_cli.errors import OutputError
+from motionstereo_cli.interrupts import finishing
+from motionstereo_cli.pipeline import State, process
+from motionstereo_cli.settings import Settings
+from motionstereo_cli.sinks import SAVES
+from motionstereo_cli.sinks.files import TableFile, part_of
+from motionstereo_cli.sinks.folder import CHECKPOINT, locked
+from motionstereo_cli.sinks.video import SegmentedVideo, VideoWriter
+from motionstereo_cli.types import Pose, Rig, StereoFrame
+
+FRAMES, WIDTH, HEIGHT, EVERY = 23, 96, 64, 5
+RIG = Rig(width=WIDTH, height=HEIGHT, focal_px=80.0, baseline_m=0.1, cx=47.5, cy=31.5)
+
+#: Runs the command and kills its own process: before a frame, or before the step that is named.
+KILLED = """
+import os, signal, sys
+import motionstereo_cli.run as library
+from motionstereo_cli.__main__ import main
+
+when = sys.argv[1]
+
+def kill(*args, **options):
+    os.kill(os.getpid(), signal.SIGKILL)
+
+whole = library.process
+
+def until(*args, **options):
+    for result in whole(*args, **options):
+        if str(result.frame.index) == when:
+            kill()
+        yield result
+
+library.process = until
+if when == "complete":
+    library.complete = kill
+if when == "clear":
+    import motionstereo_cli.sinks.folder as folder
+    folder.clear = kill
+sys.exit(main(sys.argv[2:]))
+"""
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory):
+    """Bars that pass by, the poses of a rig that moves along them, and what sees them."""
+    folder = tmp_path_factory.mktemp("recording")
+    columns = np.arange(WIDTH + 6 + 2 * FRAMES)
+    levels = np.random.default_rng(5).integers(0, 256, len(columns) // 9 + 1)
+    scene = np.broadcast_to(levels[columns // 9], (HEIGHT, len(columns))).astype(np.uint8)
+    for side, shift in (("left", 0), ("right", 6)):
+        video = VideoWriter(folder / f"{side}.mp4", Fraction(1, 50))
+        for index in range(FRAMES):
+            start = 2 * index + shift
+            video.write(np.ascontiguousarray(scene[:, start : start + WIDTH]), index)
+        video.close()
+    (folder / "rig.yaml").write_text(
+        f"width: {WIDTH}\nheight: {HEIGHT}\nfocal_px: 80\nbaseline_m: 0.1\ncx: 47.5\ncy: 31.5\n"
+    )
+    (folder / "poses.txt").write_text(
+        "".join(f"{n / 50} 0 {-n / 30} 1 0 0 0 1\n" for n in range(FRAMES))
+    )
+    return folder
+
+
+@pytest.fixture(scope="module")
+def command(recording):
+    """A run with every output."""
+    return [
+        *("run", str(recording / "left.mp4"), str(recording / "right.mp4")),
+        *("--rig", str(recording / "rig.yaml"), "--poses", str(recording / "poses.txt")),
+        *("--save", ",".join(SAVES), "--checkpoint-frames", str(EVERY), "--no-check"),
+    ]
+
+
+@pytest.fixture(scope="module")
+def undisturbed(command, tmp_path_factory):
+    out = tmp_path_factory.mktemp("undisturbed")
+    assert main([*command, "-o", str(out), "--csv", str(out.parent / "table.csv")]) == 0
+    return out
+
+
+def contents(out):
+    """All files by name; of run.json all but the times."""
+    found = {str(path.relative_to(out)): path.read_bytes() for path in out.rglob("*.*")}
+    record = json.loads(found.pop("run.json"))
+    assert record.pop("timing")
+    return found | {"run.json": record}
+
+
+@pytest.mark.parametrize(
+    ("when", "before"),
+    # The checkpoint is written beside the stream: a kill just after may find the one before it.
+    [
+        *(("3", {0}), ("5", {0, 5}), ("14", {5, 10}), ("22", {15, 20})),
+        *(("complete", {20}), ("clear", {FRAMES})),
+    ],
+)
+def test_a_killed_run_goes_on(command, undisturbed, tmp_path, capsys, when, before):
+    """Also when it is killed between giving the outputs their names."""
+    out, table = tmp_path / "out", tmp_path / "table.csv"
+    args = [*command, "-o", str(out), "--csv", str(table)]
+    killed = subprocess.run([sys.executable, "-c", KILLED, when, *args], check=False)
+    assert killed.returncode == -signal.SIGKILL
+    assert (out / "run.json").exists() == (when == "clear")
+    assert main([*args, "--resume"]) == 0
+    assert contents(out) == contents(undisturbed)
+    assert table.read_bytes() == (undisturbed.parent / "table.csv").read_bytes()
+    said = capsys.readouterr().err
+    found = re.search(r"(\d+) of them before", said)
+    assert (int(found[1]) if found else 0) in before
+    assert ("is complete already" in said) == (when == "clear")
+
+
+def test_the_videos_are_whole_and_in_time(undisturbed):
+    with av.open(str(undisturbed / "depth.mp4")) as video:
+        stamps = [frame.pts * frame.time_base for frame in video.decode(video=0)]
+    assert stamps == [Fraction(n, 50) for n in range(FRAMES)]
+
+
+def test_an_interrupted_run_goes_on(command, undisturbed, tmp_path):
+    """The frame at hand is finished: the table and the images have the same frames."""
+    out = tmp_path / "out"
+    args = [sys.executable, "-m", "motionstereo_cli", *command, "-o", str(out)]
+    with subprocess.Popen([*args, "--jobs", "2"], stderr=subprocess.PIPE) as run:
+        while not (out / "depth" / "000006.png").exists():
+            time.sleep(0.005)
+        run.send_signal(signal.SIGTERM)
+        said = run.stderr.read().decode()
+    if run.returncode == 130:  # or it was faster
+        assert "--resume goes on from there" in said.splitlines()[-1]
+        with part_of(out / "steering.csv").open(newline="") as file:
+            rows = len(list(csv.DictReader(file)))
+        assert f"interrupted after {rows} frames" in said
+        assert len(list((out / "depth").glob("*.png"))) == rows
+    assert subprocess.run([*args, "--resume"], check=False).returncode == 0
+    assert contents(out) == contents(undisturbed)
+
+
+@pytest.fixture
+def half_done(command, tmp_path):
+    """The arguments of a run that was killed half-way."""
+    args = [*command, "-o", str(tmp_path / "out")]
+    killed = subprocess.run([sys.executable, "-c", KILLED, "14", *args], check=False)
+    assert killed.returncode == -signal.SIGKILL
+    return args
+
+
+def test_another_run_is_not_taken_for_this_one(half_done, recording, tmp_path, capsys):
+    def said(args):
+        assert main([*args, "--resume"]) == 1
+        return capsys.readouterr().err
+
+    assert "with settings.bands 8, not 9: give the same" in said([*half_done, "--bands", "9"])
+    swapped = [half_done[0], half_done[2], half_done[1], *half_done[3:]]
+    assert "with inputs.left." in said(swapped)
+    (tmp_path / "poses.txt").write_text((recording / "poses.txt").read_text() + "9 0 0 0 0 0 0 1\n")
+    poses = half_done.index("--poses") + 1
+    others = [*half_done[:poses], str(tmp_path / "poses.txt"), *half_done[poses + 1 :]]
+    assert "with files.1.sha256 " in said(others)
+    fewer = [*half_done[: half_done.index("--save")], *half_done[half_done.index("--save") + 2 :]]
+    assert "is of another run, with outputs.age: give" in said(fewer)
+    assert "was begun with the outputs" in said([*half_done, "--csv", str(tmp_path / "new.csv")])
+    assert main(half_done) == 1  # without --resume the folder is not empty
+    assert main([*half_done, "--resume", "--overwrite"]) == 2
+    assert main([*half_done, "--resume"]) == 0
+    assert "with settings.bands 8, not 9" in said([*half_done, "--bands", "9"])
+
+
+def test_what_is_missing_or_cut_is_named(half_done, tmp_path, capsys):
+    out = tmp_path / "out"
+    (out / "charge.0000.mp4.part").unlink()
+    assert main([*half_done, "--resume"]) == 1
+    assert "charge.0000.mp4.part is missing" in capsys.readouterr().err
+    with part_of(out / "steering.csv").open("r+b") as file:
+        file.truncate(100)
+    assert main([*half_done, "--resume"]) == 1
+    assert "steering.csv.part was cut" in capsys.readouterr().err
+
+
+def test_overwrite_removes_what_a_killed_run_left(half_done, tmp_path):
+    assert main([*half_done, "--overwrite", "--save", "steering"]) == 0
+    left = {str(path.relative_to(tmp_path)) for path in (tmp_path / "out").rglob("*")}
+    assert "out/run.checkpoint" not in left
+    assert not [name for name in left if name.endswith(".part")]
+
+
+class Harm:
+    """Creates a file when it is unpickled."""
+
+    def __init__(self, path):
+        self._path = path
+
+    def __reduce__(self):
+        return os.mkdir, (str(self._path),)
+
+
+@pytest.mark.parametrize("kind", ["harmful", "cut", "other"])
+def test_a_checkpoint_is_data(half_done, tmp_path, capsys, kind):
+    path = tmp_path / "out" / CHECKPOINT
+    content = {
+        "harmful": pickle.dumps(Harm(tmp_path / "harm")),
+        "cut": path.read_bytes()[:-100],
+        "other": b"depth",
+    }[kind]
+    path.write_bytes(content)
+    assert main([*half_done, "--resume"]) == 1
+    assert f"{CHECKPOINT} is no checkpoint that can be used" in capsys.readouterr().err
+    assert not (tmp_path / "harm").exists()
+
+
+@pytest.mark.parametrize("name", ["os.system", "subprocess.Popen", "builtins.eval"])
+def test_a_checkpoint_holds_nothing_of_others(name):
+    module, _, function = name.rpartition(".")
+    with pytest.raises(pickle.UnpicklingError, match="it holds"):
+        loads(f"c{module}\n{function}\n.".encode())
+
+
+def test_a_checkpoint_names_nothing_through_our_modules():
+    with pytest.raises(pickle.UnpicklingError, match="it holds"):
+        loads(b"cmotionstereo_cli.pipeline\nmath\n.")
+    assert loads(pickle.dumps(Settings())) == Settings()
+
+
+def test_two_runs_into_one_folder(command, tmp_path, capsys):
+    out = tmp_path / "out"
+    with locked(out):
+        assert main([*command, "-o", str(out)]) == 1
+        assert f"{out} is being written by another run" in capsys.readouterr().err
+        assert not list(out.iterdir())
+    with locked(out):
+        pass
+
+
+@pytest.mark.parametrize("mode", ["permanency", "general"])
+def test_the_state_is_all_there_is(mode):
+    """Going on from a pickled state gives what going on gives."""
+    settings = Settings(charge_mode=mode, max_disparity=16, speckle_px=0, least_votes=1)
+    rng = np.random.default_rng(3)
+    images = rng.integers(0, 256, (12, 40, 66), np.uint8)
+    frames = [
+        StereoFrame(n, n, n / 25, image[:, 6:].copy(), np.roll(image[:, :60], n, axis=0).copy())
+        for n, image in enumerate(images)
+    ]
+    rig = Rig(width=60, height=40, focal_px=50.0, baseline_m=0.1, cx=29.5, cy=19.5)
+
+    def pose_of(frame):
+        return Pose(frame.index / 10, 0.0, 0.5, 0.0, 0.0, 0.0, 1.0)
+
+    whole = list(process(frames, settings, rig, pose_of))
+    state = State.unknown(settings, rig)
+    for result in process(frames, settings, rig, pose_of, state=state, jobs=3):
+        if result.frame.index == 6:
+            break
+    later = loads(pickle.dumps(state))
+    rest = list(process(frames[7:], settings, rig, pose_of, state=later, jobs=2))
+    assert len(rest) == 5
+    for one, other in zip(whole[7:], rest, strict=True):
+        assert one.steering == other.steering
+        assert one.objects == other.objects
+        for name in ("charge", "bands", "motion", "age_frames", "disparity_px", "confidence"):
+            np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+
+
+def test_a_table_goes_on_where_it_was(tmp_path):
+    path = tmp_path / "table.csv"
+    table = TableFile(path, "n")
+    table.add(["1"])
+    mark = table.checkpoint()
+    table.add(["2", "3"])
+    table.close()
+    again = TableFile(path, "n", mark)
+    again.add(["4"])
+    again.close()
+    assert path.read_text() == "n\n1\n4\n"
+    path.write_text("n\n")
+    with pytest.raises(OutputError, match="was cut"):
+        TableFile(path, "n", mark)
+
+
+@pytest.mark.parametrize("suffix", [".mp4", ".mkv"])
+def test_a_video_goes_on_where_it_was(tmp_path, suffix):
+    images = np.random.default_rng(0).integers(0, 256, (9, 32, 48), np.uint8)
+    stamps = [7, 8, 8, 11, 20, 21, 22, 40, 41]  # the second 8 becomes 9
+
+    def decoded(path):
+        with av.open(str(path)) as video:
+            return [(f.pts * f.time_base, f.to_ndarray()) for f in video.decode(video=0)]
+
+    def write(video, first, last):
+        for n in range(first, last):
+            if n in (3, 6):
+                mark = video.checkpoint()
+            video.write(images[n], stamps[n])
+        return mark
+
+    whole, cut = (SegmentedVideo(tmp_path / f"{n}{suffix}", Fraction(1, 50)) for n in "ab")
+    write(whole, 0, 9)
+    whole.close()
+    mark = write(cut, 0, 8)
+    del cut
+    again = SegmentedVideo(tmp_path / f"b{suffix}", Fraction(1, 50), mark)
+    for n in range(6, 9):
+        again.write(images[n], stamps[n])
+    again.close()
+    one, other = (decoded(tmp_path / f"{name}{suffix}") for name in "ab")
+    assert [time_s for time_s, _ in one] == [
+        Fraction(n, 50) for n in (7, 8, 9, 11, 20, 21, 22, 40, 41)
+    ]
+    assert [time_s for time_s, _ in one] == [time_s for time_s, _ in other]
+    for (_, image), (_, same) in zip(one, other, strict=True):
+        np.testing.assert_array_equal(image, same)
+
+
+def interrupted(times, done):
+    with finishing():
+        for _ in range(times):
+            signal.raise_signal(signal.SIGINT)
+            done.append("in the block")
+    done.append("after it")
+
+
+@pytest.mark.parametrize("times", [1, 2])
+def test_an_interrupt_waits_for_the_block_unless_the_user_insists(times):
+    done = []
+    with pytest.raises(KeyboardInterrupt):
+        interrupted(times, done)
+    assert done == ["in the block"]
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_interrupts_are_of_no_concern_to_other_threads():
+    done = []
+
+    def work():
+        with finishing():
+            done.append(1)
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    thread.join()
+    assert done == [1]
+
+
+def test_there_may_be_no_checkpoint(tmp_path):
+    assert read_checkpoint(tmp_path / CHECKPOINT) is None
