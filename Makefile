@@ -5,7 +5,8 @@ READY = .venv/.ready
 # What sample_data/golden has.
 GOLDEN = steering,depth,disparity
 
-.PHONY: demo test lint sample regress fuzz figures bench bench-accuracy bench-drive bench-map bench-objects check-trials renew clean
+.PHONY: demo test lint sample regress fuzz figures bench bench-accuracy bench-drive bench-map bench-objects \
+	check-trials torture coverage renew clean
 
 demo: $(READY)  ## run the main job on sample_data
 	$(BIN)/motionstereo run sample_data/left.mp4 sample_data/right.mp4 \
@@ -43,6 +44,17 @@ regress: $(READY)  ## see that a run on sample_data gives what it gave before
 fuzz: $(READY)  ## try damaged calibration, poses, settings and tables, each for 10 minutes
 	$(BIN)/pytest tests/test_fuzz.py -s --fuzz-seconds 600
 
+torture: $(READY)  ## damage input, kill runs, fill disks, run for long: half an hour
+	$(BIN)/python -m motionstereo_cli.bench.torture
+
+# Coverage cannot see into compiled loops, so their tests run once more as plain Python.
+coverage: $(READY)  ## measure which branches of the package the tests pass through
+	$(BIN)/coverage erase
+	$(BIN)/coverage run -m pytest
+	NUMBA_DISABLE_JIT=1 $(BIN)/coverage run -m pytest tests/test_matching.py
+	$(BIN)/coverage combine --quiet
+	$(BIN)/coverage report
+
 figures: $(READY)  ## render the paper's figures 2 and 3
 	$(BIN)/motionstereo simulate out/corridor --overwrite --frames 381 --noise-sigma 1.5
 	$(BIN)/motionstereo figure out/corridor/left.mp4 out/corridor/right.mp4 \
@@ -75,7 +87,7 @@ renew: $(READY)  ## accept what the code gives now: the README's tables and the 
 	$(MAKE) sample
 
 clean:  ## remove everything that make made
-	rm -rf .venv out build *.egg-info
+	rm -rf .venv out build *.egg-info .coverage*
 
 $(READY): pyproject.toml
 	$(PYTHON) -m venv .venv
