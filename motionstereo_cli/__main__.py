@@ -12,9 +12,8 @@ from types import FrameType
 import click
 
 from motionstereo_cli.commands import cli
-from motionstereo_cli.commands.run import INTERRUPTED_EXIT_CODE
 from motionstereo_cli.commands.talk import say
-from motionstereo_cli.errors import MotionStereoError
+from motionstereo_cli.errors import INTERRUPTED_EXIT_CODE, MotionStereoError
 
 
 def main(args: Sequence[str] | None = None) -> int:

@@ -241,6 +241,11 @@ class _Checker:
     def _motion(self, report: CheckReport, found: _Findings) -> CheckReport:
         left, right = (np.array(moved) for moved in self._moved)
         if not left.size:
+            found.add(
+                "still",
+                True,
+                "one frame alone shows no motion, so there will be no depth: give a recording",
+            )
             return report
         moving = float((left.mean() + right.mean()) / 2)
         if moving < _STILL_SHARE:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import importlib
 import io
 import pickle
-from collections.abc import Callable, Mapping
-from concurrent.futures import Future, ThreadPoolExecutor
+from collections.abc import Mapping
+from concurrent.futures import Future
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -45,55 +45,22 @@ class Checkpoint:
     identity: Mapping[str, Any] = field(default_factory=dict)
 
 
-class CheckpointWriter:
-    """Writes checkpoints beside the stream, each in the place of the one before.
+def write_checkpoint(
+    path: Path,
+    identity: Mapping[str, Any],
+    state: Any,
+    totals: Any,
+    sinks: Mapping[str, Sink],
+) -> None:
+    """Write a checkpoint in the place of the one before, once all outputs have made theirs.
 
-    Args:
-        path: where to; None = nowhere.
-        every: frames from one to the next.
-        identity: makes the identity of the run; called in another thread.
+    Raises:
+        OutputError: it, or what the outputs have so far, cannot be written.
     """
-
-    def __init__(
-        self, path: Path | None, every: int, identity: Callable[[], Mapping[str, Any]]
-    ) -> None:
-        self._path = path
-        self._every = every
-        self._identity = identity
-        self._thread = ThreadPoolExecutor(1, "checkpoint")
-        self._written: Future[None] | None = None
-
-    def after(self, frames: int, state: Any, totals: Any, sinks: Mapping[str, Sink]) -> None:
-        """Write a checkpoint after so many frames, if it is time, once all outputs made theirs.
-
-        ``state`` and ``totals`` may change as soon as this returns.
-
-        Raises:
-            OutputError: the checkpoint before could not be written.
-        """
-        if self._path is None or frames % self._every:
-            return
-        self.wait()
-        marks = {name: sink.checkpoint() for name, sink in sinks.items()}
-        moment = pickle.dumps((state, totals))
-        self._written = self._thread.submit(self._write, self._path, moment, marks)
-
-    def wait(self) -> None:
-        """Wait until the last checkpoint is written.
-
-        Raises:
-            OutputError: it could not be.
-        """
-        if self._written is not None:
-            self._written.result()
-
-    def close(self) -> None:
-        """End the thread after the last checkpoint."""
-        self._thread.shutdown()
-
-    def _write(self, path: Path, moment: bytes, marks: Mapping[str, object]) -> None:
-        made = {name: mark.result() for name, mark in marks.items() if isinstance(mark, Future)}
-        write_whole(path, pickle.dumps((self._identity(), moment, made)), durable=True)
+    marks = {name: sink.checkpoint() for name, sink in sinks.items()}
+    made = {name: mark.result() for name, mark in marks.items() if isinstance(mark, Future)}
+    content = pickle.dumps((identity, pickle.dumps((state, totals)), made))
+    write_whole(path, content, durable=True)
 
 
 def read_checkpoint(path: Path) -> Checkpoint | None:

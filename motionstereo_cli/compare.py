@@ -113,7 +113,7 @@ class Report:
     Attributes:
         outputs: everything that GOLDEN has.
         notes: what differs and does not count, or was not compared, one line each.
-        worst_image: None where no two images could be compared.
+        worst_image: None where no two images differ by more than the tolerance.
     """
 
     outputs: tuple[Output, ...]
@@ -277,7 +277,7 @@ class _Comparison:
                 continue
             output.compared += 1
             share = float(np.mean(_far(mine, theirs, tolerance) | _in_one_alone(mine, theirs)))
-            if self._worst is None or share > self._worst.share:
+            if share > (self._worst.share if self._worst else 0):
                 self._worst = WorstImage(f"{name} frame {frame}", mine, theirs, tolerance, share)
             if share > self._settings.max_differing:
                 found = (
@@ -302,13 +302,17 @@ class _Comparison:
             if section in _IGNORED or (section == "inputs" and name.endswith(".path")):
                 continue
             output.compared += section not in _NOTED
-            found = f"{_shown(actual[name]) if name in actual else 'missing'}, golden "
             if name in actual and _same(actual[name], theirs):
                 continue
-            if section in _NOTED:
-                self._notes.append(f"{name} is {found}{_shown(theirs)}")
+            if name in actual:
+                mine = _shown(actual[name])
             else:
-                output.differ(name, f"{found}{_shown(theirs)}")
+                mine = "given" if any(key.startswith(f"{name}.") for key in actual) else "missing"
+            found = f"{mine}, golden {_shown(theirs)}"
+            if section in _NOTED:
+                self._notes.append(f"{name} is {found}")
+            else:
+                output.differ(name, found)
         return output
 
     def _presence(self, name: str, files: list[Path]) -> Output:

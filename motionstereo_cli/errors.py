@@ -4,6 +4,9 @@ Each message is one line that says what is wrong, where, and what to do about it
 The command line prints it as it stands and exits with ``exit_code``.
 """
 
+#: Exit codes beside 0 (done) and those of the errors below.
+DAMAGED_EXIT_CODE, DIFFERENT_EXIT_CODE, INTERRUPTED_EXIT_CODE = 3, 4, 130
+
 
 class MotionStereoError(Exception):
     """Root of all errors that a user can cause and mend."""

@@ -354,8 +354,11 @@ class Report:
 
     @property
     def worst(self) -> Score:
-        """The frame with the most pixels wrong by more than 1 px."""
-        return max(self.frames, key=lambda s: s.both_pixels and s.bad_1 * s.both_pixels)
+        """The frame with the most pixels wrong by more than 1 px, else with the most compared."""
+        return max(
+            self.frames,
+            key=lambda s: (s.both_pixels and s.bad_1 * s.both_pixels, s.both_pixels),
+        )
 
 
 def evaluate(comparison: Comparison, progress: Callable[[], object] = lambda: None) -> Report:

@@ -21,7 +21,7 @@ import numpy as np
 
 from motionstereo_cli import __version__
 from motionstereo_cli.check import Finding, watched
-from motionstereo_cli.checkpoint import Checkpoint, CheckpointWriter, read_checkpoint
+from motionstereo_cli.checkpoint import Checkpoint, read_checkpoint, write_checkpoint
 from motionstereo_cli.errors import InputError, OutputError
 from motionstereo_cli.interrupts import finishing
 from motionstereo_cli.pipeline import State, process
@@ -162,12 +162,10 @@ def run(
         since = since or Checkpoint(State.unknown(settings, rig), _Totals(), {})
         totals: _Totals = since.totals
         resumed = totals.frames
-        checkpoints = CheckpointWriter(
-            out / CHECKPOINT if out is not None and source.rereadable else None,
-            stream.output.checkpoint_frames,
-            identity,
-        )
-        held.callback(checkpoints.close)
+
+        def checkpoint() -> None:
+            if out is not None and source.rereadable:
+                write_checkpoint(out / CHECKPOINT, identity(), since.state, totals, sinks)
 
         sinks: dict[str, Sink] = {}
         interrupted = False
@@ -189,7 +187,7 @@ def run(
                 jobs=jobs,
                 state=since.state,
             )
-            _write(results, sinks, since, checkpoints, progress)
+            _write(results, sinks, totals, checkpoint, stream.output.checkpoint_frames, progress)
         except BaseException as error:
             interrupted = isinstance(error, KeyboardInterrupt)
             _end_early(sinks.values(), out, totals.frames, error)
@@ -345,8 +343,9 @@ class _Totals:
 def _write(
     results: Iterable[FrameResult],
     sinks: Mapping[str, Sink],
-    since: Checkpoint,
-    checkpoints: CheckpointWriter,
+    totals: _Totals,
+    checkpoint: Callable[[], object],
+    checkpoint_frames: int,
     progress: Callable[[], object],
 ) -> None:
     """Write the results to the sinks, and complete these."""
@@ -354,12 +353,12 @@ def _write(
         with finishing():
             for sink in sinks.values():
                 sink.write(result)
-            since.totals.add(result)
-            checkpoints.after(since.totals.frames, since.state, since.totals, sinks)
+            totals.add(result)
+            if totals.frames % checkpoint_frames == 0:
+                checkpoint()
         progress()
-    if not since.totals.frames:
+    if not totals.frames:
         raise InputError("the recordings have no frame in common: check that they are whole")
-    checkpoints.wait()
     for sink in sinks.values():
         sink.close()
 

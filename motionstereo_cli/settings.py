@@ -50,8 +50,8 @@ class Param:
         if self.low is None and self.high is None:
             return ""
         if self.high is None:
-            return f"at least {self.low:g}"
-        return f"{self.low:g} to {self.high:g}"
+            return f"at least {self.low:,.10g}"
+        return f"{self.low:,.10g} to {self.high:,.10g}"
 
     def parse(self, value: object) -> Any:
         """Return ``value`` (perhaps text) as this parameter's kind, within its range.

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from motionstereo_cli.__main__ import main
+from motionstereo_cli.commands import cli
 from motionstereo_cli.errors import InputError
 from motionstereo_cli.rig import read_rig, write_rig
 from motionstereo_cli.rig.calibration import Calibration, read_calibration
@@ -150,6 +151,7 @@ def assert_rectifies(calibration: Calibration, *, fisheye: bool = False) -> None
 @pytest.mark.parametrize("suffix", ["yaml", "yml", "xml", "json"])
 def test_opencv_file_rectifies(tmp_path: Path, suffix: str) -> None:
     calibration = read_calibration([opencv_file(tmp_path / f"stereo.{suffix}")], SIZE)
+    assert suffix.replace("yml", "yaml").upper() in (cli.commands["rig"].help or "")
     assert calibration.warnings == ()
     assert calibration.rig.baseline_m == pytest.approx(LENGTH_M)
     assert calibration.rig.doffs == 0

@@ -187,7 +187,7 @@ def test_frames_dropped_halfway_are_a_drift() -> None:
     assert report.ruined
 
 
-@pytest.mark.parametrize("frames", [1, 2, 5, WINDOW_FRAMES - 1])
+@pytest.mark.parametrize("frames", [2, 5, WINDOW_FRAMES - 1])
 def test_short_recordings(corridor: Views, frames: int) -> None:
     left, right = (side[:frames] for side in corridor)
     report = checked((left, right))
@@ -195,6 +195,14 @@ def test_short_recordings(corridor: Views, frames: int) -> None:
     assert report.misaligned_px is not None
     assert [finding.name for finding in report.findings] == []
     assert [finding.name for finding in said((right, left))] == ["swapped"]
+
+
+def test_one_frame_alone_shows_no_motion(corridor: Views) -> None:
+    left, right = (side[:1] for side in corridor)
+    (finding,) = checked((left, right)).findings
+    assert (finding.name, finding.ruins) == ("still", True)
+    assert finding.text.startswith("one frame alone shows no motion")
+    assert said((left, right)) == [finding]
 
 
 def test_nothing_to_see() -> None:

@@ -7,6 +7,7 @@ import io
 import json
 import os
 import pty
+import re
 import shutil
 import subprocess
 import sys
@@ -87,7 +88,7 @@ def test_run_writes_what_the_contract_says(run_args, rig, recording):
     done = called(*run_args, *rig, "-o", "out")
     assert (done.returncode, done.stdout) == (0, "")
     assert [line.split(":")[0] for line in done.stderr.splitlines()] == ["note", "note"]
-    assert "12 frames, in" in done.stderr
+    assert "note: 12 frames in " in done.stderr
     assert done.stderr.endswith(
         "note: results in out: steering.csv, depth/, charge.mp4, depth.mp4, run.json\n"
     )
@@ -113,6 +114,13 @@ def test_run_writes_what_the_contract_says(run_args, rig, recording):
     assert len(record["inputs"]["right"]["sha256"]) == 64
     assert Fraction(record["time_base"]) > 0
     assert record["damage"] == []
+
+
+def test_one_frame_is_no_frames(run_args, capsys):
+    assert main([*run_args, "--end", "1", "--save", "steering"]) == 0
+    said = capsys.readouterr().err
+    assert "note: 1 frame in " in said
+    assert "warning: one frame alone shows no motion" in said
 
 
 def test_without_a_rig_disparity_takes_the_place_of_depth(run_args, capsys):
@@ -303,6 +311,19 @@ def test_an_output_that_fails_midway_is_named_and_nothing_is_lost(run_args, monk
     assert names(out) == {"steering.csv", "run.json"} | videos | images("disparity")
 
 
+@pytest.mark.parametrize("command", [["run"], ["check"], ["figure", "--frames", "9"]])
+def test_every_command_says_that_the_input_was_damaged(run_args, command, capsys):
+    noise = np.random.default_rng(1).integers(0, 256, (64, 200), np.uint8)
+    for side, shift in (("left", 0), ("right", 6)):
+        Path(side).mkdir()
+        for n in range(12):
+            image = noise[:, n + shift : n + shift + 96]
+            cv2.imwrite(f"{side}/{n}.png", cv2.GaussianBlur(image, (0, 0), 2))
+    Path("left/5.png").write_text("junk")
+    assert main([*command, "left", "right"]) == 3
+    assert "warning: left: 1 image could not be read" in capsys.readouterr().err
+
+
 # Bad input: one line, the right exit code, nothing written.
 
 
@@ -398,6 +419,16 @@ def test_an_unexpected_error_is_one_line_unless_debugging(run_args, monkeypatch,
     assert "Traceback" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("command", ["run", "info", "check", "figure"])
+def test_a_pattern_without_quotes_is_one_short_line(command, capsys):
+    names = [f"left{number:06d}.png" for number in range(60)]
+    frames = ["--frames", "1"] if command == "figure" else []
+    assert main([command, *frames, *names, "--scale", "0.5"]) == 2
+    said = capsys.readouterr().err
+    assert said.startswith("error: 60 inputs are too many: give LEFT and RIGHT, and put patterns")
+    assert len(said) < 120
+
+
 # Presets and the configuration file.
 
 
@@ -435,6 +466,8 @@ def test_the_file_may_hold_every_kind_of_option(run_args, recording):
     [
         ("band = 4", "my.toml: unknown key 'band' (did you mean 'bands'?)"),
         ("config = 'x'", "my.toml: unknown key 'config'"),
+        ("max-disparty = 9", "my.toml: unknown key 'max-disparty' (did you mean 'max-disparity'?)"),
+        ("with_check = false", "my.toml: unknown key 'with_check'"),
         ("bands = 1", "my.toml: --bands cannot be 1: give 2 to 256"),
         ("bands = 2.5", "my.toml: --bands cannot be 2.5: give a whole number"),
         ("blur-px = nan", "my.toml: --blur-px cannot be nan"),
@@ -452,12 +485,33 @@ def test_a_bad_file_is_pointed_at(run_args, capsys, text, said):
     assert names(Path()) == {"my.toml"}
 
 
+def test_the_key_of_an_option_is_its_name(recording, tmp_path, capsys):
+    sides = [str(recording / f"{side}.mp4") for side in ("left", "right")]
+    config = tmp_path / "my.toml"
+    config.write_text("json = true\nmax-disparity = 32\nend = 5")
+    assert main(["check", *sides, "--config", str(config)]) in (0, 1)
+    assert json.loads(capsys.readouterr().out)["frames"] == 5
+    config.write_text("json = true\nend = 5")
+    assert main(["info", *sides, "--config", str(config)]) == 0
+    assert json.loads(capsys.readouterr().out)["delivered"]["frames"] == 5
+    config.write_text(f'check = false\nend = 1\nout = "{tmp_path / "out"}"\nsave = "steering"')
+    assert main(["run", *sides, "--config", str(config)]) == 0
+    assert "warning" not in capsys.readouterr().err
+    config.write_text('csv = "-"')
+    folder = tmp_path / "disparity"
+    folder.mkdir()
+    cv2.imwrite(str(folder / "000000.png"), np.full((4, 6), 512, np.uint16))
+    assert main(["evaluate", str(folder), str(folder), "--config", str(config)]) == 0
+    assert capsys.readouterr().out.startswith("frame,")
+
+
 @dataclass(frozen=True)
 class Switches:
     """Parameters with a switch, which run has not."""
 
     wet: bool = param(True, "Rain.")
     speed: float = param(1.5, "Speed.", unit="m/s", low=0)
+    steps: int = param(3, "Steps.", low=-2_000_000_000, high=1_000_000)
 
 
 @pytest.mark.parametrize(
@@ -479,7 +533,11 @@ def test_settings_options_pass_on_what_was_given_alone(args, expected):
     command.main(args, standalone_mode=False)
     assert received == expected
     texts = [option.help for option in command.params if isinstance(option, click.Option)]
-    assert texts[1:] == ["Rain.  [default on]", "Speed.  [m/s; at least 0; default 1.5]"]
+    assert texts[1:] == [
+        "Rain.  [default on]",
+        "Speed.  [m/s; at least 0; default 1.5]",
+        "Steps.  [-2,000,000,000 to 1,000,000; default 3]",
+    ]
 
 
 # Help and start-up.
@@ -496,7 +554,12 @@ def test_every_command_and_option_has_help(name, command, capsys):
         if isinstance(option, click.Option):
             assert option.help, option.name
     assert main([name, "--help"]) == 0
-    assert f"motionstereo {name}" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert f"motionstereo {name}" in said
+    has_it = any(option.name == "max_disparity" for option in command.params)
+    assert ("max-disparity" in said) == has_it, "no example is of another command"
+    for option in re.split(r"\n  -", said):
+        assert not ("<=x<=" in option and re.search(r"\d to \d", option)), "a range, twice"
 
 
 def test_run_has_an_option_for_each_setting():

@@ -207,6 +207,13 @@ DIFFERENCES = {
         lambda folder: record(folder, rig={**RIG, "focal_px": 278.5}),
         ("run.json", "rig.focal_px", 1, None, None, "278.5, golden 278.4"),
     ),
+    "rig not expected": (
+        both(
+            lambda folder: record(folder, rig=RIG),
+            lambda folder: record(folder.parent / "golden", rig=None),
+        ),
+        ("run.json", "rig", 1, None, None, "given, golden None"),
+    ),
     "frames lost": (
         lambda folder: record(folder, counts={"written": 4, "left": {"damaged": 1}}),
         ("run.json", "counts.left.damaged", 1, None, None, "1, golden 0"),
@@ -497,16 +504,19 @@ def test_the_command_exits_with_4_and_writes_what_is_asked_for(sides, tmp_path):
     done = called("actual", "golden", *files, cwd=tmp_path)
     assert done.returncode == 4, done.stderr
     assert re.search(r"^depth/ +pixels +1 +1 +1 +10.00% ", done.stdout, re.MULTILINE)
-    assert "note: depth/ frame 1 is in d.png" in done.stderr
+    assert "note: depth/ frame 1 differs most: d.png" in done.stderr
     assert json.loads((tmp_path / "d.json").read_text())["differs"] is True
     assert ET.parse(tmp_path / "d.xml").getroot().get("failures") == "1"
     assert cv2.imread(str(tmp_path / "d.png")).shape[0] > SHAPE[0]
 
 
 def test_the_command_exits_with_0_where_nothing_differs(sides, tmp_path):
-    done = called("actual", "golden", "--json", "-", "--max-differing", "0", cwd=tmp_path)
+    options = ["--json", "-", "--max-differing", "0", "--picture", "d.png"]
+    done = called("actual", "golden", *options, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout)["differs"] is False
+    assert "note: no picture: no images differ\n" in done.stderr
+    assert not (tmp_path / "d.png").exists()
 
 
 def test_tolerances_come_from_the_command_line_and_the_configuration(sides, tmp_path):

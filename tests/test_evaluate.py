@@ -212,6 +212,13 @@ def test_overall_pools_the_pixels_and_names_the_worst_frame(sides):
     assert re.search(r"bad_1 +0\.1000 +0\.3333\n", format_table(report))
 
 
+def test_the_worst_frame_of_a_perfect_result_is_the_one_with_most_truth(tmp_path):
+    truth = np.stack([np.full((2, 4), level, np.float32) for level in (NAN, 9, 9)])
+    truth[1, 0] = NAN
+    disparity(tmp_path / "truth", *truth)
+    assert evaluate(Comparison(*[Maps(tmp_path / "truth", "disparity")] * 2)).worst.frame == 2
+
+
 def test_frames_of_one_side_alone_are_counted_and_not_scored(sides):
     out, truth = sides
     disparity(out / "disparity", np.ones((2, 4), np.float32), first=2)

@@ -115,20 +115,24 @@ def contents(out):
         *(("complete", {20}), ("clear", {FRAMES})),
     ],
 )
-def test_a_killed_run_goes_on(command, undisturbed, tmp_path, capsys, when, before):
+def test_a_killed_run_goes_on(command, undisturbed, tmp_path, capsys, monkeypatch, when, before):
     """Also when it is killed between giving the outputs their names."""
     out, table = tmp_path / "out", tmp_path / "table.csv"
     args = [*command, "-o", str(out), "--csv", str(table)]
     killed = subprocess.run([sys.executable, "-c", KILLED, when, *args], check=False)
     assert killed.returncode == -signal.SIGKILL
     assert (out / "run.json").exists() == (when == "clear")
+    if when == "clear":
+        monkeypatch.delattr("motionstereo_cli.run.process")  # nothing is left to do
     assert main([*args, "--resume"]) == 0
     assert contents(out) == contents(undisturbed)
     assert table.read_bytes() == (undisturbed.parent / "table.csv").read_bytes()
     said = capsys.readouterr().err
-    found = re.search(r"(\d+) of them before", said)
-    assert (int(found[1]) if found else 0) in before
     assert ("is complete already" in said) == (when == "clear")
+    assert ("frames per second" in said) == (when != "clear")
+    found = re.search(rf"{FRAMES} frames, (\d+) of them before, in ", said)
+    resumed = FRAMES if when == "clear" else int(found[1]) if found else 0
+    assert resumed in before
 
 
 def test_the_videos_are_whole_and_in_time(undisturbed):

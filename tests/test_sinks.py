@@ -23,13 +23,14 @@ from hypothesis.extra.numpy import arrays
 from motionstereo_cli.errors import OutputError, SettingsError
 from motionstereo_cli.settings import Settings, params
 from motionstereo_cli.sinks import DEFAULT_SAVES, SAVES, Stream, available
-from motionstereo_cli.sinks.files import part_of, segment_of, reported, write_whole
+from motionstereo_cli.sinks.files import part_of, reported, segment_of, write_whole
 from motionstereo_cli.sinks.folder import complete, head, prepare, tidy
 from motionstereo_cli.sinks.images import depth_png, disparity_png, encode_pfm
 from motionstereo_cli.sinks.previews import depth_colours
 from motionstereo_cli.sinks.settings import OutputSettings
 from motionstereo_cli.sinks.steering import SteeringFile, SteeringStream
 from motionstereo_cli.sinks.threaded import Threaded
+from motionstereo_cli.sinks.video import SegmentedVideo, VideoWriter
 from motionstereo_cli.types import FrameResult, Rig, Steering, StereoFrame
 
 BLIND = Steering("blind", None, None, None, None)
@@ -308,6 +309,20 @@ def test_the_charge_video_gives_the_charge_back_at_the_same_times(tmp_path):
         # Rows by the seam between the halves are the codec's to blur.
         off_seam = np.r_[:20, 28:48]
         assert np.abs(rgb[off_seam].mean(axis=2) - charge[off_seam]).max() <= 4
+
+
+@pytest.mark.parametrize("name", ["video.mp4", "video.mkv", "segments.mp4"])
+def test_a_video_has_the_rate_of_its_frames(tmp_path, name):
+    """Up to the last, which no other one ends, and which may be a segment of its own."""
+    kind = SegmentedVideo if name.startswith("segments") else VideoWriter
+    video = kind(tmp_path / name, Fraction(1, 1000))
+    for index in range(11):
+        video.write(np.full((48, 64), 20 * index, np.uint8), 100 * index)
+        if isinstance(video, SegmentedVideo) and index % 5 == 4:
+            video.checkpoint()
+    video.close()
+    with av.open(str(tmp_path / name)) as read:
+        assert read.streams.video[0].average_rate == 10
 
 
 def test_depth_colours_are_red_near_blue_far_black_unknown():

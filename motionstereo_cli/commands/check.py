@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from motionstereo_cli.commands.options import input_options, rig_options
+from motionstereo_cli.commands.options import config_option, input_options, rig_options
 from motionstereo_cli.commands.talk import say
 from motionstereo_cli.settings import Settings
 from motionstereo_cli.sources.settings import InputSettings
@@ -24,9 +24,11 @@ if TYPE_CHECKING:
     "--max-disparity",
     type=click.IntRange(1, 2048),
     default=Settings().max_disparity,
-    help=f"Range that run is to look in.  [px; 1 to 2048; default {Settings().max_disparity}]",
+    show_default=True,
+    help="Range that run is to look in, in px.",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+@config_option
 def check(
     *,
     left: str,
@@ -46,7 +48,7 @@ def check(
     from tqdm import tqdm
 
     from motionstereo_cli.check import check as check_library
-    from motionstereo_cli.errors import InputError
+    from motionstereo_cli.errors import DAMAGED_EXIT_CODE, InputError
     from motionstereo_cli.rig.calibration import rectify_source
     from motionstereo_cli.sources import open_stereo
     from motionstereo_cli.sources.settings import adapted_rig
@@ -69,7 +71,7 @@ def check(
     if not report.frames:
         raise InputError("the recordings have no frame in common: check that they are whole")
     click.echo(json.dumps(report.as_json(), indent=2) if as_json else _table(report), nl=as_json)
-    return int(report.ruined)
+    return 1 if report.ruined else DAMAGED_EXIT_CODE if source.damage else 0
 
 
 def _table(report: CheckReport) -> str:

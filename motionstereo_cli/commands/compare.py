@@ -10,9 +10,8 @@ import click
 
 from motionstereo_cli.commands.options import settings_options
 from motionstereo_cli.commands.talk import say
+from motionstereo_cli.errors import DIFFERENT_EXIT_CODE
 from motionstereo_cli.settings import COLUMN_TOLERANCE, CompareSettings
-
-DIFFERENT_EXIT_CODE = 4
 
 _FILE = click.Path(dir_okay=False, path_type=Path)
 _STDOUT = Path("-")
@@ -96,7 +95,7 @@ def compare(
         _note(line)
     if picture:
         image = report.worst_image
-        _note(f"{image.name} is in {picture}" if image else "no picture: no images were compared")
+        _note(f"{image.name} differs most: {picture}" if image else "no picture: no images differ")
     shown = library.format_json if json_path == _STDOUT else library.format_table
     click.echo(shown(report), nl=False)
     return DIFFERENT_EXIT_CODE if report.differs else 0

@@ -8,6 +8,7 @@ import click
 
 from motionstereo_cli.commands.options import input_options, processing_options
 from motionstereo_cli.commands.talk import announce_compiling, say
+from motionstereo_cli.errors import DAMAGED_EXIT_CODE
 from motionstereo_cli.settings import Settings
 from motionstereo_cli.sources.settings import InputSettings
 
@@ -48,7 +49,7 @@ def figure(
     out: Path,
     input_settings: InputSettings,
     settings: Settings,
-) -> None:
+) -> int:
     """Show some frames stage by stage on one sheet, as the paper's figures 2 and 3 do.
 
     A row a frame; the columns are the right image (the left one with --reference left), its bands
@@ -62,4 +63,8 @@ def figure(
     announce_compiling()
     with open_stereo(left, right, input_settings) as source:
         write_whole(out, encode_png(draw_figure(source, numbers, settings)))
-    say("note", f"{len(numbers)} frames in {out}")
+        damage = source.damage
+    for line in damage:
+        say("warning", line)
+    say("note", f"{len(numbers)} frame{'s' if len(numbers) > 1 else ''} in {out}")
+    return DAMAGED_EXIT_CODE if damage else 0

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from motionstereo_cli.commands.options import input_options, rig_options
+from motionstereo_cli.commands.options import config_option, input_options, rig_options
 from motionstereo_cli.commands.talk import printable, say
 from motionstereo_cli.sources.settings import InputSettings, adapted_rig
 
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 @input_options
 @rig_options
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+@config_option
 def info(
     *,
     left: str,

@@ -75,9 +75,22 @@ def input_options(command: Callable[..., Any]) -> Callable[..., Any]:
 
     collected: Callable[..., Any] = functools.update_wrapper(collect, command)
     collected = _declared(InputSettings, "input_chosen")(collected)
+    # Nothing to see: it catches what a shell makes of patterns that are not in quotes.
+    collected = click.argument(
+        "more", nargs=-1, metavar="", expose_value=False, callback=_none_more
+    )(collected)
     # Text, not paths: a path does not tell standard input, "-", from a file "./-".
     collected = click.argument("right", required=False)(collected)
     return click.argument("left")(collected)
+
+
+def _none_more(ctx: click.Context, _: click.Parameter, more: tuple[str, ...]) -> None:
+    if more:
+        raise click.UsageError(
+            f"{2 + len(more)} inputs are too many: give LEFT and RIGHT, "
+            "and put patterns such as 'cam0_*.png' in quotes",
+            ctx,
+        )
 
 
 def output_options(command: Callable[..., Any]) -> Callable[..., Any]:
@@ -154,7 +167,7 @@ config_option = click.option(
     is_eager=True,
     expose_value=False,
     callback=lambda ctx, _, path: _read_config(ctx, path) if path else None,
-    help="TOML file with a value for any of these options, such as max-disparity = 96; "
+    help="TOML file with a value for any of these options, as NAME = VALUE without the dashes; "
     "the command line wins.",
 )
 
@@ -166,20 +179,23 @@ def _read_config(ctx: click.Context, path: Path) -> None:
     except (OSError, ValueError, RecursionError) as error:
         raise click.UsageError(f"{path}: cannot be read as TOML: {error}", ctx) from None
     options = {
-        option.name: option
+        flag.removeprefix("--"): option
         for option in ctx.command.params
-        if isinstance(option, click.Option) and option.expose_value and option.name
+        if isinstance(option, click.Option) and option.expose_value
+        for flag in option.opts
+        if flag.startswith("--")
     }
     defaults = {}
     for key, value in values.items():
-        name = key.replace("-", "_")
-        if name not in options:
-            raise click.UsageError(f"{path}: unknown key {key!r}{near_match(name, options)}", ctx)
-        option = options[name]
+        flag = key.replace("_", "-")
+        if flag not in options:
+            raise click.UsageError(f"{path}: unknown key {key!r}{near_match(flag, options)}", ctx)
+        option = options[flag]
         # click takes a lone text for a list of letters where an option may be repeated.
-        defaults[name] = [value] if option.multiple and isinstance(value, str) else value
+        default = [value] if option.multiple and isinstance(value, str) else value
+        defaults[option.name] = default
         try:
-            option.type_cast_value(ctx, defaults[name])
+            option.type_cast_value(ctx, default)
         except click.UsageError as error:
             raise click.UsageError(f"{path}: {error.format_message()}", ctx) from None
         except SettingsError as error:

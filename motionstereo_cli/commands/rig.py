@@ -59,7 +59,7 @@ def rig(
 ) -> None:
     """Convert a calibration to rig.yaml, and say how it is understood.
 
-    FILE is an OpenCV (YAML, XML), KITTI or Middlebury file, or rig.yaml; two files, the left
+    FILE is an OpenCV (YAML, XML, JSON), KITTI or Middlebury file, or rig.yaml; two files, the left
     camera's first, are a ROS camera_info or EuRoC sensor.yaml pair, or OpenCV's intrinsics and
     extrinsics. rig.yaml stands for rectified images: give FILE itself to run --rig where they are
     not.

@@ -18,16 +18,13 @@ from motionstereo_cli.commands.options import (
 )
 from motionstereo_cli.commands.talk import announce_compiling
 from motionstereo_cli.commands.talk import say as _say
-from motionstereo_cli.errors import OutputError
+from motionstereo_cli.errors import DAMAGED_EXIT_CODE, INTERRUPTED_EXIT_CODE, OutputError
 from motionstereo_cli.settings import Settings
 from motionstereo_cli.sinks import DEFAULT_SAVES, SAVES, available
 from motionstereo_cli.sources.settings import InputSettings
 
 if TYPE_CHECKING:
     from motionstereo_cli.sinks.settings import OutputSettings
-
-DAMAGED_EXIT_CODE = 3
-INTERRUPTED_EXIT_CODE = 130
 
 
 def _names(ctx: click.Context, _: click.Parameter, lists: tuple[str, ...]) -> tuple[str, ...]:
@@ -79,8 +76,8 @@ def _names(ctx: click.Context, _: click.Parameter, lists: tuple[str, ...]) -> tu
     "--jobs",
     type=click.IntRange(1, 256),
     metavar="INTEGER",
-    help="Frames matched at a time; results do not depend on it.  "
-    "[1 to 256; default the number of processor cores]",
+    show_default="the number of processor cores",
+    help="Frames matched at a time; results do not depend on it.",
 )
 @click.option(
     "--check/--no-check",
@@ -181,18 +178,20 @@ def run(
 
     for line in report.damage:
         _say("warning", line)
+    frames = "1 frame" if report.frames == 1 else f"{report.frames} frames"
     if report.resumed == report.frames and not report.interrupted:
         _say("note", f"{out} is complete already")
-    before = f", {report.resumed} of them before" if report.resumed else ""
-    _say(
-        "note",
-        f"{report.frames} frames{before}, in {report.wall_s:.1f} s "
-        f"({report.frames_per_second:.0f} frames per second), "
-        f"charged {report.charged:.1%}, matched {report.matched:.1%} of the image",
-    )
+    else:
+        before = f", {report.resumed} of them before," if report.resumed else ""
+        _say(
+            "note",
+            f"{frames}{before} in {report.wall_s:.1f} s "
+            f"({report.frames_per_second:.0f} frames per second), "
+            f"charged {report.charged:.1%}, matched {report.matched:.1%} of the image",
+        )
     if report.interrupted:
         kept = "" if table_alone else f": what was done is in {out}, --resume goes on from there"
-        _say("error", f"interrupted after {report.frames} frames{kept}")
+        _say("error", f"interrupted after {frames}{kept}")
         return INTERRUPTED_EXIT_CODE
     if not table_alone:
         _say("note", f"results in {out}: {', '.join((*report.outputs, 'run.json'))}")

@@ -63,7 +63,7 @@ def prepare(
         for path in former:
             path.unlink()
         _remove_empty_folders(out)
-        part_of(out / RECORD).write_bytes(_json(head(save)))
+    write_whole(part_of(out / RECORD), _json(head(save)))
 
 
 def complete(out: Path, record: Mapping[str, Any]) -> None:

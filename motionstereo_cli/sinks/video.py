@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,6 +21,22 @@ if TYPE_CHECKING:
 
 #: Luma of a limited-range stream for each grey level: 0..255 becomes 16..235.
 _LIMITED_LUMA = (16.5 + np.arange(256) * (219 / 255)).astype(np.uint8)
+
+
+#: What shows for longer, in s, does not fit into MP4's numbers.
+_LONGEST_S = 10_000
+
+
+@contextlib.contextmanager
+def _reported(path: Path) -> Iterator[None]:
+    """Turn FFmpeg's errors, too, into one that names the path."""
+    with reported(path):
+        try:
+            yield
+        except av.FFmpegError as error:
+            if isinstance(error, OSError):
+                raise
+            raise OSError(error.errno, error.strerror) from error
 
 
 def _container(path: Path) -> dict[str, Any]:
@@ -47,6 +63,10 @@ class VideoWriter:
         part: its name while it is being written; ``.part`` appended to ``path`` if None.
         preview: take half the time for a file twice as large, and have no picture depend on a
             later one, so that files can be joined.
+        after: time stamp of the image before the first one, None if there was none.
+
+    Attributes:
+        last_pts: time stamp of the last image; at first ``after``.
 
     Raises:
         OutputError: the file cannot be written.
@@ -60,6 +80,7 @@ class VideoWriter:
         quality: int = 18,
         part: Path | None = None,
         preview: bool = False,
+        after: int | None = None,
     ) -> None:
         self.path = path
         self._part = part or part_of(path)
@@ -69,8 +90,9 @@ class VideoWriter:
         self._options = {"crf": str(quality), "mbtree": "0", **preset}
         self._lossless = path.suffix == ".mkv"
         self._stream: Any = None
-        self._last_pts: int | None = None
-        with reported(path):
+        self.last_pts = after
+        self._spacing: int | None = None
+        with _reported(path):
             self._container = av.open(str(self._part), "w", **_container(path))
 
     def write(self, image: NDArray[np.uint8] | NDArray[np.uint16], pts: int) -> None:
@@ -85,14 +107,15 @@ class VideoWriter:
             OutputError: the file cannot be written.
         """
         frame = self._frame(image)
-        if self._last_pts is not None:
-            pts = max(pts, self._last_pts + 1)
-        self._last_pts = frame.pts = pts
+        if self.last_pts is not None:
+            pts = max(pts, self.last_pts + 1)
+            self._spacing = pts - self.last_pts
+        self.last_pts = frame.pts = pts
         frame.time_base = self._time_base
-        with reported(self.path):
+        with _reported(self.path):
             if self._stream is None:
                 self._stream = self._add_stream(frame)
-            self._container.mux(self._stream.encode(frame))
+            self._mux(frame)
 
     def finish(self) -> None:
         """Complete the file, still under its ``.part`` name.
@@ -100,12 +123,12 @@ class VideoWriter:
         Raises:
             OutputError: the file cannot be written.
         """
-        stream, self._stream = self._stream, None
-        with reported(self.path):
+        with _reported(self.path):
             try:
-                if stream is not None:
-                    self._container.mux(stream.encode(None))
+                if self._stream is not None:
+                    self._mux(None)
             finally:
+                self._stream = None
                 self._container.close()
 
     def close(self, *, keep: bool = True) -> None:
@@ -116,13 +139,19 @@ class VideoWriter:
         """
         if keep:
             self.finish()
-            with reported(self.path):
+            with _reported(self.path):
                 os.replace(self._part, self.path)
         else:
             with contextlib.suppress(OSError):  # what is left to write does not matter
                 self._container.close()
-            with reported(self.path):
+            with _reported(self.path):
                 self._part.unlink(missing_ok=True)
+
+    def _mux(self, frame: av.VideoFrame | None) -> None:
+        for packet in self._stream.encode(frame):
+            if self._spacing is not None and self._spacing * self._time_base < _LONGEST_S:
+                packet.duration = self._spacing  # else the label says how long the last one lasts
+            self._container.mux(packet)
 
     def _add_stream(self, frame: av.VideoFrame) -> Any:
         # The rate is a label alone: the time stamps say when each frame is shown.
@@ -132,7 +161,9 @@ class VideoWriter:
         stream.pix_fmt = frame.format.name
         stream.time_base = stream.codec_context.time_base = self._time_base
         stream.codec_context.thread_count = 1
-        if not self._lossless:
+        if self._lossless:
+            stream.codec_context.framerate = 0  # Matroska then has no label: the times tell
+        else:
             stream.options = self._options
             stream.codec_context.color_range = 1  # limited
         return stream
@@ -186,11 +217,11 @@ class SegmentedVideo:
         """
         if self._writer is None:
             segment = segment_of(self._path, self._complete)
-            self._writer = VideoWriter(self._path, self._time_base, part=segment, preview=True)
-        if self._last_pts is not None:
-            pts = max(pts, self._last_pts + 1)
-        self._last_pts = pts
+            self._writer = VideoWriter(
+                self._path, self._time_base, part=segment, preview=True, after=self._last_pts
+            )
         self._writer.write(image, pts)
+        self._last_pts = self._writer.last_pts
 
     def checkpoint(self) -> tuple[int, int | None]:
         """End the segment, and return what a new process needs to go on.
@@ -235,7 +266,7 @@ def join(segments: Sequence[Path], path: Path) -> None:
     Raises:
         OutputError: the file cannot be written, or a segment cannot be read.
     """
-    with reported(path):
+    with _reported(path):
         with av.open(str(part_of(path)), "w", **_container(path)) as joined:
             stream: Any = None
             for segment in segments:

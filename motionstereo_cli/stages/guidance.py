@@ -33,10 +33,23 @@ def strip_nearness(
     """
     result = np.full(strips, np.nan, np.float32)
     for number, strip in enumerate(np.array_split(nearness_px, strips, axis=1)):
-        known = strip[~np.isnan(strip)]
-        if len(known) > least_share * strip.size:
-            result[number] = np.quantile(known, 1 - _NEARER_SHARE)
+        result[number] = _quantile(strip, 1 - _NEARER_SHARE, least_share)
     return result
+
+
+def _quantile(values: NDArray[np.float32], share: float, least_share: float) -> float:
+    """Return the quantile of all but NaN, between the two nearest; NaN if too few are known.
+
+    NaN sorts behind all numbers. To pick the numbers first takes longer than the rest.
+    """
+    known = values.size - np.count_nonzero(np.isnan(values))
+    if known <= least_share * values.size:
+        return np.nan
+    place = (known - 1) * share
+    number = math.floor(place)
+    part = np.partition(values, number, axis=None)
+    below, above = part[number], np.fmin.reduce(part[number + 1 :], initial=np.inf)
+    return float(below + (above - below) * np.float32(place - number) if place > number else below)
 
 
 def heading(nearness_px: NDArray[np.float32]) -> float | None:
@@ -73,10 +86,8 @@ def nearest(nearness_px: NDArray[np.float32], least_share: float) -> float | Non
         nearness_px: disparity + doffs, (height, width) float32, NaN = unknown.
         least_share: share of the image, 0..1, that has to be known.
     """
-    known = nearness_px[~np.isnan(nearness_px)]
-    if len(known) <= least_share * nearness_px.size:
-        return None
-    return float(np.quantile(known, 0.99))
+    found = _quantile(nearness_px, 0.99, least_share)
+    return None if math.isnan(found) else found
 
 
 #: Directions that are weighed, about the robot's yaw: a full circle, in steps of 3 degrees.
