@@ -184,7 +184,10 @@ def test_another_run_is_not_taken_for_this_one(half_done, recording, tmp_path, c
     fewer = [*half_done[: half_done.index("--save")], *half_done[half_done.index("--save") + 2 :]]
     assert "is of another run, with outputs.age: give" in said(fewer)
     assert "was begun with the outputs" in said([*half_done, "--csv", str(tmp_path / "new.csv")])
-    assert main(half_done) == 1  # without --resume the folder is not empty
+    assert main(half_done) == 1
+    assert (
+        "is not empty: give another folder, or --overwrite, or --resume" in capsys.readouterr().err
+    )
     assert main([*half_done, "--resume", "--overwrite"]) == 2
     assert main([*half_done, "--resume"]) == 0
     assert "with settings.bands 8, not 9" in said([*half_done, "--bands", "9"])

@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import copy
+import functools
 import json
 import os
 import platform
@@ -121,6 +122,11 @@ class Bench:
     def corridor(self) -> Clip:
         """The paper's corridor."""
         return self.clip("corridor", frames=self.plan.corridor, back=True)
+
+    @functools.cached_property
+    def long(self) -> Clip:
+        """The corridor over and over, for what includes start-up."""
+        return repeated(self.corridor, self.folder / "long", self.plan.long_times)
 
     @property
     def cards(self) -> Clip:
@@ -284,7 +290,7 @@ def run_command(clip: Clip, out: Path, *options: str | Path) -> list[str | Path]
 
 def bench_run(bench: Bench) -> None:
     """Time the whole run, from two files to the results, start-up and all."""
-    clip, out = bench.corridor, bench.folder / "run_out"
+    clip, out = bench.long, bench.folder / "run_out"
     rig = [str(clip.rig.focal_px), str(clip.rig.baseline_m)]
     plain: list[str | Path] = [script.__file__, *clip.paths, bench.folder / "script_out", *rig]
     contestants: dict[str, list[str | Path]] = {
@@ -296,15 +302,15 @@ def bench_run(bench: Bench) -> None:
         "motionstereo, steering": run_command(clip, out, "--save", "steering"),
     }
     python(*contestants["motionstereo, default outputs"])  # warm-up
-    for cores in bench.turns():
+    for _ in range(bench.rounds):
         for name, arguments in contestants.items():
             cost = python(*arguments)
-            bench.samples.add("run", f"{clip.count} frames", name, cores, cost)
+            bench.samples.add("run", f"{clip.count} frames", name, bench.all_cores, cost)
 
 
 def bench_jobs(bench: Bench) -> None:
     """Time the run of a longer video with --jobs 1 and 2, and compare the bytes."""
-    clip = repeated(bench.corridor, bench.folder / "long", bench.plan.long_times)
+    clip = bench.long
     outs = {jobs: bench.folder / f"jobs_{jobs}" for jobs in (1, 2)}
     for _ in range(bench.rounds):
         for jobs, out in outs.items():

@@ -49,7 +49,8 @@ def prepare(
     with reported(out):
         out.mkdir(parents=True, exist_ok=True)
         if not overwrite and any(out.iterdir()):
-            raise OutputError(f"{out} is not empty: give another folder, or --overwrite")
+            advice = ", or --resume to go on" if part_of(out / RECORD).exists() else ""
+            raise OutputError(f"{out} is not empty: give another folder, or --overwrite{advice}")
         former = _written(out)
         paths = [path for name in save for path in SAVES[name].paths]
         present = _present(out, RECORD).union(*(_present(out, path) for path in paths))
