@@ -380,3 +380,13 @@ def test_calibration_files_make_no_objects(tmp_path: Path) -> None:
         with pytest.raises(InputError):
             read_calibration([path], (640, 480))
         assert not witness.exists()
+
+
+def test_a_title_that_is_no_text(tmp_path: Path) -> None:
+    """The encoder's name stands in the file; in another encoding it is nothing that matters."""
+    path = encode(tmp_path / "video.mkv", scene(), "ffv1", "gray", FULL)
+    content = path.read_bytes()
+    assert b"Lavf" in content
+    path.write_bytes(content.replace(b"Lavf", b"L\xc5\xc5f"))
+    with open_stereo(path, settings=InputSettings(layout="side-by-side")) as source:
+        assert sum(1 for _ in source) == COUNT

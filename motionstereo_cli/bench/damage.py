@@ -79,7 +79,7 @@ def seen_in_video(path: Path, count: int) -> bool:
     av.logging.set_level(None)
     images, clean = 0, True
     try:
-        with av.open(str(path)) as container:
+        with av.open(str(path), metadata_errors="replace") as container:
             stream = container.streams.video[0]
             stream.codec_context.thread_count = 1
             for packet in container.demux(stream):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import logging
 from collections.abc import Iterator
@@ -301,17 +302,19 @@ def _opened(
     path: Path | Pipe | str, max_pixels: int, allow_network: bool
 ) -> av.container.InputContainer:
     limits = _decoder_limits(max_pixels)
+    # Titles and the like may be anything, and do not matter.
+    opened = functools.partial(av.open, mode="r", metadata_errors="replace")
     if isinstance(path, Pipe):
-        return av.open(path, "r", options=limits | {"protocol_whitelist": "none"})
+        return opened(path, options=limits | {"protocol_whitelist": "none"})
     if isinstance(path, str):
-        return av.open(path, "r", options=limits, timeout=_PATIENCE_S)
+        return opened(path, options=limits, timeout=_PATIENCE_S)
     if allow_network:
         # An absolute path: FFmpeg takes what precedes a colon for a protocol.
         options = limits | {"protocol_whitelist": _NETWORK, "allowed_extensions": "ALL"}
-        return av.open(str(path.absolute()), "r", options=options, timeout=_PATIENCE_S)
+        return opened(str(path.absolute()), options=options, timeout=_PATIENCE_S)
     with path.open("rb") as file:  # FFmpeg duplicates it
         options = limits | {"fd": str(file.fileno()), "protocol_whitelist": "fd"}
-        return av.open("fd:", "r", options=options)
+        return opened("fd:", options=options)
 
 
 def _decoder_limits(max_pixels: int) -> dict[str, str]:
