@@ -390,3 +390,10 @@ def test_a_title_that_is_no_text(tmp_path: Path) -> None:
     path.write_bytes(content.replace(b"Lavf", b"L\xc5\xc5f"))
     with open_stereo(path, settings=InputSettings(layout="side-by-side")) as source:
         assert sum(1 for _ in source) == COUNT
+
+
+def test_a_codec_that_nobody_knows(tmp_path: Path) -> None:
+    path = encode(tmp_path / "video.mkv", scene(), "ffv1", "gray", FULL)
+    path.write_bytes(path.read_bytes().replace(b"V_FFV1", b"V_FFVX"))
+    with pytest.raises(InputError, match="is in a format that cannot be decoded"):
+        VideoStream(path)

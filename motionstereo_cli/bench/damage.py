@@ -81,6 +81,8 @@ def seen_in_video(path: Path, count: int) -> bool:
     try:
         with av.open(str(path), metadata_errors="replace") as container:
             stream = container.streams.video[0]
+            if stream.codec_context is None:  # of an unknown kind
+                return True
             stream.codec_context.thread_count = 1
             for packet in container.demux(stream):
                 try:

@@ -98,6 +98,8 @@ class VideoStream(Stream):
                 raise InputError(f"{path} has no video stream: give a video file")
             self._stream = self._container.streams.video[0]
             codec = self._stream.codec_context
+            if codec is None:  # the type stub says otherwise
+                raise InputError(f"{path} is in a format that cannot be decoded: convert it")
             if codec.width * codec.height > max_pixels:
                 raise InputError(
                     f"{path} is {codec.width}x{codec.height}: that is more than --max-pixels "
