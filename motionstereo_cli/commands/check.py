@@ -39,11 +39,12 @@ def check(
     max_disparity: int,
     as_json: bool,
 ) -> int:
-    """Look for what would ruin a run: rows, range, order, exposure, motion, and step.
+    """Look for what would ruin a run.
 
-    Reads all of the input, and matches features in a few places. Prints what was measured, and a
-    line for each mistake: what, how much, what to do. Exit code 1 if one of them ruins the
-    result, and 0 otherwise.
+    That is rows, range, order, exposure, motion, and step. Reads all of the input, and matches
+    features in a few places. Prints what was measured, and a line for each mistake: what, how
+    much, what to do. Exit code 1 if one of them ruins the result, 3 if the input is damaged, and
+    0 otherwise.
     """
     from tqdm import tqdm
 

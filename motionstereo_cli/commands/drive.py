@@ -23,12 +23,13 @@ from motionstereo_cli.simulate.settings import DriveSettings
 def drive(
     out: Path, view: bool, overwrite: bool, world: dict[str, Any], settings: Settings
 ) -> None:
-    """Let a simulated robot find its way round a corridor by its own depth.
+    """Let a simulated robot find its way by its own depth.
 
-    Writes into the folder OUT: left.mkv and right.mkv, what it saw (FFV1, lossless); rig.yaml and
-    poses.txt (TUM format, m); steering.csv, as run gives it on these with --poses poses.txt;
-    plan.png, the drive from above; map.ply, map.png, map.yaml, the map as run --save map gives
-    it; drive.json: laps, distance, collisions, nearest pass, why it ended.
+    It goes round a square corridor. Writes into the folder OUT: left.mkv and right.mkv, what it
+    saw (FFV1, lossless); rig.yaml and poses.txt (TUM format, m); steering.csv, as run gives it on
+    these with --poses poses.txt; plan.png, the drive from above; map.ply, map.png, map.yaml, the
+    map as run --save map gives it; drive.json: laps, distance, collisions, nearest pass, why it
+    ended.
     """
     world_settings = DriveSettings(**world)
 

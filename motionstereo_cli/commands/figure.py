@@ -50,10 +50,11 @@ def figure(
     input_settings: InputSettings,
     settings: Settings,
 ) -> int:
-    """Show some frames stage by stage on one sheet, as the paper's figures 2 and 3 do.
+    """Show some frames stage by stage on one sheet.
 
-    A row a frame; the columns are the right image (the left one with --reference left), its bands
-    and permanency memory, and the depth, bright where near and black where unknown.
+    As the paper's figures 2 and 3 do. A row a frame; the columns are the right image (the left one
+    with --reference left), its bands and permanency memory, and the depth, bright where near and
+    black where unknown.
     """
     from motionstereo_cli.figure import draw_figure
     from motionstereo_cli.sinks.files import write_whole

@@ -31,10 +31,10 @@ def info(
     baseline_unit: str | None,
     as_json: bool,
 ) -> None:
-    """Print how an input is understood, with the options that run would get.
+    """Print how an input is understood.
 
-    Reads the first image of each side alone, so the numbers of images are those that the files
-    state: a damaged one has fewer.
+    With the options that run would get. Reads the first image of each side alone, so the numbers
+    of images are those that the files state: a damaged one has fewer.
     """
     from motionstereo_cli.rig.calibration import rectify_source
     from motionstereo_cli.sources import open_stereo
