@@ -66,10 +66,10 @@ def encode(
     return path
 
 
-def folder(path: Path, images: Images, suffix: str) -> Path:
+def folder(path: Path, images: Images, suffix: str, name: str = "frame{}") -> Path:
     path.mkdir()
     for index, image in enumerate(images):
-        assert cv2.imwrite(str(path / f"frame{index}{suffix}"), image)
+        assert cv2.imwrite(str(path / f"{name.format(index)}{suffix}"), image)
     return path
 
 

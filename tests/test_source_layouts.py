@@ -548,6 +548,38 @@ def test_kitti_folders(tmp_path: Path, pair: tuple[str, str]) -> None:
     assert number_in(255 - frames[7].right) == 7
 
 
+def kitti(path: Path, times: list[str]) -> Path:
+    for side, images in (("image_0", scene()), ("image_1", negative(scene()))):
+        folder(path / side, images, ".png", "{:06d}")
+    (path / "times.txt").write_text("\n".join(times) + "\n")
+    return path
+
+
+def test_kitti_has_the_times_beside_the_images(tmp_path: Path) -> None:
+    path = kitti(tmp_path, [f"{n * 0.1037:e}" for n in range(COUNT)])
+    (path / "image_1" / "000004.png").unlink()
+    with open_stereo(path) as source:
+        frames = list(source)
+        assert source.frame_rate == pytest.approx(1 / 0.1037, rel=1e-6)
+    left = [n for n in range(COUNT) if n != 4]
+    assert [number_in(frame.left) for frame in frames] == left
+    assert [frame.time_s for frame in frames] == pytest.approx([n * 0.1037 for n in left])
+
+
+@pytest.mark.parametrize(
+    ("times", "said"),
+    [
+        (["0.1"] * COUNT, "the times do not rise"),
+        (["0.1"], "does not fit the images"),
+        (["x"] * COUNT, "does not fit the images"),
+        (["inf"] * COUNT, "does not fit the images"),
+    ],
+)
+def test_kitti_times_that_do_not_fit(tmp_path: Path, times: list[str], said: str) -> None:
+    with pytest.raises(InputError, match=said):
+        open_stereo(kitti(tmp_path, times))
+
+
 BEGIN_NS, PERIOD_NS = 1403636579763555584, 50_000_000
 
 

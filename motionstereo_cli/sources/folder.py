@@ -37,6 +37,9 @@ warnings.filterwarnings("ignore", module=r"PIL\.")
 #: Beside a folder ``data``: the images' time stamps in ns and names, as EuRoC lays them.
 STAMPS = "data.csv"
 
+#: Beside KITTI's folders ``image_0`` and the like: the time of each image in s, a line each.
+TIMES = "times.txt"
+
 #: What Pillow raises on damaged images.
 _DAMAGE = (OSError, ValueError, SyntaxError)
 
@@ -53,7 +56,8 @@ class FolderStream(Stream):
 
     The time stamp of an image is the number in its file name, where the names differ in one
     number alone and count in steps; otherwise its place. Only ``frame_rate`` makes a time of it.
-    Where a ``data.csv`` lies beside a folder ``data``, as EuRoC has it, the time stamps are there.
+    Where a ``data.csv`` lies beside a folder ``data``, as EuRoC has it, or a ``times.txt`` beside a
+    folder ``image_0``, as KITTI has it, the time stamps are there.
 
     Args:
         path: an existing folder, or a glob pattern for the messages.
@@ -87,6 +91,9 @@ class FolderStream(Stream):
                     (file for file in found if file.suffix.lower() in SUFFIXES),
                     key=lambda file: natural_key(str(file)),
                 )
+                times = path.parent / TIMES
+                if files is None and path.name.startswith("image_") and times.is_file():
+                    stamps_ns = _timed(times, self._files)
         except OSError as error:
             raise InputError(f"cannot read the folder {path}: {error.strerror}") from error
         if not self._files:
@@ -243,6 +250,22 @@ def _stamped(path: Path) -> tuple[list[Path], list[int]]:
         if before == after:
             raise InputError(f"{table} has the time stamp {after} twice: keep one line for it")
     return [file for _, file in rows], [stamp for stamp, _ in rows]
+
+
+def _timed(table: Path, files: list[Path]) -> list[int]:
+    """Return the time stamps in ns of images whose numbers are those of the lines, from 0."""
+    try:
+        times_s = [float(line) for line in read_text(table, "the times", MOST_TABLE_BYTES).split()]
+        numbers = [int(file.stem) for file in files]
+        stamps_ns = [round(times_s[number] * 1e9) for number in numbers]
+    except (ValueError, OverflowError, IndexError):
+        raise InputError(
+            f"{table} does not fit the images in {files[0].parent}: give a time in s a line, the "
+            "first for 000000, or take it away"
+        ) from None
+    if any(after <= before for before, after in itertools.pairwise(stamps_ns)):
+        raise InputError(f"{table}: the times do not rise: mend it, or take it away")
+    return stamps_ns
 
 
 def _grey(pixels: NDArray[Any], file: Path) -> Grey:
