@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import io
+import json
 import pickle
 from collections.abc import Mapping
 from concurrent.futures import Future
@@ -84,6 +85,37 @@ def read_checkpoint(path: Path) -> Checkpoint | None:
             f"{path} is no checkpoint that can be used ({error}): give --overwrite to begin anew"
         ) from error
     return Checkpoint(state, totals, marks, identity)
+
+
+def check_same(out: Path, identity: Mapping[str, Any], found: Mapping[str, Any]) -> None:
+    """Make sure that a run is the one that ``out`` was begun by.
+
+    Raises:
+        OutputError: it is not.
+    """
+    # As JSON has them: tuples are lists there.
+    wanted, there = json.loads(json.dumps([identity, {key: found.get(key) for key in identity}]))
+    if difference := _difference(wanted, there):
+        raise OutputError(
+            f"{out} is of another run, {difference}: "
+            "give the same input and options, or --overwrite to begin anew"
+        )
+
+
+def _difference(wanted: Any, there: Any, name: str = "") -> str:
+    """Return the first difference of two JSON values; where files lie makes none."""
+    if wanted is None or there is None:
+        return "" if wanted is there else f"with{'out' if there is None else ''} {name}"
+    if isinstance(wanted, list) and isinstance(there, list):
+        wanted, there = (dict(enumerate(each)) for each in (wanted, there))
+    if isinstance(wanted, dict) and isinstance(there, dict):
+        for key in sorted(wanted.keys() | there.keys()):
+            where = f"{name}.{key}" if name else str(key)
+            found = _difference(wanted.get(key), there.get(key), where)
+            if found and key != "path":
+                return found
+        return ""
+    return "" if wanted == there else f"with {name} {there!s:.16}, not {wanted!s:.16}"
 
 
 def loads(content: bytes) -> Any:

@@ -7,7 +7,6 @@ import dataclasses
 import functools
 import hashlib
 import itertools
-import json
 import platform
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -21,7 +20,7 @@ import numpy as np
 
 from motionstereo_cli import __version__
 from motionstereo_cli.check import Finding, watched
-from motionstereo_cli.checkpoint import Checkpoint, read_checkpoint, write_checkpoint
+from motionstereo_cli.checkpoint import Checkpoint, check_same, read_checkpoint, write_checkpoint
 from motionstereo_cli.errors import InputError, OutputError
 from motionstereo_cli.interrupts import finishing
 from motionstereo_cli.pipeline import State, process
@@ -142,7 +141,8 @@ def run(
     )
     inputs = list(inputs)
     if isinstance(table, Path):
-        _check_free(table, out, overwrite=overwrite or resume, inputs=inputs)
+        ours = resume and out is not None and (out / CHECKPOINT).exists()
+        _check_free(table, out, overwrite=overwrite or ours, inputs=inputs)
     save = () if out is None else _available(save, stream, poses)
     identity = functools.cache(lambda: _identity(source, stream, save, inputs))
 
@@ -151,7 +151,7 @@ def run(
         if out is not None:
             held.enter_context(locked(out))
             if resume and (finished := record_of(out)):
-                _check_same(out, identity(), finished)
+                check_same(out, identity(), finished)
                 clear(out)
                 return _report_of(finished)
             if resume:
@@ -249,44 +249,13 @@ def _resumed(
     """Return where the same run was ended in ``out``, None if it left nothing to go on from."""
     since = read_checkpoint(out / CHECKPOINT)
     if since is not None:
-        _check_same(out, identity(), since.identity)
+        check_same(out, identity(), since.identity)
         if set(since.sinks) != set(sinks):
             raise OutputError(
                 f"{out} was begun with the outputs {', '.join(since.sinks)}: "
                 "give the same ones, or --overwrite to begin anew"
             )
     return since
-
-
-def _check_same(out: Path, identity: Mapping[str, Any], found: Mapping[str, Any]) -> None:
-    """Make sure that a run is the one that ``out`` was begun by.
-
-    Raises:
-        OutputError: it is not.
-    """
-    # As JSON has them: tuples are lists there.
-    wanted, there = json.loads(json.dumps([identity, {key: found.get(key) for key in identity}]))
-    if difference := _difference(wanted, there):
-        raise OutputError(
-            f"{out} is of another run, {difference}: "
-            "give the same input and options, or --overwrite to begin anew"
-        )
-
-
-def _difference(wanted: Any, there: Any, name: str = "") -> str:
-    """Return the first difference of two JSON values; where files lie makes none."""
-    if wanted is None or there is None:
-        return "" if wanted is there else f"with{'out' if there is None else ''} {name}"
-    if isinstance(wanted, list) and isinstance(there, list):
-        wanted, there = (dict(enumerate(each)) for each in (wanted, there))
-    if isinstance(wanted, dict) and isinstance(there, dict):
-        for key in sorted(wanted.keys() | there.keys()):
-            where = f"{name}.{key}" if name else str(key)
-            found = _difference(wanted.get(key), there.get(key), where)
-            if found and key != "path":
-                return found
-        return ""
-    return "" if wanted == there else f"with {name} {there!s:.16}, not {wanted!s:.16}"
 
 
 def _table_name(table: Path | BinaryIO | None) -> tuple[str, ...]:

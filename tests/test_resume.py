@@ -204,6 +204,14 @@ def test_what_is_missing_or_cut_is_named(half_done, tmp_path, capsys):
     assert "steering.csv.part was cut" in capsys.readouterr().err
 
 
+def test_the_table_of_somebody_else_is_not_taken_for_ours(command, tmp_path, capsys):
+    (tmp_path / "table.csv").write_text("mine")
+    args = ["-o", str(tmp_path / "out"), "--csv", str(tmp_path / "table.csv"), "--resume"]
+    assert main([*command, *args]) == 1
+    assert "table.csv is there already" in capsys.readouterr().err
+    assert (tmp_path / "table.csv").read_text() == "mine"
+
+
 def test_overwrite_removes_what_a_killed_run_left(half_done, tmp_path):
     assert main([*half_done, "--overwrite", "--save", "steering"]) == 0
     left = {str(path.relative_to(tmp_path)) for path in (tmp_path / "out").rglob("*")}
