@@ -113,7 +113,7 @@ def process(
         pose_of: tells where the rig was; asked once a frame, in order. With it and a rig, the
             guidance remembers what it has seen around it.
         with_objects: find moving objects; with poses, the guidance keeps clear of them.
-        jobs: frames matched at a time; so many frames more are taken before a result is given.
+        jobs: frames matched at a time; all but one of them are taken before a result is given.
         state: what is known before the first frame, nothing if None. With each result it becomes
             what is known after that frame.
     """

@@ -76,8 +76,9 @@ def _names(ctx: click.Context, _: click.Parameter, lists: tuple[str, ...]) -> tu
     "--jobs",
     type=click.IntRange(1, 256),
     metavar="INTEGER",
-    show_default="the number of processor cores",
-    help="Frames matched at a time; results do not depend on it.",
+    show_default="the number of processor cores; 1 with standard input",
+    help="Frames matched at a time; results do not depend on it, but all come so many frames "
+    "later, less one.",
 )
 @click.option(
     "--check/--no-check",
@@ -167,7 +168,7 @@ def run(
             save=save,
             table=sys.stdout.buffer if to_stdout else csv,
             output=output_settings,
-            jobs=jobs or os.cpu_count() or 1,
+            jobs=jobs or (1 if "-" in (left, right) else os.cpu_count()) or 1,
             overwrite=overwrite,
             resume=resume,
             poses=trajectory,
