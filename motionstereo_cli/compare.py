@@ -32,8 +32,8 @@ if TYPE_CHECKING:
     from motionstereo_cli.types import Real
 
 #: Parts of run.json that may differ without a word, or with a note, from machine to machine.
-_IGNORED = frozenset({"program", "outputs", "warnings", "damage", "timing"})
-_NOTED = frozenset({"versions", "inputs"})
+_IGNORED = frozenset({"program", "outputs", "shares", "warnings", "damage", "timing"})
+_NOTED = frozenset({"versions", "inputs", "files"})
 
 #: What a difference of exactly the tolerance may exceed it by: in a table's decimals, in float32 m.
 _ROUNDING, _ROUNDING_M = 1e-9, 1e-5
@@ -299,7 +299,7 @@ class _Comparison:
             return output
         for name, theirs in golden.items():
             section = name.partition(".")[0]
-            if section in _IGNORED or (section == "inputs" and name.endswith(".path")):
+            if section in _IGNORED or (section in _NOTED and name.endswith(".path")):
                 continue
             output.compared += section not in _NOTED
             if name in actual and _same(actual[name], theirs):
@@ -512,10 +512,12 @@ def _read_record(path: Path) -> dict[str, Any]:
 
 
 def _leaves(record: dict[str, Any]) -> Iterator[tuple[str, Any]]:
-    """Yield the values of nested dicts with their dotted names, in order."""
+    """Yield the values of nested dicts and lists with their dotted names, in order."""
     waiting: list[tuple[str, Any]] = [*reversed(record.items())]
     while waiting:
         name, value = waiting.pop()
+        if isinstance(value, list):
+            value = dict(enumerate(value))
         if isinstance(value, dict):
             waiting += [(f"{name}.{key}", inner) for key, inner in reversed(value.items())]
         else:
