@@ -25,9 +25,6 @@ from motionstereo_cli.types import Rig
 if TYPE_CHECKING:
     from motionstereo_cli.types import Real
 
-#: What the images of a folder may hold.
-KINDS = ("disparity", "depth")
-
 #: Where a run writes them, the most exact ones first.
 _FOLDERS = ("disparity-pfm", "disparity", "depth-pfm", "depth-tiff", "depth")
 

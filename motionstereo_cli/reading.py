@@ -1,7 +1,8 @@
-"""Reading text that others wrote."""
+"""Reading files that others wrote."""
 
 from __future__ import annotations
 
+import hashlib
 from pathlib import Path
 
 from motionstereo_cli.errors import InputError
@@ -30,3 +31,13 @@ def read_text(path: str | Path, what: str, most_bytes: int) -> str:
         raise InputError(f"{path} is larger than {most_bytes} bytes: check that it is {what}")
     text = content.decode("utf-8-sig", errors="replace")
     return text.replace("\r\n", "\n").replace("\r", "\n")
+
+
+def sha256_of(path: Path) -> str:
+    """Return the SHA-256 of a file's content, in hexadecimal digits.
+
+    Raises:
+        OSError: it cannot be read.
+    """
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()

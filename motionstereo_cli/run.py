@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import functools
-import hashlib
 import itertools
 import platform
 import time
@@ -25,6 +24,7 @@ from motionstereo_cli.errors import InputError, OutputError
 from motionstereo_cli.interrupts import finishing
 from motionstereo_cli.pipeline import State, process
 from motionstereo_cli.poses import Trajectory
+from motionstereo_cli.reading import sha256_of
 from motionstereo_cli.settings import Settings
 from motionstereo_cli.sinks import DEFAULT_SAVES, SAVES, Sink, Stream, available
 from motionstereo_cli.sinks.files import part_of
@@ -353,21 +353,26 @@ def _identity(
     files = [path for path in inputs if path not in source.paths]
     return {
         **head(save),
-        "versions": {
-            "motionstereo": __version__,
-            "python": platform.python_version(),
-            "numpy": np.__version__,
-            "cv2": cv2.__version__,
-            "av": av.__version__,
-        },
+        "versions": versions(),
         "settings": dataclasses.asdict(stream.settings),
         "input_settings": dataclasses.asdict(source.settings),
         "output_settings": dataclasses.asdict(stream.output),
         "inputs": source.describe(),
-        "files": [{"path": str(path), "sha256": _sha256(path)} for path in files],
+        "files": [{"path": str(path), "sha256": sha256_of(path)} for path in files],
         "rig": None if stream.rig is None else dataclasses.asdict(stream.rig),
         "time_base": None if source.time_base is None else str(source.time_base),
         "grey": GREY,
+    }
+
+
+def versions() -> dict[str, str]:
+    """Return the versions of all that results and speed depend on."""
+    return {
+        "motionstereo": __version__,
+        "python": platform.python_version(),
+        "numpy": np.__version__,
+        "cv2": cv2.__version__,
+        "av": av.__version__,
     }
 
 
@@ -398,8 +403,3 @@ def _report_of(record: Mapping[str, Any]) -> RunReport:
         damage=tuple(record["damage"]),
         interrupted=False,
     )
-
-
-def _sha256(path: Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()

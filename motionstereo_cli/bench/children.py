@@ -39,6 +39,16 @@ class Ended:
     cpu_s: float
     killed: bool
 
+    @property
+    def errors(self) -> list[str]:
+        """Its lines of error."""
+        return [line for line in self.said.splitlines() if line.startswith("error: ")]
+
+    @property
+    def crashed(self) -> bool:
+        """Whether it ended for a reason that nobody foresaw."""
+        return "Traceback" in self.said or "internal: " in self.said
+
 
 def warm_up(args: Sequence[str]) -> None:
     """Run the command here, so that children find everything loaded and compiled.

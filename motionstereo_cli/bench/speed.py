@@ -23,12 +23,10 @@ from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import av
-import cv2
 import numpy as np
 from tqdm import tqdm
 
-from motionstereo_cli import __version__, pipeline
+from motionstereo_cli import pipeline
 from motionstereo_cli.bench import decode, script
 from motionstereo_cli.bench.accuracy import RUN_IN
 from motionstereo_cli.bench.clips import Clip, first_frames, rendered, repeated
@@ -36,6 +34,7 @@ from motionstereo_cli.bench.peers import bm_matcher, sgbm_matcher
 from motionstereo_cli.bench.speed_report import format_markdown, goals
 from motionstereo_cli.bench.timing import Cost, Samples, core_count, on_cores, python
 from motionstereo_cli.errors import MotionStereoError
+from motionstereo_cli.run import versions
 from motionstereo_cli.settings import Settings
 from motionstereo_cli.simulate.settings import SimulateSettings
 
@@ -392,13 +391,7 @@ def machine() -> dict[str, Any]:
         "cores": core_count(),
         "processor": platform.processor() or platform.machine(),
         "load_at_start": os.getloadavg()[0] if hasattr(os, "getloadavg") else None,
-        "versions": {
-            "motionstereo": __version__,
-            "python": platform.python_version(),
-            "numpy": np.__version__,
-            "cv2": cv2.__version__,
-            "av": av.__version__,
-        },
+        "versions": versions(),
     }
 
 

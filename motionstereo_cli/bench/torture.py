@@ -44,6 +44,7 @@ _SLOW, _SLOW_S = 3.0, 0.1
 
 #: All outputs that can be had without poses.
 _SAVES = [name for name, save in SAVES.items() if not save.needs_poses]
+_ALL_SAVES = ",".join(_SAVES)
 
 
 @dataclass(slots=True)
@@ -243,18 +244,17 @@ def _run_on(sample: _Sample, target: Path, out: Path) -> Ended:
 
 
 def _faults(ended: Ended, clean_cpu_s: float, *, seen: bool, out: Path) -> Iterator[str]:
-    errors = [line for line in ended.said.splitlines() if line.startswith("error: ")]
     if ended.killed:
         yield f"hung for {_PATIENCE_S:.0f} s"
     elif ended.exit_code not in (0, 1, 3):
         yield f"exit code {ended.exit_code}: {ended.said[-300:]}"
-    elif ended.exit_code == 1 and len(errors) != 1:
-        yield f"exit code 1 with {len(errors)} lines of error: {ended.said[-300:]}"
+    elif ended.exit_code == 1 and len(ended.errors) != 1:
+        yield f"exit code 1 with {len(ended.errors)} lines of error: {ended.said[-300:]}"
     elif ended.exit_code == 0 and seen:
         yield "damage went unsaid"
     elif (out / "run.json").exists() != (ended.exit_code in (0, 3)):
         yield f"run.json does not go with exit code {ended.exit_code}"
-    if "Traceback" in ended.said or "internal: " in ended.said:
+    if ended.crashed:
         yield ended.said[-300:]
     if ended.cpu_s > _SLOW * clean_cpu_s + _SLOW_S:
         yield f"took {ended.cpu_s:.1f} s, {ended.cpu_s / clean_cpu_s:.1f} times the undamaged"
@@ -299,10 +299,6 @@ def _difference(found: dict[str, str], expected: dict[str, str]) -> str:
     return ", ".join(names[:3]) + more
 
 
-def _all_saves() -> str:
-    return ",".join(_SAVES)
-
-
 def killed(clip: Clip, folder: Path, trials: Sequence[int], seed: int) -> Verdict:
     """Kill runs at random moments, and have them go on."""
     every = clip.count // 3
@@ -314,7 +310,7 @@ def killed(clip: Clip, folder: Path, trials: Sequence[int], seed: int) -> Verdic
     out = folder / "out"
     command = [
         *("run", *map(str, clip.paths), "--rig", str(clip.rig_file), "--save"),
-        *(_all_saves(), "--jobs", "2", "--checkpoint-frames", str(every)),
+        *(_ALL_SAVES, "--jobs", "2", "--checkpoint-frames", str(every)),
         *("--no-check", "--resume", "-o", str(out)),
     ]
     whole = call(command, seconds=_PATIENCE_S)
@@ -396,10 +392,9 @@ def full(clip: Clip, folder: Path, trials: Sequence[int], seed: int) -> Verdict:
 
 
 def _disk_faults(ended: Ended, out: Path, expected: dict[str, str]) -> Iterator[str]:
-    lines = [line for line in ended.said.splitlines() if line.startswith("error: ")]
-    if ended.exit_code != 1 or len(lines) != 1 or str(out) not in lines[0]:
+    if ended.exit_code != 1 or len(ended.errors) != 1 or str(out) not in ended.errors[0]:
         yield f"exit code {ended.exit_code}: {ended.said[-300:]}"
-    if "Traceback" in ended.said or "internal: " in ended.said:
+    if ended.crashed:
         yield ended.said[-300:]
     for path in sorted(path for path in out.rglob("*") if path.is_file()):
         name = str(path.relative_to(out))
@@ -440,7 +435,7 @@ def repeat(clip: Clip, folder: Path, trials: Sequence[int], seed: int) -> Verdic
         done = subprocess.run(
             [
                 *(sys.executable, "-m", "motionstereo_cli", "run", *map(str, clip.paths)),
-                *("--rig", str(clip.rig_file), "--save", _all_saves()),
+                *("--rig", str(clip.rig_file), "--save", _ALL_SAVES),
                 *("--jobs", str(jobs), "-o", str(out)),
             ],
             env=environment,
@@ -549,7 +544,7 @@ def torture(trials: Mapping[str, int], *, first: int = 0, seed: int = 0) -> list
         warm_up(
             [
                 *("run", *map(str, clip.paths), "--rig", str(clip.rig_file), "--jobs", "1"),
-                *("--save", _all_saves(), "-o", str(folder / "warm_up")),
+                *("--save", _ALL_SAVES, "-o", str(folder / "warm_up")),
             ]
         )
         for part, count in trials.items():

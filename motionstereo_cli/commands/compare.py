@@ -92,14 +92,11 @@ def compare(
         write_whole(json_path, library.format_json(report).encode())
 
     for line in report.notes:
-        _note(line)
+        say("note", line)
     if picture:
         image = report.worst_image
-        _note(f"{image.name} differs most: {picture}" if image else "no picture: no images differ")
+        found = f"{image.name} differs most: {picture}" if image else "no picture: no images differ"
+        say("note", found)
     shown = library.format_json if json_path == _STDOUT else library.format_table
     click.echo(shown(report), nl=False)
     return DIFFERENT_EXIT_CODE if report.differs else 0
-
-
-def _note(text: str) -> None:
-    say("note", text)

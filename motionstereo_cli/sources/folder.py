@@ -19,7 +19,7 @@ import numpy as np
 from PIL import Image as Pillow
 
 from motionstereo_cli.errors import InputError
-from motionstereo_cli.reading import MOST_TABLE_BYTES, read_text
+from motionstereo_cli.reading import MOST_TABLE_BYTES, read_text, sha256_of
 from motionstereo_cli.settings import MOST_PIXELS
 from motionstereo_cli.sources.stream import Image, Stream, images
 
@@ -156,9 +156,7 @@ class FolderStream(Stream):
         sums, size = hashlib.sha256(), 0
         for path in self._files:
             if path.is_file():
-                with path.open("rb") as file:
-                    digest = hashlib.file_digest(file, "sha256").hexdigest()
-                sums.update(f"{digest}  {path.name}\n".encode())
+                sums.update(f"{sha256_of(path)}  {path.name}\n".encode())
                 size += path.stat().st_size
         return {"bytes": size, "sha256": sums.hexdigest()}
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import hashlib
 import logging
 from collections.abc import Iterator
 from fractions import Fraction
@@ -17,6 +16,7 @@ import numpy as np
 from av.video.reformatter import ColorRange
 
 from motionstereo_cli.errors import InputError
+from motionstereo_cli.reading import sha256_of
 from motionstereo_cli.settings import MOST_PIXELS
 from motionstereo_cli.sources.pipe import Pipe
 from motionstereo_cli.sources.stream import Image, Stream, images
@@ -175,9 +175,7 @@ class VideoStream(Stream):
             return {"bytes": self._path.bytes_read, "sha256": self._path.sha256}
         if isinstance(self._path, str):
             return {"bytes": None, "sha256": None}
-        with self._path.open("rb") as file:
-            sha256 = hashlib.file_digest(file, "sha256").hexdigest()
-        return {"bytes": self._path.stat().st_size, "sha256": sha256}
+        return {"bytes": self._path.stat().st_size, "sha256": sha256_of(self._path)}
 
     def _check_interrupt(self) -> None:
         if isinstance(self._path, Pipe) and self._path.interrupted:
