@@ -10,6 +10,7 @@ from motionstereo_cli.commands.compare import compare
 from motionstereo_cli.commands.drive import drive
 from motionstereo_cli.commands.evaluate import evaluate
 from motionstereo_cli.commands.figure import figure
+from motionstereo_cli.commands.help import show_help
 from motionstereo_cli.commands.info import info
 from motionstereo_cli.commands.rig import rig
 from motionstereo_cli.commands.run import run
@@ -31,3 +32,4 @@ cli.add_command(simulate)
 cli.add_command(drive)
 cli.add_command(evaluate)
 cli.add_command(compare)
+cli.add_command(show_help)

@@ -1,0 +1,65 @@
+"""``motionstereo help``: the pages of the documentation, and the help of each command."""
+
+from __future__ import annotations
+
+import difflib
+import re
+import sys
+from importlib import resources
+
+import click
+
+# Comments mark the generated parts of a page.
+_COMMENT = re.compile(r"<!--.*?-->\n")
+
+
+def pages() -> dict[str, str]:
+    """Return the Markdown text of each page of the documentation, by its topic."""
+    folder = resources.files("motionstereo_cli") / "docs"
+    found = sorted(folder.iterdir(), key=lambda page: page.name)
+    return {
+        page.name.removesuffix(".md"): _COMMENT.sub("", page.read_text(encoding="utf-8"))
+        for page in found
+        if page.name.endswith(".md")
+    }
+
+
+def subject(page: str) -> str:
+    """Return what a page is about: its heading after the colon."""
+    return page.partition("\n")[0].partition(": ")[2]
+
+
+@click.command("help")
+@click.argument("topic", required=False)
+@click.pass_context
+def show_help(context: click.Context, topic: str | None) -> None:
+    """Print a page of the documentation, or the help of a command.
+
+    Without TOPIC it lists the topics.
+    """
+    topics = pages()
+    group = context.parent
+    assert group is not None
+    assert isinstance(group.command, click.Group)
+    commands = group.command.commands
+    if topic is None:
+        width = max(map(len, topics))
+        lines = [f"  {name:<{width}}  {subject(page)}" for name, page in topics.items()]
+        click.echo("\n".join(["Topics (motionstereo help TOPIC):", *lines]))
+        click.echo(f"Commands (motionstereo help COMMAND): {', '.join(commands)}")
+    elif topic in commands:
+        _show(commands[topic].get_help(click.Context(commands[topic], group, topic)))
+    elif topic in topics:
+        _show(topics[topic])
+    else:
+        near = difflib.get_close_matches(topic, [*topics, *commands], n=1)
+        advice = f"did you mean {near[0]}?" if near else f"choose from {', '.join(topics)}"
+        raise click.UsageError(f"there is no topic {topic!r}: {advice}", context)
+
+
+def _show(text: str) -> None:
+    """Print a text, page by page where a person reads it on a terminal."""
+    if sys.stdout.isatty():
+        click.echo_via_pager(text)
+    else:
+        click.echo(text)
