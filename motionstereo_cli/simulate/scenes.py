@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import math
+from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, NamedTuple
 
+import cv2
 import numpy as np
 
-from motionstereo_cli.simulate.camera import Pose, World, stereo_cameras
+from motionstereo_cli.simulate.camera import Camera, Pose, View, World, stereo_cameras
 from motionstereo_cli.simulate.cards import Cards, pan_pose
 from motionstereo_cli.simulate.corridor import Corridor
+from motionstereo_cli.simulate.layers import Layers
 from motionstereo_cli.simulate.settings import SimulateSettings
 
 if TYPE_CHECKING:
@@ -34,6 +37,45 @@ class SceneFrame(NamedTuple):
     pose: Pose
 
 
+class _Scene(NamedTuple):
+    """A world, and where the rig is in it at a frame, whole or not, of a given duration in s."""
+
+    world: World
+    pose: Callable[[float, float], Pose]
+
+
+def _corridor(settings: SimulateSettings) -> _Scene:
+    corridor = Corridor(settings.corridor_width_m, settings.corridor_length_m, settings.seed)
+    return _Scene(corridor, lambda frame, _: corridor.path(frame))
+
+
+def _standing(world: World, settings: SimulateSettings) -> _Scene:
+    def pose(frame: float, frame_s: float) -> Pose:
+        return pan_pose(frame * frame_s) if settings.pan else Pose(0.0, 0.0, 0.0)
+
+    return _Scene(world, pose)
+
+
+def _cards(settings: SimulateSettings) -> _Scene:
+    return _standing(Cards(settings.rig.focal_px, settings.seed), settings)
+
+
+def _layers(settings: SimulateSettings) -> _Scene:
+    return _standing(Layers(stereo_cameras(settings.rig)[1], settings.seed), settings)
+
+
+_SCENES: dict[str, Callable[[SimulateSettings], _Scene]] = {
+    "corridor": _corridor,
+    "cards": _cards,
+    "layers": _layers,
+}
+
+#: Moments of an open shutter that are averaged.
+_MOMENTS = 7
+#: Of a flickering lamp: cycles from frame to frame, less whole ones; its light rolls over the rows.
+_FLICKER_CYCLES = 0.37
+
+
 def render_scene(settings: SimulateSettings) -> Iterator[SceneFrame]:
     """Yield the frames of ``settings.frame_range``.
 
@@ -41,26 +83,48 @@ def render_scene(settings: SimulateSettings) -> Iterator[SceneFrame]:
     """
     rig = settings.rig
     cameras = stereo_cameras(rig)
-    world: World
-    if settings.scene == "corridor":
-        corridor = Corridor(settings.corridor_width_m, settings.corridor_length_m, settings.seed)
-        world = corridor
-    else:
-        world = Cards(rig.focal_px, settings.seed)
+    scene = _SCENES[settings.scene](settings)
+    frame_s = 1 / settings.frame_rate
+    moments = np.linspace(-0.5, 0.5, _MOMENTS) * settings.shutter
+
+    def view(camera: Camera, moment: float) -> View:
+        return scene.world.render(scene.pose(moment, frame_s), camera, moment * frame_s)
+
     for frame in settings.frame_range:
-        time_s = frame / settings.frame_rate
-        if settings.scene == "corridor":
-            pose = corridor.path(frame)
-        else:
-            pose = pan_pose(time_s) if settings.pan else Pose(0.0, 0.0, 0.0)
-        left, right = (world.render(pose, camera, time_s) for camera in cameras)
+        views = [view(camera, frame) for camera in cameras]
+        greys = [one.grey for one in views]
+        if settings.shutter:
+            greys = [
+                np.mean([view(camera, frame + moment).grey for moment in moments], axis=0)
+                for camera in cameras
+            ]
+        if settings.flicker:
+            turn = _FLICKER_CYCLES * frame + np.arange(rig.height)[:, None] / rig.height
+            light = (1 + settings.flicker * np.sin(math.tau * turn)).astype(np.float32)
+            greys = [light * grey for grey in greys]
+        greys[0] = np.float32(settings.left_gain) * greys[0] + np.float32(settings.left_offset)
+        left, right = (
+            _compressed(
+                exposed(grey, settings.noise_sigma, (settings.seed, 1, frame, side)),
+                settings.jpeg_quality,
+            )
+            for side, grey in enumerate(greys)
+        )
         yield SceneFrame(
             frame=frame,
-            left=exposed(left.grey, settings.noise_sigma, (settings.seed, 1, frame, 0)),
-            right=exposed(right.grey, settings.noise_sigma, (settings.seed, 1, frame, 1)),
-            disparity_px=rig.focal_px * rig.baseline_m / right.depth_m,
-            pose=pose,
+            left=left,
+            right=right,
+            disparity_px=rig.focal_px * rig.baseline_m / views[1].depth_m,
+            pose=scene.pose(frame, frame_s),
         )
+
+
+def _compressed(grey: Grey, quality: int) -> Grey:
+    """Return an image as JPEG of a quality gives it back; as it is for quality 0."""
+    if not quality:
+        return grey
+    _, data = cv2.imencode(".jpg", grey, [cv2.IMWRITE_JPEG_QUALITY, quality])
+    return cv2.imdecode(data, cv2.IMREAD_GRAYSCALE)  # type: ignore[return-value]
 
 
 def exposed(grey: Real, noise_sigma: float, seed: tuple[int, ...]) -> Grey:

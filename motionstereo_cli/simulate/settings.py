@@ -36,8 +36,9 @@ class SimulateSettings:
     scene: str = param(
         "corridor",
         "corridor: a robot's way round a square corridor; "
-        "cards: textured cards that cross, approach and recede before a textured wall.",
-        choices=("corridor", "cards"),
+        "cards: textured cards that cross, approach and recede before a textured wall; "
+        "layers: cards, slanted and thin ones among them, that overlap before a smooth wall.",
+        choices=("corridor", "cards", "layers"),
     )
     frames: str = param(
         "500",
@@ -52,19 +53,40 @@ class SimulateSettings:
     baseline_m: float = param(0.12, "Distance between the cameras.", unit="m", low=0.001, high=1)
     frame_rate: float = param(30.0, "Frames per second.", unit="Hz", low=1, high=1000)
     corridor_width_m: float = param(
-        3.0, "From inner to outer wall (corridor alone).", unit="m", low=0.5, high=20
+        3.0, "From inner to outer wall (corridor only).", unit="m", low=0.5, high=20
     )
     corridor_length_m: float = param(
         20.0,
-        "Way of the robot along one side and its turn, 125 frames (corridor alone).",
+        "Way of the robot along one side and its turn, 125 frames (corridor only).",
         unit="m",
         low=5,
         high=100,
     )
-    pan: bool = param(False, "Swing the camera from side to side (cards alone).")
+    pan: bool = param(False, "Swing the camera from side to side (cards and layers only).")
     noise_sigma: float = param(
         0.0, "Standard deviation of the sensor noise.", unit="grey levels", low=0, high=100
     )
+    left_gain: float = param(1.0, "Factor of the left camera's grey.", low=0.1, high=10)
+    left_offset: float = param(
+        0.0, "Grey that the left camera adds.", unit="grey levels", low=-255, high=255
+    )
+    flicker: float = param(
+        0.0,
+        "Flicker of the light, as of lamps on mains: the exposure differs by up to this share "
+        "from frame to frame and from row to row, in both cameras alike.",
+        low=0,
+        high=1,
+    )
+    shutter: float = param(
+        0.0,
+        "Share of the time between frames that the shutter is open: motion blur.",
+        low=0,
+        high=1,
+    )
+    jpeg_quality: int = param(
+        0, "Compress each image as JPEG before it is written (0 = not).", low=0, high=100
+    )
+    crf: int = param(18, "H.264 constant rate factor: 0 is best, 35 is poor.", low=0, high=51)
     seed: int = param(0, "Seed of the paint and of the noise.", low=0)
     lossless: bool = param(False, "Write FFV1 in Matroska (.mkv) instead of H.264 (.mp4).")
 

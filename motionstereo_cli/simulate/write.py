@@ -57,7 +57,7 @@ def simulate(
     poses = [HEAD]
     try:
         for path in sides:
-            videos.append(VideoWriter(path, time_base))
+            videos.append(VideoWriter(path, time_base, quality=settings.crf))
         for number, shot in enumerate(render_scene(settings)):
             for video, image in zip(videos, (shot.left, shot.right), strict=True):
                 video.write(image, number)
