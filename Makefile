@@ -2,6 +2,7 @@
 PYTHON ?= python3
 BIN = .venv/bin
 READY = .venv/.ready
+BENCH = PYTHONPATH=tests $(BIN)/python -m bench
 # What sample_data/golden has.
 GOLDEN = steering,depth,disparity
 
@@ -45,7 +46,7 @@ fuzz: $(READY)  ## try damaged calibration, poses, settings and tables, each for
 	$(BIN)/pytest tests/test_fuzz.py -s --fuzz-seconds 600
 
 torture: $(READY)  ## damage input, kill runs, fill disks, run for long: half an hour
-	$(BIN)/python -m motionstereo_cli.bench.torture
+	$(BENCH) torture
 
 # Coverage cannot see into compiled loops, so their tests run once more as plain Python.
 coverage: $(READY)  ## measure which branches of the package the tests pass through
@@ -64,24 +65,24 @@ figures: $(READY)  ## render the paper's figures 2 and 3
 		--frames 265,280,300,320,335,350 --out out/figure3.png
 
 bench: $(READY)  ## measure how fast everything is, against StereoBM and StereoSGBM
-	$(BIN)/python -m motionstereo_cli.bench.speed
+	$(BENCH) speed
 
 bench-accuracy: $(READY)  ## measure how accurate the matchers are: the README's tables
-	$(BIN)/python -m motionstereo_cli.bench.accuracy
+	$(BENCH) accuracy
 
 check-trials: $(READY)  ## try the command check on 20 simulated recordings, each good and spoilt
 	$(BIN)/pytest tests/test_check.py -k trial --trials 20
 
 bench-objects: $(READY)  ## measure how well moving things are followed
-	$(BIN)/python -m motionstereo_cli.bench.objects
+	$(BENCH) objects
 
 bench-drive: $(READY)  ## let the robot find its way by different depths; resumes where it was
-	$(BIN)/python -m motionstereo_cli.bench.drive
-	$(BIN)/python -m motionstereo_cli.bench.drive --walkers 2
+	$(BENCH) drive
+	$(BENCH) drive --walkers 2
 
 bench-map: $(READY)  ## measure how true the map of a drive is
-	$(BIN)/python -m motionstereo_cli.bench.map
-	$(BIN)/python -m motionstereo_cli.bench.map --walkers 2
+	$(BENCH) map
+	$(BENCH) map --walkers 2
 
 renew: $(READY)  ## accept what the code gives now: the README's tables and the sample
 	$(BIN)/pytest tests/test_readme.py --renew

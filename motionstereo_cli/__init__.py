@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from motionstereo_cli.errors import MotionStereoError
     from motionstereo_cli.pipeline import process
-    from motionstereo_cli.poses import read_poses
     from motionstereo_cli.rig.calibration import rectify_source
+    from motionstereo_cli.rig.poses import read_poses
     from motionstereo_cli.rig.rig_file import read_rig
     from motionstereo_cli.settings import Settings
     from motionstereo_cli.sources.settings import InputSettings, adapted_rig
@@ -36,8 +36,8 @@ __all__ = [
 _MODULES = {
     "errors": ("MotionStereoError",),
     "pipeline": ("process",),
-    "poses": ("read_poses",),
     "rig.calibration": ("rectify_source",),
+    "rig.poses": ("read_poses",),
     "rig.rig_file": ("read_rig",),
     "settings": ("Settings",),
     "sources.settings": ("InputSettings", "adapted_rig"),

@@ -12,7 +12,7 @@ from types import FrameType
 import click
 
 from motionstereo_cli.commands import cli
-from motionstereo_cli.commands.talk import say
+from motionstereo_cli.commands.messages import say
 from motionstereo_cli.errors import INTERRUPTED_EXIT_CODE, MotionStereoError
 
 

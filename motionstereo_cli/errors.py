@@ -5,7 +5,9 @@ The command line prints it as it stands and exits with ``exit_code``.
 """
 
 #: Exit codes beside 0 (done) and those of the errors below.
-DAMAGED_EXIT_CODE, DIFFERENT_EXIT_CODE, INTERRUPTED_EXIT_CODE = 3, 4, 130
+DAMAGED_EXIT_CODE = 3
+DIFFERENT_EXIT_CODE = 4
+INTERRUPTED_EXIT_CODE = 130
 
 
 class MotionStereoError(Exception):

@@ -6,121 +6,19 @@ dataclasses declared with :func:`param`, here and in ``simulate``.
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterator
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass
 from typing import Any
 
 from motionstereo_cli.errors import SettingsError
-
-
-@dataclass(frozen=True, slots=True)
-class Param:
-    """What one parameter may be.
-
-    Attributes:
-        name: field name, as in the configuration file and run.json.
-        kind: ``bool``, ``int``, ``float`` or ``str``.
-        default: its value where nobody sets it.
-        help: one sentence for users.
-        unit: unit of the number, empty where it is a plain number or a choice.
-        low, high: inclusive range of a number, None where open.
-        choices: allowed strings, empty where any.
-    """
-
-    name: str
-    kind: type
-    default: Any
-    help: str
-    unit: str
-    low: float | None
-    high: float | None
-    choices: tuple[str, ...]
-
-    @property
-    def flag(self) -> str:
-        """The name as a command-line option."""
-        return "--" + self.name.replace("_", "-")
-
-    @property
-    def range(self) -> str:
-        """The allowed values in words, empty where everything of its kind is allowed."""
-        if self.choices:
-            return " | ".join(self.choices)
-        if self.low is None and self.high is None:
-            return ""
-        if self.high is None:
-            return f"at least {self.low:,.10g}"
-        return f"{self.low:,.10g} to {self.high:,.10g}"
-
-    def parse(self, value: object) -> Any:
-        """Return ``value`` (perhaps text) as this parameter's kind, within its range.
-
-        Raises:
-            SettingsError: it is of another kind, not a number, or out of range.
-        """
-        wanted = {bool: "true or false", int: "a whole number", float: "a number", str: "text"}
-        try:
-            if self.kind is bool and not isinstance(value, bool):
-                raise ValueError
-            if self.kind in (int, float) and isinstance(value, bool):
-                raise ValueError
-            if self.kind is int and isinstance(value, float) and not value.is_integer():
-                raise ValueError
-            parsed = self.kind(value)
-        except (TypeError, ValueError, OverflowError):
-            raise self._error(value, f"give {wanted[self.kind]}") from None
-        if self.choices and parsed not in self.choices:
-            raise self._error(value, f"choose {self.range}")
-        if self.kind in (int, float) and not (
-            (self.kind is int or math.isfinite(parsed))
-            and (self.low is None or parsed >= self.low)
-            and (self.high is None or parsed <= self.high)
-        ):
-            raise self._error(value, f"give {self.range or 'a finite number'}")
-        return parsed
-
-    def _error(self, value: object, advice: str) -> SettingsError:
-        unit = f" {self.unit}" if self.unit else ""
-        return SettingsError(f"{self.flag} cannot be {value!r}: {advice}{unit}")
-
-
-def param(
-    default: Any,
-    help: str,
-    *,
-    unit: str = "",
-    low: float | None = None,
-    high: float | None = None,
-    choices: tuple[str, ...] = (),
-) -> Any:
-    """Declare a dataclass field that :func:`params` describes and :func:`checked` verifies."""
-    meta = {"help": help, "unit": unit, "low": low, "high": high, "choices": choices}
-    return field(default=default, metadata=meta)
-
-
-def params(settings: type) -> Iterator[Param]:
-    """Yield the declared parameters of a dataclass, in order."""
-    for item in fields(settings):
-        yield Param(item.name, type(item.default), item.default, **item.metadata)
-
-
-def checked(settings: Any) -> None:
-    """Verify each parameter of a dataclass instance; for its ``__post_init__``.
-
-    Raises:
-        SettingsError: a value is of the wrong kind or out of range.
-    """
-    for item in params(type(settings)):
-        object.__setattr__(settings, item.name, item.parse(getattr(settings, item.name)))
-
+from motionstereo_cli.params import checked, param
 
 #: The largest age in frames that can be told apart.
 FOREVER = 254
 
 #: Larger images than these, in px, come from a damaged or hostile file unless the user says
 #: otherwise. Beyond the second number Pillow reads none.
-MOST_PIXELS, MOST_PIXELS_OF_ALL = 64_000_000, 178_000_000
+MOST_PIXELS = 64_000_000
+MOST_PIXELS_OF_ALL = 178_000_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -311,49 +209,4 @@ PRESETS: dict[str, dict[str, Any]] = {
         "match_on": "charge",
         "max_residual": 255.0,
     },
-}
-
-
-@dataclass(frozen=True, slots=True)
-class CompareSettings:
-    """How far images may differ.
-
-    Raises:
-        SettingsError: a value is out of range.
-    """
-
-    tolerance_px: float = param(
-        0.25, "How far a disparity may be from the golden one.", unit="px", low=0, high=2048
-    )
-    tolerance_mm: float = param(
-        100.0, "How far a depth may be from the golden one.", unit="mm", low=0, high=65535
-    )
-    max_differing: float = param(
-        0.01,
-        "Share of an image's pixels that may differ by more, or be known in one image alone.",
-        low=0,
-        high=1,
-    )
-
-    def __post_init__(self) -> None:
-        checked(self)
-
-
-#: How far a number of a table may be from the golden one, by its column. Encoders, decoders and
-#: SIMD differ in the last digits. A column that is not here has to be the same text.
-COLUMN_TOLERANCE = {
-    "time_s": 1e-6,
-    "steer": 0.02,
-    "steer_rad": 0.012,
-    "depth_m": 0.3,
-    "nearest_m": 0.1,
-    "charged": 0.003,
-    "matched": 0.005,
-    "x": 2.0,
-    "y": 2.0,
-    "width": 2.0,
-    "height": 2.0,
-    "closing_mps": 0.2,
-    "time_to_contact_s": 0.5,
-    "confidence": 0.1,
 }

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     Grey = NDArray[np.uint8]
-    Units = NDArray[np.uint16]
+    MatchKeys = NDArray[np.uint16]
     Real = NDArray[np.float32]
 
 
@@ -175,3 +175,12 @@ class FrameResult:
     matched: float
     pose: Pose | None = None
     objects: tuple[MovingObject, ...] = ()
+
+
+def camera_place(rig: Rig, pose: Pose, camera: str) -> tuple[float, float]:
+    """Return where the ``left`` or ``right`` camera is in the world, x and y in m."""
+    to_right_m = rig.baseline_m / (2 if camera == "right" else -2)
+    return (
+        pose.x_m + to_right_m * math.sin(pose.yaw_rad),
+        pose.y_m - to_right_m * math.cos(pose.yaw_rad),
+    )

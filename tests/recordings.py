@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 Images = list[NDArray[np.uint8]]
-LIMITED, FULL = 1, 2
+LIMITED = 1
+FULL = 2
 COUNT = 12
 
 

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 import motionstereo_cli
+from motionstereo_cli.files.video import VideoWriter
 from motionstereo_cli.rig import write_rig
-from motionstereo_cli.sinks.video import VideoWriter
 from motionstereo_cli.types import Rig
 
 FIVE_LINES = """

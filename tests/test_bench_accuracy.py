@@ -5,10 +5,12 @@ import json
 import numpy as np
 import pytest
 
-from motionstereo_cli.bench import accuracy
-from motionstereo_cli.bench.peers import stereo_bm, stereo_sgbm
+from bench import accuracy
+from bench.peers import stereo_bm, stereo_sgbm
 
-WIDTH, HEIGHT, DISPARITY = 200, 90, 21
+WIDTH = 200
+HEIGHT = 90
+DISPARITY = 21
 
 
 @pytest.fixture(scope="module")

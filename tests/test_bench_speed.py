@@ -7,12 +7,13 @@ import time
 import cv2
 import pytest
 
+from bench import speed
+from bench.clips import first_frames, rendered, repeated
+from bench.speed_report import format_markdown, goals
+from bench.timing import Cost, Key, core_count, on_cores, python
 from motionstereo_cli import pipeline
 from motionstereo_cli.__main__ import main
-from motionstereo_cli.bench import speed
-from motionstereo_cli.bench.clips import first_frames, rendered, repeated
-from motionstereo_cli.bench.speed_report import format_markdown, goals
-from motionstereo_cli.bench.timing import Cost, Key, core_count, on_cores, python
+from motionstereo_cli.robot.guide import Guide
 from motionstereo_cli.simulate.settings import SimulateSettings
 
 
@@ -40,14 +41,14 @@ def test_a_clip_put_end_to_end_shows_the_same_again(clip, tmp_path):
 
 
 def test_the_clock_sees_the_steps_and_leaves_no_trace(clip):
-    before = dict(vars(pipeline)), pipeline.Memory.see, pipeline.Guide.steer
+    before = dict(vars(pipeline)), pipeline.Memory.see, Guide.steer
     with speed.stage_clock() as seconds:
         assert sum(1 for _ in pipeline.process(clip.frames(100))) == 6
-    assert (dict(vars(pipeline)), pipeline.Memory.see, pipeline.Guide.steer) == before
+    assert (dict(vars(pipeline)), pipeline.Memory.see, Guide.steer) == before
     for step in (
         "Memory.see",
         "match",
-        "Follower.follow",
+        "Tracker.follow",
         "Guide.steer",
         "bands.blur",
         "trails.match_trails",

@@ -10,14 +10,15 @@ import numpy as np
 import pytest
 
 from motionstereo_cli.__main__ import main
-from motionstereo_cli.check import WINDOW_FRAMES, CheckReport, Finding, check, watched
+from motionstereo_cli.analysis.check import WINDOW_FRAMES, CheckReport, Finding, check, watched
 from motionstereo_cli.simulate.scenes import render_scene
 from motionstereo_cli.simulate.settings import SimulateSettings
 from motionstereo_cli.types import StereoFrame
 
 SAMPLE = Path(__file__).parent.parent / "sample_data"
 MAX_DISPARITY = 64
-FRAMES, SHORT = 36, 20
+FRAMES = 36
+SHORT = 20
 
 Views = tuple[np.ndarray, np.ndarray]
 

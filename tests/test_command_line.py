@@ -23,19 +23,23 @@ import numpy as np
 import pytest
 
 from motionstereo_cli.__main__ import main
+from motionstereo_cli.batch.run import run as run_library
 from motionstereo_cli.commands import cli
 from motionstereo_cli.commands.options import settings_options
 from motionstereo_cli.errors import OutputError
-from motionstereo_cli.run import run as run_library
-from motionstereo_cli.settings import Settings, param, params
-from motionstereo_cli.sinks import SAVES
-from motionstereo_cli.sinks.video import VideoWriter
+from motionstereo_cli.files.video import VideoWriter
+from motionstereo_cli.params import param, params
+from motionstereo_cli.settings import Settings
+from motionstereo_cli.sinks import OUTPUTS
 from motionstereo_cli.sources import open_stereo
 
 COMMAND = [sys.executable, "-m", "motionstereo_cli"]
 #: Outputs that need poses as well.
 NEED_MORE = {"map"}
-FRAMES, WIDTH, HEIGHT, DISPARITY = 12, 96, 64, 6
+FRAMES = 12
+WIDTH = 96
+HEIGHT = 64
+DISPARITY = 6
 RIG = "width: 96\nheight: 64\nfocal_px: 80\nbaseline_m: 0.1\ncx: 47.5\ncy: 31.5\n"
 
 
@@ -176,11 +180,11 @@ def test_the_table_goes_to_a_file_of_any_name(run_args, rig, recording, capsys):
 
 def test_every_output_can_be_had_at_once(run_args, rig):
     """But for those that need more than a rig."""
-    wanted = [name for name in SAVES if name not in NEED_MORE]
+    wanted = [name for name in OUTPUTS if name not in NEED_MORE]
     assert main([*run_args, *rig, "--save", ",".join(wanted)]) == 0
     out = Path("motionstereo_out")
     for name in wanted:
-        paths = [out / SAVES[name].path.format(index) for index in range(FRAMES)]
+        paths = [out / OUTPUTS[name].path.format(index) for index in range(FRAMES)]
         assert all(path.is_file() for path in paths), name
     assert not list(out.rglob("*.png.part"))
     outputs = json.loads((out / "run.json").read_text())["outputs"]
@@ -217,7 +221,7 @@ def test_a_shorter_side_ends_the_run_with_a_warning_and_exit_code_3(run_args, ca
 
 CUT_AT_FRAME_7 = """
 import os, signal, sys
-import motionstereo_cli.run as library
+import motionstereo_cli.batch.run as library
 from motionstereo_cli.__main__ import main
 
 whole = library.process
@@ -298,7 +302,7 @@ def test_an_output_that_fails_midway_is_named_and_nothing_is_lost(run_args, monk
         path.write_bytes(content)
 
     with monkeypatch.context() as disk:
-        disk.setattr("motionstereo_cli.sinks.files.write_whole", full)
+        disk.setattr("motionstereo_cli.sinks.writers.write_whole", full)
         assert main(run_args) == 1
     out = Path("motionstereo_out")
     lines = capsys.readouterr().err.splitlines()
@@ -411,7 +415,7 @@ def test_an_unexpected_error_is_one_line_unless_debugging(run_args, monkeypatch,
     def broken(*args: object, **options: object) -> None:
         raise ZeroDivisionError("by nought")
 
-    monkeypatch.setattr("motionstereo_cli.run.process", broken)
+    monkeypatch.setattr("motionstereo_cli.batch.run.process", broken)
     assert main([*run_args, "--save", "steering"]) == 1
     assert capsys.readouterr().err == "error: internal: ZeroDivisionError: by nought\n"
     monkeypatch.setenv("MOTIONSTEREO_DEBUG", "1")

@@ -15,8 +15,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from motionstereo_cli.compare import (
-    Output,
+from motionstereo_cli.analysis.compare import (
+    Compared,
     Report,
     WorstImage,
     compare,
@@ -26,9 +26,9 @@ from motionstereo_cli.compare import (
     format_table,
     read_table,
 )
+from motionstereo_cli.analysis.settings import CompareSettings
 from motionstereo_cli.errors import InputError, SettingsError
-from motionstereo_cli.settings import CompareSettings
-from motionstereo_cli.sinks import SAVES, Save
+from motionstereo_cli.sinks import OUTPUTS, Output
 
 STEERING = """\
 frame,pts,time_s,status,steer,steer_rad,depth_m,nearest_m,charged,matched
@@ -362,7 +362,7 @@ def test_rows_are_told_apart_by_frame_and_id(tmp_path):
 
 
 def test_objects_are_compared_by_frame_and_id(sides, monkeypatch):
-    monkeypatch.setitem(SAVES, "objects", Save("objects.csv", "a row an object", "none.at_all"))
+    monkeypatch.setitem(OUTPUTS, "objects", Output("objects.csv", "a row an object", "none.at_all"))
     actual, golden = sides
     head = "frame,id,x,y,width,height,depth_m,closing_mps,time_to_contact_s,confidence\n"
     rows = ["1,1,10,5,4,8,2.0,0.50,4.0,0.9\n", "1,2,50,5,4,8,3.0,,,0.5\n"]
@@ -444,7 +444,7 @@ def test_junit_has_a_case_for_each_output_and_counts_failures(sides):
 
 @given(st.text(), st.text())
 def test_junit_is_xml_whatever_the_values(what, words):
-    output = Output("run.json", "values")
+    output = Compared("run.json", "values")
     output.differ(what, words)
     suite = ET.fromstring(format_junit(Report((output,), (), None)))
     assert suite.find("testcase/failure") is not None

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from motionstereo_cli.bench import drive as bench
+from bench import drive as bench
 from motionstereo_cli.commands import cli
-from motionstereo_cli.drive import OUTPUTS, driven
 from motionstereo_cli.errors import MotionStereoError, SettingsError
 from motionstereo_cli.settings import Settings
-from motionstereo_cli.simulate.camera import Pose, stereo_cameras
+from motionstereo_cli.simulate.camera import FloorPose, stereo_cameras
 from motionstereo_cli.simulate.corridor import Corridor
+from motionstereo_cli.simulate.drive import OUTPUTS, driven
 from motionstereo_cli.simulate.drive_world import (
     MOST_TURN_RAD,
     MOST_WAY_M,
@@ -107,7 +107,7 @@ class TestWorld:
                 if way_m < 1e-6:
                     break
                 yaw_rad = math.atan2(*(goal - here)[::-1])
-                world.robot = Pose(world.robot.x_m, world.robot.y_m, yaw_rad)
+                world.robot = FloorPose(world.robot.x_m, world.robot.y_m, yaw_rad)
                 world.act(Command(way_m, 0.0))
         assert world.ended == ("laps done" if sense > 0 else None)
         assert (world.laps >= 1) == (sense > 0)
@@ -156,7 +156,7 @@ class TestWalkers:
             yield corridor, before, walkers
 
     def test_never_walk_into_a_robot_at_rest_nor_out_of_the_corridor(self):
-        robot = Pose(0.0, -(Corridor(2.0, 14).outer_m - 1.0), 0.0)
+        robot = FloorPose(0.0, -(Corridor(2.0, 14).outer_m - 1.0), 0.0)
         moved = np.zeros(12)
         for corridor, before, after in self.walked(12, 1500, robot):
             for number, (old, new) in enumerate(zip(before, after, strict=True)):
@@ -204,7 +204,7 @@ class TestWalkers:
     def test_its_paint_stays_on_it_when_the_robot_turns(self):
         pose = Corridor(3.0, 20.0).path(10)
         walker = Walker(pose.x_m + 2.0, pose.y_m, 0.3, 1.0, crosses=False)
-        turned = Pose(pose.x_m, pose.y_m, 0.1)
+        turned = FloorPose(pose.x_m, pose.y_m, 0.1)
         rows = []
         for each in (pose, turned):
             _, empty, view = self.scene(walker, each)

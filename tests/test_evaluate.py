@@ -15,8 +15,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from motionstereo_cli.errors import InputError
-from motionstereo_cli.evaluate import (
+from motionstereo_cli.analysis.evaluate import (
     Comparison,
     FramePair,
     Maps,
@@ -25,14 +24,10 @@ from motionstereo_cli.evaluate import (
     format_table,
     tally,
 )
+from motionstereo_cli.errors import InputError
+from motionstereo_cli.files.images import encode_pfm, encode_png, encode_tiff
 from motionstereo_cli.rig import write_rig
-from motionstereo_cli.sinks.images import (
-    depth_png,
-    disparity_png,
-    encode_pfm,
-    encode_png,
-    encode_tiff,
-)
+from motionstereo_cli.sinks.images import depth_png, disparity_png
 from motionstereo_cli.types import Rig
 
 NAN = math.nan

@@ -29,14 +29,14 @@ from test_compare import RECORD, STEERING, written
 from test_rig import VALUES, rig_file
 
 from motionstereo_cli.__main__ import main
-from motionstereo_cli.compare import compare, read_table
+from motionstereo_cli.analysis.compare import compare, read_table
+from motionstereo_cli.analysis.evaluate import Comparison, Maps
+from motionstereo_cli.batch.folder import prepare
 from motionstereo_cli.errors import MotionStereoError
-from motionstereo_cli.evaluate import Comparison, Maps
-from motionstereo_cli.poses import read_poses
 from motionstereo_cli.rig import format_rig, read_rig
 from motionstereo_cli.rig.calibration import read_calibration
-from motionstereo_cli.sinks.folder import prepare
-from motionstereo_cli.sources.folder import FolderStream
+from motionstereo_cli.rig.poses import read_poses
+from motionstereo_cli.sources.folder import FolderRecording
 
 #: A warning of NumPy's would be talk that no user can follow.
 pytestmark = pytest.mark.filterwarnings("error")
@@ -248,7 +248,7 @@ def test_time_stamps_of_images(fuzz, tmp_path):
 
     def check(content):
         (tmp_path / "data.csv").write_bytes(content)
-        stream = result_of(FolderStream, tmp_path / "data")
+        stream = result_of(FolderRecording, tmp_path / "data")
         if stream is not None:
             result_of(lambda: [(image.pts, stream.time_base) for image in stream])
 

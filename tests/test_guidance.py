@@ -5,9 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from motionstereo_cli.pipeline import Guide
-from motionstereo_cli.settings import Settings
-from motionstereo_cli.stages.guidance import (
+from motionstereo_cli.robot.guide import Guide
+from motionstereo_cli.robot.heading import (
     DIRECTIONS_RAD,
     Course,
     free_ways,
@@ -15,7 +14,7 @@ from motionstereo_cli.stages.guidance import (
     travelled,
     wrapped,
 )
-from motionstereo_cli.stages.local_map import (
+from motionstereo_cli.robot.local_map import (
     CELL_M,
     CELLS,
     CERTAIN,
@@ -26,10 +25,12 @@ from motionstereo_cli.stages.local_map import (
     profile,
     seen,
 )
+from motionstereo_cli.settings import Settings
 from motionstereo_cli.types import Pose, Rig
 
 NAN = np.float32(np.nan)
-WIDTH, HEIGHT = 160, 120
+WIDTH = 160
+HEIGHT = 120
 RIG = Rig(WIDTH, HEIGHT, focal_px=140, baseline_m=0.12, cx=79.5, cy=59.5)
 FB = RIG.focal_px * RIG.baseline_m
 BEARINGS = 80

@@ -18,14 +18,14 @@ import pytest
 from recordings import COUNT, FULL, cut, encode, folder, remux, scene
 
 from motionstereo_cli.__main__ import main
-from motionstereo_cli.commands.talk import printable
+from motionstereo_cli.commands.messages import printable
 from motionstereo_cli.errors import InputError
-from motionstereo_cli.poses import read_poses
 from motionstereo_cli.rig.calibration import read_calibration
+from motionstereo_cli.rig.poses import read_poses
 from motionstereo_cli.sources import open_stereo
+from motionstereo_cli.sources.recording import Recording
 from motionstereo_cli.sources.settings import InputSettings
-from motionstereo_cli.sources.stream import Stream
-from motionstereo_cli.sources.video import VideoStream
+from motionstereo_cli.sources.video import VideoRecording
 
 
 def called(*args: object) -> tuple[int, str]:
@@ -44,7 +44,7 @@ def moving(count: int = COUNT, size: int = 128) -> list[np.ndarray]:
     return [np.ascontiguousarray(smooth[:, 3 * i : 3 * i + size]) for i in range(count)]
 
 
-def consumed(stream: Stream) -> Stream:
+def consumed(stream: Recording) -> Recording:
     for _ in stream:
         pass
     stream.close()
@@ -129,8 +129,8 @@ def test_images_decoded_from_a_damaged_one_are_flawed_until_the_next_key_frame(
         half = len(packet) // 2
         return packet[:half] + bytes(len(packet) - half) if index == 7 else packet
 
-    assert consumed(VideoStream(whole)).flawed == 0
-    stream = consumed(VideoStream(remux(whole, tmp_path / "spoilt.mp4", spoil)))
+    assert consumed(VideoRecording(whole)).flawed == 0
+    stream = consumed(VideoRecording(remux(whole, tmp_path / "spoilt.mp4", spoil)))
     assert stream.flawed + stream.lost == 5  # 7..11; 12 is a key frame
     assert stream.flawed >= 4
 
@@ -139,7 +139,7 @@ def test_images_decoded_in_place_of_missing_ones_are_flawed(tmp_path: Path) -> N
     options = {"g": "6", "bf": "0", "sc_threshold": "0"}
     whole = encode(tmp_path / "whole.mkv", moving(18), "libx264", "yuv420p", options=options)
     path = remux(whole, tmp_path / "gap.mkv", lambda i, packet: None if i == 8 else packet)
-    stream = consumed(VideoStream(path))
+    stream = consumed(VideoRecording(path))
     assert (stream.lost, stream.flawed) == (1, 3)  # 9..11
 
 
@@ -152,8 +152,8 @@ def test_a_wrong_checksum_is_seen(tmp_path: Path) -> None:
         wrong = bytes([packet[middle] ^ 8])
         return packet[:middle] + wrong + packet[middle + 1 :] if index in (3, 4) else packet
 
-    assert consumed(VideoStream(whole)).damage == []
-    stream = consumed(VideoStream(remux(whole, tmp_path / "spoilt.mkv", flip)))
+    assert consumed(VideoRecording(whole)).damage == []
+    stream = consumed(VideoRecording(remux(whole, tmp_path / "spoilt.mkv", flip)))
     assert stream.flawed == 2
     assert "2 images decoded with errors" in stream.damage[0]
 
@@ -190,7 +190,7 @@ def test_decoding_damaged_videos_is_repeatable(tmp_path: Path) -> None:
         path = remux(whole, tmp_path / "spoilt.mp4", flip)
         runs = []
         for _ in range(3):
-            stream = VideoStream(path)
+            stream = VideoRecording(path)
             pixels = [(image.number, image.pts, image.grey.tobytes()) for image in stream]
             runs.append((pixels, stream.lost, stream.flawed, stream.damage))
             stream.close()
@@ -265,13 +265,13 @@ SCRIPT = "ffconcat version 1.0\nfile secret.ts\n"
 @pytest.mark.parametrize("suffix", [".mp4", ".m3u8"])
 def test_a_recording_makes_no_other_file_be_read(tmp_path: Path, text: str, suffix: str) -> None:
     secret = encode(tmp_path / "secret.ts", scene(), "libx264", "yuv420p")
-    consumed(VideoStream(secret))
+    consumed(VideoRecording(secret))
     path = tmp_path / f"playlist{suffix}"
     path.write_text(text)
     with pytest.raises(InputError, match="is not a video that can be decoded"):
-        VideoStream(path)
+        VideoRecording(path)
     if suffix == ".m3u8":
-        stream = VideoStream(path, allow_network=True)
+        stream = VideoRecording(path, allow_network=True)
         assert sum(1 for _ in stream) == COUNT
 
 
@@ -396,4 +396,4 @@ def test_a_codec_that_nobody_knows(tmp_path: Path) -> None:
     path = encode(tmp_path / "video.mkv", scene(), "ffv1", "gray", FULL)
     path.write_bytes(path.read_bytes().replace(b"V_FFV1", b"V_FFVX"))
     with pytest.raises(InputError, match="is in a format that cannot be decoded"):
-        VideoStream(path)
+        VideoRecording(path)

@@ -14,24 +14,12 @@ from click.testing import CliRunner
 from hypothesis import given
 from hypothesis import strategies as st
 
-from motionstereo_cli.bench import map as bench
+from bench import map as bench
+from motionstereo_cli.batch.folder import prepare
 from motionstereo_cli.commands import cli
 from motionstereo_cli.errors import OutputError, SettingsError
-from motionstereo_cli.mapping import Floor, Mapper
-from motionstereo_cli.settings import Settings
-from motionstereo_cli.simulate.camera import Pose as RobotPose
-from motionstereo_cli.simulate.camera import stereo_cameras
-from motionstereo_cli.simulate.corridor import FRAMES_PER_SIDE, Corridor
-from motionstereo_cli.simulate.drive_world import DriveWorld
-from motionstereo_cli.simulate.plan import Plan
-from motionstereo_cli.simulate.settings import DriveSettings
-from motionstereo_cli.sinks import SAVES, Stream
-from motionstereo_cli.sinks.files import part_of
-from motionstereo_cli.sinks.folder import prepare
-from motionstereo_cli.sinks.map import map_png, map_yaml
-from motionstereo_cli.sinks.points import encode_ply
-from motionstereo_cli.sinks.settings import OutputSettings
-from motionstereo_cli.stages.fused_map import (
+from motionstereo_cli.files.atomic import part_of
+from motionstereo_cli.robot.fused_map import (
     OCCUPIED,
     Grid,
     Voxels,
@@ -42,7 +30,19 @@ from motionstereo_cli.stages.fused_map import (
     trimmed,
     voxels_of,
 )
-from motionstereo_cli.stages.points import in_world, points
+from motionstereo_cli.robot.mapper import Floor, Mapper
+from motionstereo_cli.robot.points import in_world, points
+from motionstereo_cli.settings import Settings
+from motionstereo_cli.simulate.camera import Pose as RobotPose
+from motionstereo_cli.simulate.camera import stereo_cameras
+from motionstereo_cli.simulate.corridor import FRAMES_PER_SIDE, Corridor
+from motionstereo_cli.simulate.drive_world import DriveWorld
+from motionstereo_cli.simulate.plan import Plan
+from motionstereo_cli.simulate.settings import DriveSettings
+from motionstereo_cli.sinks import OUTPUTS, RunContext
+from motionstereo_cli.sinks.map import map_png, map_yaml
+from motionstereo_cli.sinks.points import encode_ply
+from motionstereo_cli.sinks.settings import OutputSettings
 from motionstereo_cli.types import FrameResult, Pose, Rig, Steering, StereoFrame
 
 RIG = Rig(width=160, height=120, focal_px=140.0, baseline_m=0.12, cx=79.5, cy=59.5)
@@ -144,8 +144,8 @@ class TestPoints:
     @pytest.mark.parametrize("reference", ["right", "left"])
     def test_each_frame_becomes_a_file(self, tmp_path, reference):
         rig = Rig(width=3, height=2, focal_px=10.0, baseline_m=0.1, cx=1.0, cy=0.5, doffs=0.5)
-        stream = Stream(Fraction(1, 25), Settings(reference=reference), rig)
-        sink = SAVES["points"].open(tmp_path, stream)
+        stream = RunContext(Fraction(1, 25), Settings(reference=reference), rig)
+        sink = OUTPUTS["points"].open(tmp_path, stream)
         depth_m = np.array([[NAN, 1.0, NAN], [NAN, NAN, 2.0]])
         right = np.arange(6, dtype=np.uint8).reshape(2, 3)
         sink.write(result(depth_m, index=7, right=right, left=right + 100))
@@ -432,8 +432,8 @@ class TestPicture:
 
 class TestFiles:
     def sink(self, tmp_path, frames=6, **output):
-        stream = Stream(Fraction(1, 25), Settings(), RIG, OutputSettings(**output))
-        sink = SAVES["map"].open(tmp_path, stream)
+        stream = RunContext(Fraction(1, 25), Settings(), RIG, OutputSettings(**output))
+        sink = OUTPUTS["map"].open(tmp_path, stream)
         for _ in range(frames):
             sink.write(result(wall_depth(STILL, 3.0)))
         return sink
@@ -536,6 +536,6 @@ def test_a_drive_finds_the_walls():
     assert score.true_cells > 0.9
     assert score.found_wall > 0.55
     assert score.true_points > 0.95
-    lines = bench.table({0: score}).splitlines()
+    lines = bench.summary({0: score}).splitlines()
     assert [line.split("|")[1].strip() for line in lines[2:]] == ["0", "mean", "least"]
     assert len({line.count("|") for line in lines}) == 1

@@ -14,7 +14,7 @@ from motionstereo_cli.stages.trails import find_trails, match_trails
 rows = arrays(np.uint16, (5, 13), elements=st.integers(0, 3), fill=st.nothing())
 
 
-def units(*rows):
+def match_keys(*rows):
     return np.array(rows, np.uint16)
 
 
@@ -26,7 +26,7 @@ def listed(trails):
 
 class TestTrails:
     def test_a_trail_is_a_maximal_run_of_one_unit(self):
-        found = find_trails(units([0, 5, 5, 7, 0, 7], [7, 7, 7, 7, 7, 7]))
+        found = find_trails(match_keys([0, 5, 5, 7, 0, 7], [7, 7, 7, 7, 7, 7]))
         assert listed(found) == [(0, 1, 3, 5), (0, 3, 4, 7), (0, 5, 6, 7), (1, 0, 6, 7)]
 
     @given(rows)
@@ -34,27 +34,27 @@ class TestTrails:
         assert listed(find_trails(image)) == oracles.trails_of(image)
 
     def test_a_slanted_trail_runs_from_one_disparity_to_another(self):
-        right = units([0, 0, 9, 9, 9, 9, 0, 0, 0, 0, 0, 0])
-        left = units([0, 0, 0, 0, 0, 9, 9, 9, 9, 9, 9, 0])  # starts 3, stops 5 px to the right
+        right = match_keys([0, 0, 9, 9, 9, 9, 0, 0, 0, 0, 0, 0])
+        left = match_keys([0, 0, 0, 0, 0, 9, 9, 9, 9, 9, 9, 0])  # starts 3, stops 5 px to the right
         found, _ = match_trails(right, left, 8, block_px=(1, 1), least_votes=1)
         assert np.isnan(found[0, [0, 1, 6, 7]]).all()
         assert found[0, 2:6] == pytest.approx([3.25, 3.75, 4.25, 4.75])
 
     def test_a_trail_cut_by_the_border_takes_the_disparity_of_its_other_end(self):
-        right = units([9, 9, 9, 0, 0, 0, 0, 0])
-        left = units([0, 9, 9, 9, 9, 9, 9, 0])
+        right = match_keys([9, 9, 9, 0, 0, 0, 0, 0])
+        left = match_keys([0, 9, 9, 9, 9, 9, 9, 0])
         found, _ = match_trails(right, left, 6, block_px=(1, 1), least_votes=1)
         assert found[0, :3].tolist() == [4, 4, 4]
 
     def test_a_trail_with_two_equal_partners_stays_unknown(self):
-        right = units([0, 9, 9, 0, 0, 0, 0, 0, 0])
-        left = units([0, 0, 9, 9, 0, 9, 9, 0, 0])
+        right = match_keys([0, 9, 9, 0, 0, 0, 0, 0, 0])
+        left = match_keys([0, 0, 9, 9, 0, 9, 9, 0, 0])
         assert np.isnan(match_trails(right, left, 6, block_px=(1, 1), least_votes=1)).all()
 
     def test_a_trail_that_noise_split_takes_what_its_block_elected(self):
         row = [1, 2, 3, 9, 9, 9, 9, 4, 5, 0, 0, 0, 0]
-        right = units(*[row] * 4, row)
-        left = units(*[[0, 0, 0, *row[:-3]]] * 5)
+        right = match_keys(*[row] * 4, row)
+        left = match_keys(*[[0, 0, 0, *row[:-3]]] * 5)
         left[4, 8] = 0  # the run of 9 at 6..9 falls to pieces
         found, votes = match_trails(right, left, 6, block_px=(8, 8), least_votes=8)
         assert found[4, 3:7] == pytest.approx([3, 3, 3, 3], abs=0.1)
@@ -97,8 +97,8 @@ class TestTrails:
 
 class TestRegions:
     def test_each_pixel_keeps_the_displacement_of_its_largest_region(self):
-        right = units([0, 1, 2, 3, 0, 0, 0, 0])
-        left = units([0, 0, 0, 1, 2, 3, 1, 0])  # whole at 2; the 1 alone also at 5
+        right = match_keys([0, 1, 2, 3, 0, 0, 0, 0])
+        left = match_keys([0, 0, 0, 1, 2, 3, 1, 0])  # whole at 2; the 1 alone also at 5
         found = match_regions(right, left, 6)
         assert found[0, 1:4].tolist() == [2, 2, 2]
         assert np.isnan(found[0, [0, 4, 5, 6, 7]]).all()

@@ -12,25 +12,27 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from motionstereo_cli.bench import objects as bench
+from bench import objects as bench
 from motionstereo_cli.commands import cli
-from motionstereo_cli.pipeline import Follower, Guide, nearest_contact
-from motionstereo_cli.settings import Settings
-from motionstereo_cli.simulate.settings import SimulateSettings
-from motionstereo_cli.sinks import SAVES, Stream
-from motionstereo_cli.stages import objects
-from motionstereo_cli.stages.objects import (
+from motionstereo_cli.robot import objects
+from motionstereo_cli.robot.guide import Guide, nearest_contact
+from motionstereo_cli.robot.objects import (
+    Observation,
     Region,
-    Sighting,
     Track,
     follow,
     movement,
     regions,
     trust,
 )
+from motionstereo_cli.robot.tracker import Tracker
+from motionstereo_cli.settings import Settings
+from motionstereo_cli.simulate.settings import SimulateSettings
+from motionstereo_cli.sinks import OUTPUTS, RunContext
 from motionstereo_cli.types import FrameResult, MovingObject, Pose, Rig, Steering, StereoFrame
 
-WIDTH, HEIGHT = 160, 96
+WIDTH = 160
+HEIGHT = 96
 RIG = Rig(width=WIDTH, height=HEIGHT, focal_px=140, baseline_m=0.12, cx=79.5, cy=47.5)
 FB = 140 * 0.12
 NAN = np.float32(np.nan)
@@ -134,19 +136,19 @@ def region(x, nearness_px=10.0, size=20, y=40.0):
     return Region(int(x), int(y), size, size, x + size / 2, y + size / 2, nearness_px, 1.0)
 
 
-def sighting(time_s, place=(1.0, 0.0), where=None):
-    return Sighting(time_s, where or region(0), place, place)
+def observation(time_s, place=(1.0, 0.0), where=None):
+    return Observation(time_s, where or region(0), place, place)
 
 
 def followed(frames):
     """Follow lists of regions; yields the numbers of those seen in each frame."""
     tracks, last = (), 0
     for index, found_regions in enumerate(frames):
-        sightings = [sighting(index / 10, where=each) for each in found_regions]
-        tracks = follow(tracks, sightings, index / 10, last + 1)
+        observations = [observation(index / 10, where=each) for each in found_regions]
+        tracks = follow(tracks, observations, index / 10, last + 1)
         last = max([last, *(track.number for track in tracks)])
         yield (
-            [next(t.number for t in tracks if t.sightings[-1] is each) for each in sightings],
+            [next(t.number for t in tracks if t.observations[-1] is each) for each in observations],
             tracks,
         )
 
@@ -186,14 +188,14 @@ class TestFollowing:
 
     def test_state_is_bounded(self):
         *_, (_, tracks) = followed([[region(50)]] * 100)
-        assert len(tracks[0].sightings) == 12
+        assert len(tracks[0].observations) == 12
         assert tracks[0].seen == 100
 
 
 class TestMovement:
     def track(self, places, seen=None):
-        sightings = tuple(sighting(0.1 * n, place) for n, place in enumerate(places))
-        return Track(1, sightings, len(sightings) if seen is None else seen)
+        observations = tuple(observation(0.1 * n, place) for n, place in enumerate(places))
+        return Track(1, observations, len(observations) if seen is None else seen)
 
     def test_even_motion_is_found_in_spite_of_three_in_twelve_that_are_off(self):
         places = [(4 - 0.05 * n, 0.02 * n) for n in range(12)]
@@ -210,9 +212,9 @@ class TestMovement:
 
     def test_trust_by_hand(self):
         half_known = Region(0, 0, 20, 20, 10, 10, 10.0, 0.5)
-        track = Track(1, (sighting(0.0, where=half_known),), seen=3)
+        track = Track(1, (observation(0.0, where=half_known),), seen=3)
         assert trust(track, None) == pytest.approx(3 / 12 * 0.5)
-        # 1 m away, and at 10 px; two of three sightings are 5 cm off, which is 0.5 px.
+        # 1 m away, and at 10 px; two of three observations are 5 cm off, which is 0.5 px.
         uneven = self.track([(1.0, y) for y in [0.0, 0.05, -0.05] * 4])
         moves = movement(uneven)
         assert moves.residual == pytest.approx(0.05, rel=0.2)
@@ -226,13 +228,13 @@ def frame(index, time_s):
 
 def coming(depths_m, *, rig=RIG, poses=None, timed=True, columns=None):
     """Follow a square of 24 px at depths a tenth of a second apart; return its last state."""
-    follower = Follower(Settings(), rig)
+    tracker = Tracker(Settings(), rig)
     everywhere = np.full((HEIGHT, WIDTH), True)
     for index, depth_m in enumerate(depths_m):
         x = 68 if columns is None else columns[index]
         near = scene((x, 36, 24, 24, FB / depth_m))
         moment = frame(index, index / 10 if timed else None)
-        seen = follower.follow(near, everywhere, moment, poses and poses[index])
+        seen = tracker.follow(near, everywhere, moment, poses and poses[index])
     return seen
 
 
@@ -300,11 +302,11 @@ class TestFollower:
         assert thing.closing_mps == pytest.approx(0, abs=0.05)
 
     def test_when_time_goes_back_it_begins_anew(self):
-        follower = Follower(Settings(), RIG)
+        tracker = Tracker(Settings(), RIG)
         everywhere = np.full((HEIGHT, WIDTH), True)
         times_s = [0.0, 0.1, 0.2, 0.1, 0.2, 0.3]
         ids = [
-            [o.id for o in follower.follow(scene((68, 36, 24, 24, 9)), everywhere, frame(n, t))]
+            [o.id for o in tracker.follow(scene((68, 36, 24, 24, 9)), everywhere, frame(n, t))]
             for n, t in enumerate(times_s)
         ]
         assert ids == [[], [], [1], [], [], [2]]
@@ -372,7 +374,7 @@ class TestNearestContact:
 
 
 def test_the_table_to_the_letter(tmp_path):
-    sink = SAVES["objects"].open(tmp_path, Stream(Fraction(1, 30), Settings(), None))
+    sink = OUTPUTS["objects"].open(tmp_path, RunContext(Fraction(1, 30), Settings(), None))
     image = np.zeros((4, 6), np.float32)
     known = MovingObject(3, 0, 4, 8, 12, 2.71849, -0.00001, 12.5, 1 / 3)
     unknown = MovingObject(12, 100, 4, 8, 12, None, None, None, 1.0)
@@ -404,7 +406,7 @@ def test_the_table_to_the_letter(tmp_path):
 
 @pytest.mark.parametrize("keep", [True, False])
 def test_an_abandoned_table_never_gets_its_name(tmp_path, keep):
-    sink = SAVES["objects"].open(tmp_path, Stream(Fraction(1, 30), Settings(), None))
+    sink = OUTPUTS["objects"].open(tmp_path, RunContext(Fraction(1, 30), Settings(), None))
     sink.abandon(keep=keep)
     assert [path.name for path in tmp_path.iterdir()] == (["objects.csv.part"] if keep else [])
 

@@ -128,7 +128,7 @@ def test_what_makes_pixels_equal_is_a_setting():
         memory = Memory(Settings(match_on=match_on))
         for frame in sliding([8]):
             memory.see(frame.right)
-        full = memory.units()[memory.charge == 255]
+        full = memory.match_keys()[memory.charge == 255]
         assert (len(np.unique(full)) > 1) == several_units_a_charge
 
 

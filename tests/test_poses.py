@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from motionstereo_cli.errors import InputError
-from motionstereo_cli.poses import HEAD, as_written, format_pose, read_poses
+from motionstereo_cli.rig.poses import HEAD, as_written, format_pose, read_poses
 from motionstereo_cli.types import Pose, StereoFrame
 
 

@@ -13,8 +13,9 @@ import motionstereo_cli
 from motionstereo_cli.__main__ import main
 from motionstereo_cli.commands import cli
 from motionstereo_cli.commands.help import pages, subject
-from motionstereo_cli.settings import Settings, params
-from motionstereo_cli.sinks import DEFAULT_SAVES, SAVES
+from motionstereo_cli.params import params
+from motionstereo_cli.settings import Settings
+from motionstereo_cli.sinks import DEFAULT_OUTPUTS, OUTPUTS
 from motionstereo_cli.sinks.steering import HEADER
 from motionstereo_cli.sources.settings import InputSettings
 
@@ -68,8 +69,8 @@ def all_options():
 def outputs(names, *, with_name):
     rows = []
     for name in names:
-        bold = f"**{name}**" if name in DEFAULT_SAVES else name
-        save = SAVES[name]
+        bold = f"**{name}**" if name in DEFAULT_OUTPUTS else name
+        save = OUTPUTS[name]
         files = ", ".join(f"`{path}`" for path in (save.path.format(0), *save.beside))
         rows.append([*([bold] if with_name else []), files, save.what])
     record = "settings, versions, inputs with size and SHA-256, rig, time base, counts of frames, "
@@ -97,10 +98,10 @@ def topics():
 
 GENERATED = {
     (README, "commands"): commands,
-    (README, "default outputs"): lambda: outputs(DEFAULT_SAVES, with_name=False),
+    (README, "default outputs"): lambda: outputs(DEFAULT_OUTPUTS, with_name=False),
     (README, "steering"): steering,
     (README, "topics"): topics,
-    (DOCS / "outputs.md", "outputs"): lambda: outputs(SAVES, with_name=True),
+    (DOCS / "outputs.md", "outputs"): lambda: outputs(OUTPUTS, with_name=True),
 }
 
 

@@ -17,24 +17,28 @@ import numpy as np
 import pytest
 
 from motionstereo_cli.__main__ import main
-from motionstereo_cli.checkpoint import loads, read_checkpoint
+from motionstereo_cli.batch.checkpoint import loads, read_checkpoint
+from motionstereo_cli.batch.folder import CHECKPOINT, locked
+from motionstereo_cli.batch.interrupts import finishing
 from motionstereo_cli.errors import OutputError
-from motionstereo_cli.interrupts import finishing
+from motionstereo_cli.files.atomic import part_of
+from motionstereo_cli.files.video import SegmentedVideo, VideoWriter
 from motionstereo_cli.pipeline import State, process
 from motionstereo_cli.settings import Settings
-from motionstereo_cli.sinks import SAVES
-from motionstereo_cli.sinks.files import TableFile, part_of
-from motionstereo_cli.sinks.folder import CHECKPOINT, locked
-from motionstereo_cli.sinks.video import SegmentedVideo, VideoWriter
+from motionstereo_cli.sinks import OUTPUTS
+from motionstereo_cli.sinks.writers import TableFile
 from motionstereo_cli.types import Pose, Rig, StereoFrame
 
-FRAMES, WIDTH, HEIGHT, EVERY = 23, 96, 64, 5
+FRAMES = 23
+WIDTH = 96
+HEIGHT = 64
+EVERY = 5
 RIG = Rig(width=WIDTH, height=HEIGHT, focal_px=80.0, baseline_m=0.1, cx=47.5, cy=31.5)
 
 #: Runs the command and kills its own process: before a frame, or before the step that is named.
 KILLED = """
 import os, signal, sys
-import motionstereo_cli.run as library
+import motionstereo_cli.batch.run as library
 from motionstereo_cli.__main__ import main
 
 when = sys.argv[1]
@@ -54,7 +58,7 @@ library.process = until
 if when == "complete":
     library.complete = kill
 if when == "clear":
-    import motionstereo_cli.sinks.folder as folder
+    import motionstereo_cli.batch.folder as folder
     folder.clear = kill
 sys.exit(main(sys.argv[2:]))
 """
@@ -88,7 +92,7 @@ def command(recording):
     return [
         *("run", str(recording / "left.mp4"), str(recording / "right.mp4")),
         *("--rig", str(recording / "rig.yaml"), "--poses", str(recording / "poses.txt")),
-        *("--save", ",".join(SAVES), "--checkpoint-frames", str(EVERY), "--no-check"),
+        *("--save", ",".join(OUTPUTS), "--checkpoint-frames", str(EVERY), "--no-check"),
     ]
 
 
@@ -123,7 +127,7 @@ def test_a_killed_run_goes_on(command, undisturbed, tmp_path, capsys, monkeypatc
     assert killed.returncode == -signal.SIGKILL
     assert (out / "run.json").exists() == (when == "clear")
     if when == "clear":
-        monkeypatch.delattr("motionstereo_cli.run.process")  # nothing is left to do
+        monkeypatch.delattr("motionstereo_cli.batch.run.process")  # nothing is left to do
     assert main([*args, "--resume"]) == 0
     assert contents(out) == contents(undisturbed)
     assert table.read_bytes() == (undisturbed.parent / "table.csv").read_bytes()
@@ -252,7 +256,7 @@ def test_a_checkpoint_holds_nothing_of_others(name):
 
 def test_a_checkpoint_names_nothing_through_our_modules():
     with pytest.raises(pickle.UnpicklingError, match="it holds"):
-        loads(b"cmotionstereo_cli.pipeline\nmath\n.")
+        loads(b"cmotionstereo_cli.robot.guide\nmath\n.")
     assert loads(pickle.dumps(Settings())) == Settings()
 
 

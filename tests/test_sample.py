@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
-from motionstereo_cli.compare import compare, format_table
+from motionstereo_cli.analysis.compare import compare, format_table
 
 SAMPLE = Path(__file__).parent.parent / "sample_data"
 COMMAND = Path(sys.executable).with_name("motionstereo")

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from motionstereo_cli.errors import OutputError, SettingsError
 from motionstereo_cli.rig import read_rig
 from motionstereo_cli.simulate import write as write_module
-from motionstereo_cli.simulate.camera import EYE_HEIGHT_M, Camera, Pose, stereo_cameras
+from motionstereo_cli.simulate.camera import EYE_HEIGHT_M, Camera, FloorPose, stereo_cameras
 from motionstereo_cli.simulate.cards import CARDS, WALL_M, Cards, card_state, pan_pose
 from motionstereo_cli.simulate.corridor import HEIGHT_M, Corridor
 from motionstereo_cli.simulate.layers import Layers
@@ -118,7 +118,7 @@ def test_depth_agrees_with_a_ray_walked_step_by_step(frame):
     corridor = Corridor(width_m=2.5, length_m=18)
     rng = np.random.default_rng(frame)
     exact = corridor.path(frame)
-    pose = Pose(exact.x_m + 0.1, exact.y_m - 0.1, exact.yaw_rad + rng.uniform(-3, 3))
+    pose = FloorPose(exact.x_m + 0.1, exact.y_m - 0.1, exact.yaw_rad + rng.uniform(-3, 3))
     for camera in stereo_cameras(RIG):
         depth = corridor.render(pose, camera).depth_m
         rows, columns = rng.integers(0, 240, 10), rng.integers(0, 320, 10)
@@ -191,12 +191,14 @@ def test_walls_are_smooth_between_openings_and_openings_are_where_they_are_said_
         # Look squarely at the wall y = -outer from 1.5 m, once at its opening's either end.
         for end_m in (opening.start_m, opening.stop_m):
             x_m = end_m - corridor.outer_m
-            view = corridor.render(Pose(x_m, -corridor.outer_m + 1.5, -math.pi / 2), camera)
+            view = corridor.render(FloorPose(x_m, -corridor.outer_m + 1.5, -math.pi / 2), camera)
             row = np.abs(np.diff(view.grey[118]))
             column = camera.cx + camera.focal_px * camera.left_m / 1.5  # of x_m
             edge = round(column)
             assert row[edge - 4 : edge + 4].max() > 20
-    bare = corridor.render(Pose(-corridor.outer_m + 0.4, -corridor.outer_m + 1.5, -1.6), camera)
+    bare = corridor.render(
+        FloorPose(-corridor.outer_m + 0.4, -corridor.outer_m + 1.5, -1.6), camera
+    )
     assert np.abs(np.diff(bare.grey[118, 100:220])).max() < 1
 
 
@@ -234,7 +236,7 @@ def test_a_card_begins_as_declared_and_turns_round():
 @pytest.mark.parametrize("pan", [False, True])
 def test_true_depth_is_that_of_the_nearest_card(pan):
     time_s = 2.3
-    pose = pan_pose(time_s) if pan else Pose(0, 0, 0)
+    pose = pan_pose(time_s) if pan else FloorPose(0, 0, 0)
     camera = stereo_cameras(RIG)[1]
     depth = Cards(RIG.focal_px).render(pose, camera, time_s).depth_m
     cos, sin = math.cos(pose.yaw_rad), math.sin(pose.yaw_rad)
@@ -261,8 +263,8 @@ def test_textures_do_not_alias(width):
     # A pixel sampled at its centre is next to the mean of its area.
     rig = SimulateSettings(width=width, height=width * 3 // 4).rig
     cards, camera = Cards(rig.focal_px), stereo_cameras(rig)[0]
-    grey = cards.render(Pose(0, 0, 0), camera, 0).grey
-    fine = cards.render(Pose(0, 0, 0), finer(camera, 4), 0).grey
+    grey = cards.render(FloorPose(0, 0, 0), camera, 0).grey
+    fine = cards.render(FloorPose(0, 0, 0), finer(camera, 4), 0).grey
     mean = fine.reshape(rig.height, 4, width, 4).mean(axis=(1, 3))
     assert grey.std() > 30  # contrasty
     assert np.corrcoef(grey.ravel(), mean.ravel())[0, 1] > 0.99
@@ -298,7 +300,7 @@ def test_a_wall_seen_squarely_has_its_depth_and_its_texture_where_they_belong():
     # 4 m ahead; its upper left corner is 1 m to the left of the camera, and 0.5 m above it.
     corner = 4, 1 + camera.left_m, EYE_HEIGHT_M + 0.5
     wall = rectangle(corner, (0, -2, 0), (0, 0, -1), checks(64))
-    view = render([wall], Pose(0, 0, 0), camera)
+    view = render([wall], FloorPose(0, 0, 0), camera)
     quarter_px = RIG.focal_px / 4
     left, top = camera.cx - quarter_px, camera.cy - quarter_px / 2
     inside = np.zeros((240, 320), bool)
@@ -316,7 +318,7 @@ def test_a_wall_seen_squarely_has_its_depth_and_its_texture_where_they_belong():
 @profile(deadline=None, max_examples=15)
 def test_the_nearest_of_surfaces_in_any_position_wins(seed):
     rng = np.random.default_rng(seed)
-    pose = Pose(*rng.uniform(-1, 1, 2), rng.uniform(-3, 3))
+    pose = FloorPose(*rng.uniform(-1, 1, 2), rng.uniform(-3, 3))
     camera = Camera(40, 30, 35.0, 19.5, 14.5, 0.1)
     eye = np.array([*camera.eye(pose), EYE_HEIGHT_M])
     surfaces = []
@@ -343,7 +345,7 @@ def test_holes_of_a_texture_let_what_is_behind_through():
     grid = Texture.of(np.full((8, 8), 200.0), solid)
     near = rectangle((2, 4, 5), (0, -8, 0), (0, 0, -8), grid)
     far = rectangle((4, 8, 9), (0, -16, 0), (0, 0, -16), checks(8, (50, 50)))
-    view = render([near, far], Pose(0, 0, 0), stereo_cameras(RIG)[0])
+    view = render([near, far], FloorPose(0, 0, 0), stereo_cameras(RIG)[0])
     assert np.all(view.depth_m[:, :160] == 2)
     assert np.all(view.depth_m[:, 180:] == 4)
     assert view.grey[120, 10] == pytest.approx(200)
@@ -366,7 +368,7 @@ def test_a_texture_gives_the_mean_of_any_block():
 
 def test_a_pixel_of_surfaces_is_the_mean_of_its_area():
     camera = stereo_cameras(small(width=120, height=80, focal_px=100).rig)[1]
-    layers, pose = Layers(camera, 3), Pose(0, 0, 0)
+    layers, pose = Layers(camera, 3), FloorPose(0, 0, 0)
     grey = layers.render(pose, camera, 0.5).grey
     fine = layers.render(pose, finer(camera, 4), 0.5).grey
     mean = fine.reshape(80, 4, 120, 4).mean(axis=(1, 3))

@@ -20,22 +20,24 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+from motionstereo_cli.batch.folder import complete, head, prepare, tidy
 from motionstereo_cli.errors import OutputError, SettingsError
-from motionstereo_cli.settings import Settings, params
-from motionstereo_cli.sinks import DEFAULT_SAVES, SAVES, Stream, available
-from motionstereo_cli.sinks.files import part_of, reported, segment_of, write_whole
-from motionstereo_cli.sinks.folder import complete, head, prepare, tidy
-from motionstereo_cli.sinks.images import depth_png, disparity_png, encode_pfm
+from motionstereo_cli.files.atomic import part_of, reported, segment_of, write_whole
+from motionstereo_cli.files.images import encode_pfm
+from motionstereo_cli.files.video import SegmentedVideo, VideoWriter
+from motionstereo_cli.params import params
+from motionstereo_cli.settings import Settings
+from motionstereo_cli.sinks import DEFAULT_OUTPUTS, OUTPUTS, RunContext, available
+from motionstereo_cli.sinks.images import depth_png, disparity_png
 from motionstereo_cli.sinks.previews import depth_colours
 from motionstereo_cli.sinks.settings import OutputSettings
 from motionstereo_cli.sinks.steering import SteeringFile, SteeringStream
 from motionstereo_cli.sinks.threaded import Threaded
-from motionstereo_cli.sinks.video import SegmentedVideo, VideoWriter
 from motionstereo_cli.types import FrameResult, Rig, Steering, StereoFrame
 
 BLIND = Steering("blind", None, None, None, None)
 NAN = float("nan")
-STREAM = Stream(Fraction(1, 25), Settings(), None)
+STREAM = RunContext(Fraction(1, 25), Settings(), None)
 RIG = Rig(width=6, height=4, focal_px=100, baseline_m=0.1, cx=2.5, cy=1.5)
 
 
@@ -72,14 +74,14 @@ def frame_result(
 
 
 def saved(
-    out: Path, name: str, *results: FrameResult, stream: Stream = STREAM, index: int = 0
+    out: Path, name: str, *results: FrameResult, stream: RunContext = STREAM, index: int = 0
 ) -> Path:
     """Write results as an output of a run; return the file, of numbered ones that of a frame."""
-    sink = SAVES[name].open(out, stream)
+    sink = OUTPUTS[name].open(out, stream)
     for result in results:
         sink.write(result)
     sink.close()
-    return out / SAVES[name].path.format(index)
+    return out / OUTPUTS[name].path.format(index)
 
 
 def decoded(path: Path) -> list[tuple[float, np.ndarray]]:
@@ -206,7 +208,7 @@ def test_numbered_images_read_back(tmp_path):
 
 def test_another_depth_scale_holds_for_image_and_video(tmp_path):
     depth_m = np.float32([[NAN, 2.7111, 13.107, 13.108]])
-    stream = Stream(Fraction(1, 25), Settings(), RIG, OutputSettings(depth_scale=5000))
+    stream = RunContext(Fraction(1, 25), Settings(), RIG, OutputSettings(depth_scale=5000))
     result = frame_result(depth_m=depth_m)
     image = cv2.imread(str(saved(tmp_path, "depth", result, stream=stream)), cv2.IMREAD_UNCHANGED)
     assert image.tolist() == [[0, 13556, 65535, 0]]
@@ -222,7 +224,7 @@ def test_the_lossless_depth_video_gives_every_level_back(tmp_path):
         frame_result(index, pts=40 * index, depth_m=np.float32(np.roll(levels, index)) / 1000)
         for index in range(3)
     ]
-    stream = Stream(Fraction(1, 1000), Settings(), RIG)
+    stream = RunContext(Fraction(1, 1000), Settings(), RIG)
     with av.open(str(saved(tmp_path, "depth-mkv", *results, stream=stream))) as container:
         assert container.streams.video[0].codec_context.name == "ffv1"
         frames = list(container.decode(video=0))
@@ -298,7 +300,7 @@ def test_the_charge_video_gives_the_charge_back_at_the_same_times(tmp_path):
     charges = [np.full((48, 64), level, np.uint8) for level in (0, 15, 127, 239, 255)]
     for charge in charges:
         charge[:24] = 255 - charge[:24]
-    sink = SAVES["charge"].open(tmp_path, Stream(Fraction(1, 1000), Settings(), None))
+    sink = OUTPUTS["charge"].open(tmp_path, RunContext(Fraction(1, 1000), Settings(), None))
     stamps = [40, 80, 95, 95, 400]  # uneven, and one that does not come after the one before
     for index, (pts, charge) in enumerate(zip(stamps, charges, strict=True)):
         sink.write(frame_result(index, pts=pts, charge=charge))
@@ -342,7 +344,7 @@ def test_colours_and_their_range_are_options(tmp_path):
     disparity_px = np.repeat(np.float32([[1.5, 0.5, 18.5]]), 16, axis=1).repeat(16, axis=0)
     rig = dataclasses.replace(RIG, doffs=1.5)
     output = OutputSettings(colours="viridis", near_m=0.5, far_m=5)
-    stream = Stream(Fraction(1, 25), Settings(), rig, output)
+    stream = RunContext(Fraction(1, 25), Settings(), rig, output)
     result = frame_result(disparity_px=disparity_px)
     [(_, rgb)] = decoded(saved(tmp_path, "depth-video", result, stream=stream))
     viridis = cv2.applyColorMap(np.arange(256, dtype=np.uint8)[:, None], cv2.COLORMAP_VIRIDIS)
@@ -378,7 +380,7 @@ def test_the_depth_video_keeps_colours_and_pads_odd_sizes(tmp_path):
 
 def test_an_interrupted_video_can_be_played_under_its_part_name(tmp_path):
     path = tmp_path / "charge.mp4"
-    sink = SAVES["charge"].open(tmp_path, STREAM)
+    sink = OUTPUTS["charge"].open(tmp_path, STREAM)
     for index in range(3):
         sink.write(frame_result(index))
     sink.abandon(keep=True)
@@ -387,7 +389,7 @@ def test_an_interrupted_video_can_be_played_under_its_part_name(tmp_path):
 
 
 def test_a_video_given_up_leaves_nothing(tmp_path):
-    sink = SAVES["charge"].open(tmp_path, STREAM)
+    sink = OUTPUTS["charge"].open(tmp_path, STREAM)
     sink.write(frame_result(0))
     sink.abandon(keep=False)
     assert not list(tmp_path.iterdir())
@@ -400,7 +402,7 @@ from fractions import Fraction
 from pathlib import Path
 import numpy as np
 from motionstereo_cli.errors import OutputError
-from motionstereo_cli.sinks.video import VideoWriter
+from motionstereo_cli.files.video import VideoWriter
 video = VideoWriter(Path(sys.argv[1]), Fraction(1, 25))
 noise = np.random.default_rng(0)
 resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, -1))
@@ -485,7 +487,7 @@ def a_run(out: Path, save: tuple[str, ...], frames: int, *, done: bool = True) -
     """Leave what a run leaves, complete or cut off."""
     prepare(out, save, overwrite=True)
     for name in save:
-        path = out / SAVES[name].path
+        path = out / OUTPUTS[name].path
         path.parent.mkdir(exist_ok=True)
         if "{" in path.name:
             for index in range(frames):
@@ -501,8 +503,8 @@ def names(out: Path) -> set[str]:
 
 
 def test_every_default_is_an_output_and_depth_needs_a_rig():
-    assert set(DEFAULT_SAVES) <= SAVES.keys()
-    assert available(DEFAULT_SAVES, rig=True) == DEFAULT_SAVES
+    assert set(DEFAULT_OUTPUTS) <= OUTPUTS.keys()
+    assert available(DEFAULT_OUTPUTS, rig=True) == DEFAULT_OUTPUTS
     assert available(["depth", "charge", "disparity"], rig=False) == ("disparity", "charge")
     assert available(["depth-pfm"], rig=False) == ("disparity-pfm",)
     with pytest.raises(SettingsError, match="--save depth-mkv needs --rig"):

@@ -27,8 +27,8 @@ from motionstereo_cli.errors import InputError, SettingsError
 from motionstereo_cli.sources import StereoSource, open_stereo
 from motionstereo_cli.sources.folder import file_numbers
 from motionstereo_cli.sources.pairing import pair
+from motionstereo_cli.sources.recording import Image, Recording
 from motionstereo_cli.sources.settings import InputSettings, adapted_rig
-from motionstereo_cli.sources.stream import Image, Stream
 from motionstereo_cli.types import Rig
 
 RIG = Rig(width=64, height=48, focal_px=50, baseline_m=0.1, cx=31.5, cy=23.5, doffs=2)
@@ -308,7 +308,7 @@ def test_the_nearest_is_the_partner() -> None:
     assert list(pair(iter(left), iter(right), lead, Fraction(2))) == [(33, 31), (66, 64)]
 
 
-class Numbers(Stream):
+class Numbers(Recording):
     """A stream that has some numbers only, and says so."""
 
     numbered = True
@@ -580,7 +580,8 @@ def test_kitti_times_that_do_not_fit(tmp_path: Path, times: list[str], said: str
         open_stereo(kitti(tmp_path, times))
 
 
-BEGIN_NS, PERIOD_NS = 1403636579763555584, 50_000_000
+BEGIN_NS = 1403636579763555584
+PERIOD_NS = 50_000_000
 
 
 def euroc(path: Path, lost: set[int] = frozenset(), jitter_ns: int = 0) -> Path:  # type: ignore[assignment]

@@ -22,18 +22,18 @@ from recordings import COUNT, FULL, LIMITED, Images, cut, encode, folder, number
 
 from motionstereo_cli.errors import InputError
 from motionstereo_cli.sources import open_stereo
-from motionstereo_cli.sources.folder import FolderStream, natural_key
+from motionstereo_cli.sources.folder import FolderRecording, natural_key
 from motionstereo_cli.sources.prefetch import prefetch
-from motionstereo_cli.sources.stream import Image, Stream
-from motionstereo_cli.sources.video import VideoStream
+from motionstereo_cli.sources.recording import Image, Recording
+from motionstereo_cli.sources.video import VideoRecording
 
 
-def open_stream(path: Path) -> Stream:
-    return FolderStream(path) if path.is_dir() else VideoStream(path)
+def open_recording(path: Path) -> Recording:
+    return FolderRecording(path) if path.is_dir() else VideoRecording(path)
 
 
-def read_all(path: Path) -> tuple[Stream, list[Image]]:
-    stream = open_stream(path)
+def read_all(path: Path) -> tuple[Recording, list[Image]]:
+    stream = open_recording(path)
     try:
         return stream, list(stream)
     finally:
@@ -42,8 +42,12 @@ def read_all(path: Path) -> tuple[Stream, list[Image]]:
 
 # --- The contract of every kind of source -----------------------------------------------------
 
-EVEN, ODD = (64, 48), (65, 49)
-MP4, MKV, AVI, NO_TIME = Fraction(1, 15360), Fraction(1, 1000), Fraction(1, 30), None
+EVEN = (64, 48)
+ODD = (65, 49)
+MP4 = Fraction(1, 15360)
+MKV = Fraction(1, 1000)
+AVI = Fraction(1, 30)
+NO_TIME = None
 SHARP = {"crf": "1", "bf": "2"}
 
 

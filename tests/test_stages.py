@@ -6,14 +6,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+from motionstereo_cli.robot.heading import heading, nearest, steadied, strip_nearness
 from motionstereo_cli.stages.bands import band_table, bands, blur
 from motionstereo_cli.stages.charge import accumulate, age, permanency
 from motionstereo_cli.stages.confidence import confidence
 from motionstereo_cli.stages.depth import depth
-from motionstereo_cli.stages.guidance import heading, nearest, steadied, strip_nearness
+from motionstereo_cli.stages.match_keys import match_keys
 from motionstereo_cli.stages.motion import motion
 from motionstereo_cli.stages.residual import residual
-from motionstereo_cli.stages.units import units
 
 NAN = float("nan")
 
@@ -197,20 +197,20 @@ class TestConfidence:
 
 class TestUnits:
     def test_pixels_at_rest_have_no_unit(self):
-        assert units(u8([10, 11]), 10).tolist() == [[0, 11 * 256]]
+        assert match_keys(u8([10, 11]), 10).tolist() == [[0, 11 * 256]]
 
     def test_equal_charge_of_another_band_is_another_unit(self):
-        by_band = units(u8([9, 9, 9]), 0, u8([1, 2, 1]))
+        by_band = match_keys(u8([9, 9, 9]), 0, u8([1, 2, 1]))
         assert by_band[0, 0] == by_band[0, 2] != by_band[0, 1]
 
     def test_the_largest_charge_and_band_fit(self):
-        unit = units(u8([255]), 0, np.array([[256]], np.uint16))
+        unit = match_keys(u8([255]), 0, np.array([[256]], np.uint16))
         assert unit.tolist() == [[255 * 256 + 255]]
 
     @given(images, images)
     def test_units_are_equal_where_charge_and_band_are(self, charge, band):
         band = np.maximum(band, 1)
-        flat = units(charge, 0, band).reshape(-1)
+        flat = match_keys(charge, 0, band).reshape(-1)
         pairs = list(zip(charge.reshape(-1).tolist(), band.reshape(-1).tolist(), strict=True))
         for a in range(len(pairs)):
             for b in range(a):

@@ -10,14 +10,14 @@ from pathlib import Path
 import pytest
 from recordings import cut, encode, folder, scene
 
-from motionstereo_cli.bench.children import Ended
-from motionstereo_cli.bench.damage import DAMAGES, seen_in_image, seen_in_video
-from motionstereo_cli.bench.torture import Verdict, _difference, _faults, format_markdown
+from bench.children import Ended
+from bench.damage import DAMAGES, seen_in_image, seen_in_video
+from bench.torture import Verdict, _difference, _faults, format_markdown
 
 #: In a process of its own: children are forks, which threads of other tests would not survive.
 SHORT = """
 import sys
-from motionstereo_cli.bench.torture import format_markdown, torture
+from bench.torture import format_markdown, torture
 verdicts = torture({"damaged": 20, "repeat": 3, "kill": 2, "disk": 3}, seed=int(sys.argv[1]))
 print(format_markdown(verdicts))
 failures = [failure for verdict in verdicts for failure in verdict.failures]

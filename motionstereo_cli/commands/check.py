@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING
 
 import click
 
+from motionstereo_cli.commands.messages import say
 from motionstereo_cli.commands.options import config_option, input_options, rig_options
-from motionstereo_cli.commands.talk import say
 from motionstereo_cli.settings import Settings
 from motionstereo_cli.sources.settings import InputSettings
 
 if TYPE_CHECKING:
-    from motionstereo_cli.check import CheckReport
+    from motionstereo_cli.analysis.check import CheckReport
 
 
 @click.command()
@@ -48,7 +48,7 @@ def check(
     """
     from tqdm import tqdm
 
-    from motionstereo_cli.check import check as check_library
+    from motionstereo_cli.analysis.check import check as check_library
     from motionstereo_cli.errors import DAMAGED_EXIT_CODE, InputError
     from motionstereo_cli.rig.calibration import rectify_source
     from motionstereo_cli.sources import open_stereo

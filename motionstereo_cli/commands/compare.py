@@ -8,10 +8,10 @@ from typing import Any
 
 import click
 
+from motionstereo_cli.analysis.settings import COLUMN_TOLERANCE, CompareSettings
+from motionstereo_cli.commands.messages import say
 from motionstereo_cli.commands.options import settings_options
-from motionstereo_cli.commands.talk import say
 from motionstereo_cli.errors import DIFFERENT_EXIT_CODE
-from motionstereo_cli.settings import COLUMN_TOLERANCE, CompareSettings
 
 _FILE = click.Path(dir_okay=False, path_type=Path)
 _STDOUT = Path("-")
@@ -76,9 +76,9 @@ def compare(
 
     from tqdm import tqdm
 
-    from motionstereo_cli import compare as library
-    from motionstereo_cli.sinks.files import write_whole
-    from motionstereo_cli.sinks.images import encode_png
+    from motionstereo_cli.analysis import compare as library
+    from motionstereo_cli.files.atomic import write_whole
+    from motionstereo_cli.files.images import encode_png
 
     with tqdm(unit="image", disable=None) as bar:
         report = library.compare(

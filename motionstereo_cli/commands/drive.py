@@ -8,8 +8,8 @@ from typing import Any
 
 import click
 
+from motionstereo_cli.commands.messages import announce_compiling, say
 from motionstereo_cli.commands.options import processing_options, world_options
-from motionstereo_cli.commands.talk import announce_compiling, say
 from motionstereo_cli.settings import Settings
 from motionstereo_cli.simulate.settings import DriveSettings
 
@@ -35,7 +35,7 @@ def drive(
 
     from tqdm import tqdm
 
-    from motionstereo_cli.drive import drive as library
+    from motionstereo_cli.simulate.drive import drive as library
     from motionstereo_cli.simulate.drive_world import DriveWorld
 
     started_s = time.perf_counter()

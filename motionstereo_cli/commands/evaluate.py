@@ -6,8 +6,8 @@ from pathlib import Path
 
 import click
 
+from motionstereo_cli.commands.messages import say
 from motionstereo_cli.commands.options import config_option
-from motionstereo_cli.commands.talk import say
 
 _KIND = click.Choice(["disparity", "depth"])
 _TABLE = click.Path(dir_okay=False, allow_dash=True, path_type=Path)
@@ -69,10 +69,10 @@ def evaluate(
 
     from tqdm import tqdm
 
-    from motionstereo_cli import evaluate as library
+    from motionstereo_cli.analysis import evaluate as library
+    from motionstereo_cli.files.atomic import write_whole
+    from motionstereo_cli.files.images import encode_png
     from motionstereo_cli.rig import read_rig
-    from motionstereo_cli.sinks.files import write_whole
-    from motionstereo_cli.sinks.images import encode_png
 
     comparison = library.Comparison(
         library.Maps(result, out_kind),

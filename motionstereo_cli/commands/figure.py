@@ -6,8 +6,8 @@ from pathlib import Path
 
 import click
 
+from motionstereo_cli.commands.messages import announce_compiling, say
 from motionstereo_cli.commands.options import input_options, processing_options
-from motionstereo_cli.commands.talk import announce_compiling, say
 from motionstereo_cli.errors import DAMAGED_EXIT_CODE
 from motionstereo_cli.settings import Settings
 from motionstereo_cli.sources.settings import InputSettings
@@ -56,9 +56,9 @@ def figure(
     with --reference left), its bands and permanency memory, and the depth, bright where near and
     black where unknown.
     """
-    from motionstereo_cli.figure import draw_figure
-    from motionstereo_cli.sinks.files import write_whole
-    from motionstereo_cli.sinks.images import encode_png
+    from motionstereo_cli.analysis.figure import draw_figure
+    from motionstereo_cli.files.atomic import write_whole
+    from motionstereo_cli.files.images import encode_png
     from motionstereo_cli.sources import open_stereo
 
     announce_compiling()

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from motionstereo_cli.commands.messages import printable, say
 from motionstereo_cli.commands.options import config_option, input_options, rig_options
-from motionstereo_cli.commands.talk import printable, say
 from motionstereo_cli.sources.settings import InputSettings, adapted_rig
 
 if TYPE_CHECKING:

@@ -12,7 +12,8 @@ from typing import Any
 import click
 
 from motionstereo_cli.errors import SettingsError
-from motionstereo_cli.settings import PRESETS, Param, Settings, params
+from motionstereo_cli.params import Param, params
+from motionstereo_cli.settings import PRESETS, Settings
 from motionstereo_cli.simulate.settings import DriveSettings
 from motionstereo_cli.sinks.settings import OutputSettings
 from motionstereo_cli.sources.settings import InputSettings

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import click
 
+from motionstereo_cli.commands.messages import say
 from motionstereo_cli.commands.options import baseline_unit_option
-from motionstereo_cli.commands.talk import say
 
 _STDOUT = Path("-")
 

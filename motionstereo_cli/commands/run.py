@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING
 
 import click
 
+from motionstereo_cli.commands.messages import announce_compiling
+from motionstereo_cli.commands.messages import say as _say
 from motionstereo_cli.commands.options import (
     input_options,
     near_match,
@@ -16,11 +18,9 @@ from motionstereo_cli.commands.options import (
     processing_options,
     rig_options,
 )
-from motionstereo_cli.commands.talk import announce_compiling
-from motionstereo_cli.commands.talk import say as _say
 from motionstereo_cli.errors import DAMAGED_EXIT_CODE, INTERRUPTED_EXIT_CODE, OutputError
 from motionstereo_cli.settings import Settings
-from motionstereo_cli.sinks import DEFAULT_SAVES, SAVES, available
+from motionstereo_cli.sinks import DEFAULT_OUTPUTS, OUTPUTS, available
 from motionstereo_cli.sources.settings import InputSettings
 
 if TYPE_CHECKING:
@@ -30,8 +30,8 @@ if TYPE_CHECKING:
 def _names(ctx: click.Context, _: click.Parameter, lists: tuple[str, ...]) -> tuple[str, ...]:
     names = [name.strip() for text in lists for name in text.split(",")]
     for name in names:
-        if name not in SAVES:
-            advice = near_match(name, SAVES) or f": choose from {', '.join(SAVES)}"
+        if name not in OUTPUTS:
+            advice = near_match(name, OUTPUTS) or f": choose from {', '.join(OUTPUTS)}"
             raise click.UsageError(f"--save knows no {name!r}{advice}", ctx)
     return tuple(names)
 
@@ -58,7 +58,7 @@ def _names(ctx: click.Context, _: click.Parameter, lists: tuple[str, ...]) -> tu
     metavar="NAMES",
     callback=_names,
     help="What to write, as a comma list; may be repeated.  "
-    f"[{', '.join(SAVES)}; default {','.join(DEFAULT_SAVES)}]",
+    f"[{', '.join(OUTPUTS)}; default {','.join(DEFAULT_OUTPUTS)}]",
 )
 @click.option(
     "--csv",
@@ -132,13 +132,13 @@ def run(
             raise click.UsageError(message)
     if to_stdout and sys.stdout is None:
         raise OutputError("cannot write the steering table: standard output is closed")
-    save = save or DEFAULT_SAVES
+    save = save or DEFAULT_OUTPUTS
 
     from tqdm import tqdm
 
-    from motionstereo_cli.poses import read_poses
+    from motionstereo_cli.batch.run import run as run_library
     from motionstereo_cli.rig.calibration import rectify_source
-    from motionstereo_cli.run import run as run_library
+    from motionstereo_cli.rig.poses import read_poses
     from motionstereo_cli.sources import open_stereo
 
     trajectory = read_poses(poses) if poses else None

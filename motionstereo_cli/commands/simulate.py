@@ -7,8 +7,8 @@ from typing import Any
 
 import click
 
+from motionstereo_cli.commands.messages import say
 from motionstereo_cli.commands.options import settings_options
-from motionstereo_cli.commands.talk import say
 from motionstereo_cli.simulate.settings import SimulateSettings
 
 

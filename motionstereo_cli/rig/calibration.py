@@ -32,7 +32,8 @@ if TYPE_CHECKING:
 BASELINE_UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 
 #: Baselines beyond these are hardly in the unit that a file has or seems to have.
-_LONGEST_BASELINE_M, _SHORTEST_BASELINE_MM = 2.0, 2.0
+_LONGEST_BASELINE_M = 2.0
+_SHORTEST_BASELINE_MM = 2.0
 
 #: Images that move by less than this need no rectification.
 _NEGLIGIBLE_PX = 0.05
@@ -41,7 +42,8 @@ _NEGLIGIBLE_PX = 0.05
 _LEAST_COVERAGE = 0.3
 
 #: Focal lengths, as shares, and rows of the principal points, in px, that rectified cameras share.
-_FOCAL_TOLERANCE, _ROW_TOLERANCE_PX = 0.005, 0.5
+_FOCAL_TOLERANCE = 0.005
+_ROW_TOLERANCE_PX = 0.5
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,7 +18,7 @@ import cv2
 import numpy as np
 
 from motionstereo_cli.errors import InputError
-from motionstereo_cli.reading import MOST_CALIBRATION_BYTES, read_text
+from motionstereo_cli.files.reading import MOST_CALIBRATION_BYTES, read_text
 from motionstereo_cli.rig.rig_file import read_rig
 from motionstereo_cli.types import Rig
 
@@ -36,7 +36,8 @@ _PINHOLE_COUNTS = (0, 4, 5, 8, 12, 14)
 _FISHEYE_COUNTS = (4,)
 
 #: No length, angle or coefficient is as large, and no focal length as small.
-_LARGEST, _SMALLEST_FOCAL_PX = 1e12, 1e-3
+_LARGEST = 1e12
+_SMALLEST_FOCAL_PX = 1e-3
 
 #: A rotation matrix times its transpose may differ from one by this: files hold few digits.
 _ROTATION_TOLERANCE = 1e-2

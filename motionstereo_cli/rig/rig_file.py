@@ -13,8 +13,8 @@ from dataclasses import MISSING, fields
 from pathlib import Path
 
 from motionstereo_cli.errors import InputError
-from motionstereo_cli.reading import MOST_CALIBRATION_BYTES, read_text
-from motionstereo_cli.sinks.files import write_whole
+from motionstereo_cli.files.atomic import write_whole
+from motionstereo_cli.files.reading import MOST_CALIBRATION_BYTES, read_text
 from motionstereo_cli.types import Rig
 
 _WHOLE = frozenset({"width", "height"})

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from motionstereo_cli.types import Pose as RigPose
+from motionstereo_cli.types import Pose
 
 if TYPE_CHECKING:
     from motionstereo_cli.types import Real, Rig
@@ -25,7 +25,7 @@ EYE_HEIGHT_M = 1.2
 
 
 @dataclass(frozen=True, slots=True)
-class Pose:
+class FloorPose:
     """Place and heading of the rig's middle, the point halfway between the cameras."""
 
     x_m: float
@@ -43,11 +43,11 @@ class Pose:
         return np.array([-math.sin(self.yaw_rad), math.cos(self.yaw_rad)])
 
     @property
-    def rig_pose(self) -> RigPose:
+    def rig_pose(self) -> Pose:
         """The same in space."""
         half_rad = self.yaw_rad / 2
         turn = (0.0, 0.0, math.sin(half_rad), math.cos(half_rad))
-        return RigPose(self.x_m, self.y_m, EYE_HEIGHT_M, *turn)
+        return Pose(self.x_m, self.y_m, EYE_HEIGHT_M, *turn)
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +66,7 @@ class Camera:
     cy: float
     left_m: float
 
-    def eye(self, pose: Pose) -> NDArray[np.float64]:
+    def eye(self, pose: FloorPose) -> NDArray[np.float64]:
         """Return the optical centre's place on the floor, (2,), in m."""
         return np.array([pose.x_m, pose.y_m]) + self.left_m * pose.left
 
@@ -78,14 +78,14 @@ class Camera:
         """Return how far up per metre ahead the rows ``v_px`` look."""
         return (self.cy - v_px) / self.focal_px
 
-    def rays(self, pose: Pose, u_px: NDArray[np.float64]) -> NDArray[np.float64]:
+    def rays(self, pose: FloorPose, u_px: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the floor directions (n, 2) of columns ``u_px`` (n,), one metre ahead long.
 
         A ray times a depth along the optical axis is a displacement in m.
         """
         return pose.forward + self.leftward(u_px)[:, None] * pose.left
 
-    def project(self, pose: Pose, points_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    def project(self, pose: FloorPose, points_m: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the columns that see the floor points (n, 2) which lie ahead."""
         offset = points_m - self.eye(pose)
         ahead = offset @ pose.forward
@@ -117,6 +117,6 @@ class View(NamedTuple):
 class World(Protocol):
     """Something that cameras can look at."""
 
-    def render(self, pose: Pose, camera: Camera, time_s: float) -> View:
+    def render(self, pose: FloorPose, camera: Camera, time_s: float) -> View:
         """Return what ``camera`` sees from ``pose`` at ``time_s``."""
         ...

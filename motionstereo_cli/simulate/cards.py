@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from motionstereo_cli.simulate.camera import EYE_HEIGHT_M, Camera, Pose, View
+from motionstereo_cli.simulate.camera import EYE_HEIGHT_M, Camera, FloorPose, View
 
 if TYPE_CHECKING:
     from motionstereo_cli.types import Real
@@ -23,12 +23,15 @@ if TYPE_CHECKING:
 WALL_M = 7.0
 
 #: Panning: a sine of this amplitude and period.
-_PAN_RAD, _PAN_S = math.radians(8), 4.0
+_PAN_RAD = math.radians(8)
+_PAN_S = 4.0
 
 #: Standard deviation of the Gaussian that smooths the noise: in pixels where the surface is
 #: farthest, and in texels. Above 0.8 px next to nothing is left to alias.
-_GRAIN_PX, _GRAIN_TEXELS = 0.9, 2.5
-_WALL_TILE_M, _WALL_GREY = 4.0, 128.0
+_GRAIN_PX = 0.9
+_GRAIN_TEXELS = 2.5
+_WALL_TILE_M = 4.0
+_WALL_GREY = 128.0
 _CONTRAST = 95.0
 #: Bounds the memory for long focal lengths; a texture then repeats every 700 px.
 _MOST_TEXELS = 2048
@@ -115,9 +118,9 @@ def card_state(card: Card, time_s: float) -> CardState:
     return CardState(card.fixed_m, place_m, z_m, 0.0, speed_m_s)
 
 
-def pan_pose(time_s: float) -> Pose:
+def pan_pose(time_s: float) -> FloorPose:
     """Return the panning rig's pose: it turns about its middle, first to the left."""
-    return Pose(0.0, 0.0, _PAN_RAD * math.sin(2 * math.pi * time_s / _PAN_S))
+    return FloorPose(0.0, 0.0, _PAN_RAD * math.sin(2 * math.pi * time_s / _PAN_S))
 
 
 class Cards:
@@ -138,7 +141,7 @@ class Cards:
             for card in CARDS
         ]
 
-    def render(self, pose: Pose, camera: Camera, time_s: float) -> View:
+    def render(self, pose: FloorPose, camera: Camera, time_s: float) -> View:
         """Return what ``camera`` sees from ``pose``, which must face the wall, at ``time_s``.
 
         Painted from far to near; a card covers a pixel by the share of its area.
@@ -231,7 +234,7 @@ class _Plane:
     z_edges_m: NDArray[np.float64]
 
     @classmethod
-    def seen(cls, pose: Pose, camera: Camera, x_m: float) -> _Plane:
+    def seen(cls, pose: FloorPose, camera: Camera, x_m: float) -> _Plane:
         """Cast the rays of all columns and rows."""
         eye = camera.eye(pose)
 

@@ -14,7 +14,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from motionstereo_cli.simulate.camera import EYE_HEIGHT_M, Camera, Pose, View
+from motionstereo_cli.simulate.camera import EYE_HEIGHT_M, Camera, FloorPose, View
 from motionstereo_cli.simulate.settings import STRAIGHT_SHARE, TURN_SHARE
 
 #: Frames to one side of the square: 100 straight, 25 turning.
@@ -24,7 +24,9 @@ HEIGHT_M = 2.6
 
 _TEXEL_M = 0.02
 _TEXELS_UP = round(HEIGHT_M / _TEXEL_M)
-_WALL, _FLOOR, _CEILING = 185.0, 115.0, 215.0
+_WALL = 185.0
+_FLOOR = 115.0
+_CEILING = 215.0
 #: Distance at which the lamp's light has fallen to a half.
 LAMP_M = 11.0
 
@@ -91,7 +93,7 @@ class Corridor:
         #: Paint of each wall summed along it up to each texel's beginning.
         self._paint_sum = np.pad(paint.cumsum(axis=1), ((0, 0), (1, 0), (0, 0)))
 
-    def path(self, frame: float) -> Pose:
+    def path(self, frame: float) -> FloorPose:
         """Return where the paper's robot is: 125 frames to a side, without end.
 
         In frames 0..99 of a side it drives straight along the middle of the corridor, in frames
@@ -106,14 +108,14 @@ class Corridor:
         for _ in range(int(side) % 4):
             x_m, y_m = -y_m, x_m
         yaw_rad = math.remainder(side * math.pi / 2 + turn, 2 * math.pi)
-        return Pose(x_m, y_m, yaw_rad)
+        return FloorPose(x_m, y_m, yaw_rad)
 
     def along_wall(self, wall: int, places_m: tuple[float, ...]) -> list[tuple[float, float]]:
         """Return the floor places (x, y) in m that lie so far along a wall."""
         start = self._corners_m[wall] - 2 * self._half_m[wall] * _ALONG[wall]
         return [(float(x), float(y)) for x, y in (start + m * _ALONG[wall] for m in places_m)]
 
-    def render(self, pose: Pose, camera: Camera, time_s: float = 0.0) -> View:
+    def render(self, pose: FloorPose, camera: Camera, time_s: float = 0.0) -> View:
         """Return what ``camera`` sees from ``pose``, which must be inside; time does not matter.
 
         Columns are halved, and cut where a corner passes through them, so that each piece sees

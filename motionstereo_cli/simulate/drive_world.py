@@ -9,14 +9,13 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from motionstereo_cli.poses import as_written
-from motionstereo_cli.simulate.camera import Pose, stereo_cameras
+from motionstereo_cli.rig.poses import as_written
+from motionstereo_cli.simulate.camera import FloorPose, stereo_cameras
 from motionstereo_cli.simulate.corridor import Corridor
 from motionstereo_cli.simulate.scenes import exposed
 from motionstereo_cli.simulate.settings import ROBOT_RADIUS_M, DriveSettings
 from motionstereo_cli.simulate.walkers import RADIUS_M, WalkerPaint, place_walkers, step
-from motionstereo_cli.types import Pose as RigPose
-from motionstereo_cli.types import Steering, StereoFrame
+from motionstereo_cli.types import Pose, Steering, StereoFrame
 
 if TYPE_CHECKING:
     from motionstereo_cli.types import Real
@@ -26,9 +25,11 @@ FRAME_RATE = 10
 FRAME_MS = 1000 // FRAME_RATE
 
 #: The robot: way and turn of one frame at most.
-MOST_WAY_M, MOST_TURN_RAD = 0.16, math.radians(6)
+MOST_WAY_M = 0.16
+MOST_TURN_RAD = math.radians(6)
 #: Free way at which it drives at full speed, and at which it stops.
-_FULL_SPEED_WAY_M, _STOP_WAY_M = 1.8, 0.35
+_FULL_SPEED_WAY_M = 1.8
+_STOP_WAY_M = 0.35
 #: Angle to its heading from which it only turns.
 _TURN_ONLY_RAD = math.radians(22)
 #: Share of the angle to its heading that it turns in a frame.
@@ -46,7 +47,7 @@ class Shot(NamedTuple):
 
     frame: StereoFrame
     disparity_px: Real
-    pose: RigPose
+    pose: Pose
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,7 +109,7 @@ class DriveWorld:
         self._sense = int(rng.choice((-1, 1)))
         side_m = rng.uniform(-0.15, 0.15) * width_m
         yaw_rad = (0 if self._sense > 0 else math.pi) + rng.uniform(-0.15, 0.15)
-        self.robot = Pose(rng.uniform(-0.3, 0.3) * middle_m, -middle_m + side_m, yaw_rad)
+        self.robot = FloorPose(rng.uniform(-0.3, 0.3) * middle_m, -middle_m + side_m, yaw_rad)
         self.walkers = place_walkers(
             settings.walkers, width_m, self.corridor.inner_m, self.robot, rng
         )
@@ -169,7 +170,7 @@ class DriveWorld:
         way_m = max(0.0, min(MOST_WAY_M, move.way_m))
         turn_rad = max(-MOST_TURN_RAD, min(MOST_TURN_RAD, move.turn_rad))
         middle_rad = before.yaw_rad + turn_rad / 2
-        self.robot = Pose(
+        self.robot = FloorPose(
             before.x_m + way_m * math.cos(middle_rad),
             before.y_m + way_m * math.sin(middle_rad),
             math.remainder(before.yaw_rad + turn_rad, math.tau),
@@ -217,7 +218,7 @@ class DriveWorld:
         return min(self.corridor.outer_m - max(x, y), to_inner)
 
 
-def _angle_between(one: Pose, other: Pose) -> float:
+def _angle_between(one: FloorPose, other: FloorPose) -> float:
     """Return the angle from one place to another about the square's middle."""
     angle_rad = math.atan2(other.y_m, other.x_m) - math.atan2(one.y_m, one.x_m)
     return math.remainder(angle_rad, math.tau)

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from motionstereo_cli.simulate.camera import EYE_HEIGHT_M, Camera, Pose, View
+from motionstereo_cli.simulate.camera import EYE_HEIGHT_M, Camera, FloorPose, View
 from motionstereo_cli.simulate.surfaces import Surface, rectangle, render
 from motionstereo_cli.simulate.texture import Texture, noise
 
@@ -80,7 +80,7 @@ class Layers:
             for nearness, sizes, kind in zip(near, shares, rng.permutation(len(near)), strict=True)
         ]
 
-    def render(self, pose: Pose, camera: Camera, time_s: float) -> View:
+    def render(self, pose: FloorPose, camera: Camera, time_s: float) -> View:
         """Return what ``camera`` sees from ``pose``, which must face the wall, at ``time_s``."""
         cards = [card.at(time_s) for card in self._cards]
         return render([self._wall, *cards], pose, camera)

@@ -14,14 +14,21 @@ from motionstereo_cli.simulate.settings import ROBOT_RADIUS_M
 from motionstereo_cli.simulate.walkers import RADIUS_M
 
 if TYPE_CHECKING:
-    from motionstereo_cli.mapping import Floor
+    from motionstereo_cli.robot.mapper import Floor
 
-_PX_PER_M, _MARGIN_M = 32, 0.8
+_PX_PER_M = 32
+_MARGIN_M = 0.8
 
 # RGB
-_PAPER, _FLOOR, _WALL = (225, 225, 225), (255, 255, 255), (120, 120, 120)
-_DOOR, _WINDOW = (176, 112, 48), (64, 150, 230)
-_SEEN, _PATH, _WALKER, _TOUCH = (0, 0, 0), (20, 90, 200), (240, 150, 30), (220, 0, 0)
+_PAPER = (225, 225, 225)
+_FLOOR = (255, 255, 255)
+_WALL = (120, 120, 120)
+_DOOR = (176, 112, 48)
+_WINDOW = (64, 150, 230)
+_SEEN = (0, 0, 0)
+_PATH = (20, 90, 200)
+_WALKER = (240, 150, 30)
+_TOUCH = (220, 0, 0)
 _WALKED = (250, 225, 180)
 
 

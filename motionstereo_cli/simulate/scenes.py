@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import cv2
 import numpy as np
 
-from motionstereo_cli.simulate.camera import Camera, Pose, View, World, stereo_cameras
+from motionstereo_cli.simulate.camera import Camera, FloorPose, View, World, stereo_cameras
 from motionstereo_cli.simulate.cards import Cards, pan_pose
 from motionstereo_cli.simulate.corridor import Corridor
 from motionstereo_cli.simulate.layers import Layers
@@ -34,14 +34,14 @@ class SceneFrame(NamedTuple):
     left: Grey
     right: Grey
     disparity_px: Real
-    pose: Pose
+    pose: FloorPose
 
 
 class _Scene(NamedTuple):
     """A world, and where the rig is in it at a frame, whole or not, of a given duration in s."""
 
     world: World
-    pose: Callable[[float, float], Pose]
+    pose: Callable[[float, float], FloorPose]
 
 
 def _corridor(settings: SimulateSettings) -> _Scene:
@@ -50,8 +50,8 @@ def _corridor(settings: SimulateSettings) -> _Scene:
 
 
 def _standing(world: World, settings: SimulateSettings) -> _Scene:
-    def pose(frame: float, frame_s: float) -> Pose:
-        return pan_pose(frame * frame_s) if settings.pan else Pose(0.0, 0.0, 0.0)
+    def pose(frame: float, frame_s: float) -> FloorPose:
+        return pan_pose(frame * frame_s) if settings.pan else FloorPose(0.0, 0.0, 0.0)
 
     return _Scene(world, pose)
 

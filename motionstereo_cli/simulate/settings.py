@@ -7,11 +7,12 @@ import re
 from dataclasses import dataclass
 
 from motionstereo_cli.errors import SettingsError
-from motionstereo_cli.settings import checked, param
+from motionstereo_cli.params import checked, param
 from motionstereo_cli.types import Rig
 
 #: Shares of one side's way that are straight and turn: the paper's 100 and 25 frames of 125.
-STRAIGHT_SHARE, TURN_SHARE = 0.8, 0.2
+STRAIGHT_SHARE = 0.8
+TURN_SHARE = 0.2
 
 #: Frames are numbered with six digits.
 _MOST_FRAMES = 1_000_000
@@ -20,7 +21,8 @@ _MOST_FRAMES = 1_000_000
 _LEAST_ROOM_M = 0.1
 
 #: The driven robot, and the room it needs besides.
-ROBOT_RADIUS_M, _LEAST_DRIVE_ROOM_M = 0.25, 0.5
+ROBOT_RADIUS_M = 0.25
+_LEAST_DRIVE_ROOM_M = 0.5
 #: Width of the widest driven corridor that a seed decides on.
 _WIDEST_M = 3.5
 

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from motionstereo_cli.simulate.camera import EYE_HEIGHT_M, Camera, Pose, View
+from motionstereo_cli.simulate.camera import EYE_HEIGHT_M, Camera, FloorPose, View
 from motionstereo_cli.simulate.texture import Texture
 
 if TYPE_CHECKING:
@@ -74,7 +74,7 @@ def rectangle(
     return Surface(corners, corner, right / texels[0], down / texels[1], texture, gain)
 
 
-def render(surfaces: Sequence[Surface], pose: Pose, camera: Camera) -> View:
+def render(surfaces: Sequence[Surface], pose: FloorPose, camera: Camera) -> View:
     """Return what a camera sees of surfaces; black and endlessly far where there is none."""
     seen = [one for one in (_see(item, pose, camera) for item in surfaces) if one]
     height, width = camera.height, camera.width
@@ -158,7 +158,7 @@ class _Seen:
         grey[v, u] += (self.surface.gain * share[row, column] * seen).astype(np.float32)
 
 
-def _see(surface: Surface, pose: Pose, camera: Camera) -> _Seen | None:
+def _see(surface: Surface, pose: FloorPose, camera: Camera) -> _Seen | None:
     """Return a surface as a camera sees it; None if it does not."""
     eye = np.array([*camera.eye(pose), EYE_HEIGHT_M])
     axes = np.array([[*pose.forward, 0], [*pose.left, 0], [0, 0, 1]])

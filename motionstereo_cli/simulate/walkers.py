@@ -17,12 +17,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from motionstereo_cli.simulate.camera import EYE_HEIGHT_M, Camera, Pose, View
+from motionstereo_cli.simulate.camera import EYE_HEIGHT_M, Camera, FloorPose, View
 
 if TYPE_CHECKING:
     from motionstereo_cli.types import Real
 
-RADIUS_M, HEIGHT_M = 0.25, 1.75
+RADIUS_M = 0.25
+HEIGHT_M = 1.75
 #: Slow to brisk walking pace.
 SPEEDS_M_S = (0.6, 1.1)
 #: A walker stops where the robot's edge is as near as this, ahead of it.
@@ -31,7 +32,8 @@ _POLITE_M = 0.6
 _PATIENCE_FRAMES = 20
 
 #: Rays a pixel along a row and a column, which are averaged.
-_ACROSS, _DOWN = 3, 2
+_ACROSS = 3
+_DOWN = 2
 _TEXEL_M = 0.05
 
 
@@ -61,7 +63,7 @@ class Walker:
 
 def step(
     walker: Walker,
-    robot: Pose,
+    robot: FloorPose,
     *,
     robot_radius_m: float,
     inner_m: float,
@@ -96,7 +98,7 @@ def step(
 
 
 def place_walkers(
-    count: int, width_m: float, inner_m: float, start: Pose, rng: np.random.Generator
+    count: int, width_m: float, inner_m: float, start: FloorPose, rng: np.random.Generator
 ) -> list[Walker]:
     """Return walkers spread over the corridor, none of them near the start.
 
@@ -151,7 +153,7 @@ class WalkerPaint:
             self._paint.append(np.pad(paint, ((0, 0), (1, 1)), mode="wrap"))
 
     def render(
-        self, view: View, walkers: list[Walker], pose: Pose, camera: Camera, lamp_m: float
+        self, view: View, walkers: list[Walker], pose: FloorPose, camera: Camera, lamp_m: float
     ) -> View:
         """Return a view with the walkers in it.
 
@@ -180,7 +182,7 @@ class WalkerPaint:
         walker: Walker,
         paint: Real,
         *,
-        pose: Pose,
+        pose: FloorPose,
         camera: Camera,
         lamp_m: float,
     ) -> None:

@@ -8,13 +8,14 @@ from fractions import Fraction
 from pathlib import Path
 
 from motionstereo_cli.errors import OutputError
-from motionstereo_cli.poses import HEAD, format_pose
+from motionstereo_cli.files.atomic import reported, write_whole
+from motionstereo_cli.files.images import encode_png
+from motionstereo_cli.files.video import VideoWriter
 from motionstereo_cli.rig import write_rig
+from motionstereo_cli.rig.poses import HEAD, format_pose
 from motionstereo_cli.simulate.scenes import render_scene
 from motionstereo_cli.simulate.settings import SimulateSettings
-from motionstereo_cli.sinks.files import reported, write_whole
-from motionstereo_cli.sinks.images import disparity_png, encode_png
-from motionstereo_cli.sinks.video import VideoWriter
+from motionstereo_cli.sinks.images import disparity_png
 
 
 def simulate(

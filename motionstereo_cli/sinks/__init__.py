@@ -1,6 +1,6 @@
 """Where results go.
 
-:data:`SAVES` names every output of a run; a sink's module loads when the output is asked for.
+:data:`OUTPUTS` names every output of a run; a sink's module loads when the output is asked for.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class Sink(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
-class Stream:
+class RunContext:
     """What sinks know of a run before its first frame.
 
     Attributes:
@@ -61,7 +61,7 @@ class Stream:
 
 
 @dataclass(frozen=True, slots=True)
-class Save:
+class Output:
     """An output that ``--save`` can ask for.
 
     Attributes:
@@ -90,7 +90,7 @@ class Save:
         """The path as told to users: a folder for numbered files."""
         return self.path.partition("{")[0]
 
-    def open(self, out: Path, stream: Stream, since: object = None) -> Sink:
+    def open(self, out: Path, stream: RunContext, since: object = None) -> Sink:
         """Return the sink of a run into the folder ``out``.
 
         Args:
@@ -109,109 +109,109 @@ class Save:
 
 #: Names follow one scheme: PNG images bear the bare name of what they show, other formats add
 #: theirs, and -video is one to look at. For the charge alone the bare name is the video.
-SAVES = {
-    "steering": Save(
+OUTPUTS = {
+    "steering": Output(
         "steering.csv",
         "one row a frame; time_s in s, steer -1..1 and steer_rad in rad with positive = left, "
         "depth_m and nearest_m in m, charged and matched as shares of the image; "
         "empty = unknown",
         "steering.steering_file",
     ),
-    "steering-jsonl": Save(
+    "steering-jsonl": Output(
         "steering.jsonl",
         "the same as JSON lines, one object a frame; null = unknown",
         "steering.steering_file",
     ),
-    "objects": Save(
+    "objects": Output(
         "objects.csv",
         "a row for each moving object of each frame: box in px of the reference view, depth_m in "
         "m, closing_mps in m/s with positive = approaching, time_to_contact_s in s, confidence "
         "0..1; empty = unknown",
         "objects.objects_file",
     ),
-    "depth": Save(
+    "depth": Output(
         "depth/{:06d}.png",
         "uint16 depth, output_settings.depth_scale units per m, reference view; "
         "0 = unknown or over 65535 units",
         "images.depth",
         needs_rig=True,
     ),
-    "depth-pfm": Save(
+    "depth-pfm": Output(
         "depth-pfm/{:06d}.pfm",
         "float32 depth in m, reference view; inf = unknown",
         "images.depth_m",
         needs_rig=True,
     ),
-    "depth-tiff": Save(
+    "depth-tiff": Output(
         "depth-tiff/{:06d}.tiff",
         "float32 depth in m, reference view; NaN = unknown",
         "images.depth_m",
         needs_rig=True,
     ),
-    "depth-mkv": Save(
+    "depth-mkv": Output(
         "depth.mkv",
         "lossless video (FFV1, gray16le) of the images of depth; times in whole ms",
         "previews.depth_lossless",
         needs_rig=True,
     ),
-    "depth-video": Save(
+    "depth-video": Output(
         "depth.mp4",
         "depth in colour (output_settings.colours), near = its end, far = its beginning, "
         "black = unknown; log scale of disparity + doffs from max_disparity, or near_m, to 1 px, "
         "or far_m",
         "previews.depth",
     ),
-    "disparity": Save(
+    "disparity": Output(
         "disparity/{:06d}.png",
         "uint16 disparity in 1/256 px, reference view; 0 = unknown, a known 0 is stored as 1",
         "images.disparity",
     ),
-    "disparity-pfm": Save(
+    "disparity-pfm": Output(
         "disparity-pfm/{:06d}.pfm",
         "float32 disparity in px, reference view; inf = unknown",
         "images.disparity_px",
     ),
-    "age": Save(
+    "age": Output(
         "age/{:06d}.png",
         "uint8 frames since something moved there, reference view; 255 = forgotten",
         "images.age",
     ),
-    "confidence": Save(
+    "confidence": Output(
         "confidence/{:06d}.png",
         "uint8 chance that the disparity is right within 1 px, in 1/255, reference view; "
         "0 = no disparity",
         "images.confidence",
     ),
-    "bands": Save(
+    "bands": Output(
         "bands/{:06d}.png",
         "grey-level bands 1..n, reference view; uint8, or uint16 for 256 bands",
         "images.bands",
     ),
-    "bands-video": Save(
+    "bands-video": Output(
         "bands.mp4", "grey-level bands, reference view; 1..n as black..white", "previews.bands"
     ),
-    "motion": Save(
+    "motion": Output(
         "motion/{:06d}.png",
         "uint8, reference view; 255 = the band has just changed, 0 = it has not",
         "images.motion",
     ),
-    "motion-video": Save("motion.mp4", "the images of motion as video", "previews.motion"),
-    "charge": Save(
+    "motion-video": Output("motion.mp4", "the images of motion as video", "previews.motion"),
+    "charge": Output(
         "charge.mp4", "permanency memory of the reference view, charge as grey", "previews.charge"
     ),
-    "charge-png": Save(
+    "charge-png": Output(
         "charge-png/{:06d}.png",
         "uint8 permanency memory of the reference view, the charge itself",
         "images.charge",
     ),
-    "points": Save(
+    "points": Output(
         "points/{:06d}.ply",
         "all that has a depth as points, x right, y down, z forward of the reference camera "
         "in m, colour = grey",
         "points.NumberedClouds",
         needs_rig=True,
     ),
-    "map": Save(
+    "map": Output(
         "map.ply",
         "what moved in the image, fused over all frames: points in the world of the poses in m, "
         "colour = grey; map.png from above, 0 = occupied, 254 = free, 205 = unknown, its place "
@@ -223,7 +223,7 @@ SAVES = {
     ),
 }
 
-DEFAULT_SAVES = ("steering", "depth", "charge", "depth-video")
+DEFAULT_OUTPUTS = ("steering", "depth", "charge", "depth-video")
 
 
 #: What takes the place of an output in metres where there is no rig.
@@ -243,8 +243,8 @@ def available(
         instead = instead | {"steering": f"steering-{steering_format}"}
     names = tuple(dict.fromkeys(instead.get(name, name) for name in save))
     for name in names:
-        if SAVES[name].needs_rig and not rig:
+        if OUTPUTS[name].needs_rig and not rig:
             raise SettingsError(f"--save {name} needs --rig: without it nothing is in metres")
-        if SAVES[name].needs_poses and not poses:
+        if OUTPUTS[name].needs_poses and not poses:
             raise SettingsError(f"--save {name} needs --poses: they say where the rig was")
     return names

@@ -7,17 +7,16 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import cv2
 import numpy as np
 
-from motionstereo_cli.errors import OutputError
-from motionstereo_cli.sinks.files import NumberedFiles
+from motionstereo_cli.files.images import encode_pfm, encode_png, encode_tiff
+from motionstereo_cli.sinks.writers import NumberedFiles
 from motionstereo_cli.types import FrameResult
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from motionstereo_cli.sinks import Stream
+    from motionstereo_cli.sinks import RunContext
     from motionstereo_cli.types import Real
 
 _UINT16_MAX = 65535
@@ -81,46 +80,6 @@ def _to_uint16(values: Real, per_unit: int) -> NDArray[np.uint16]:
     return np.asarray(scaled.astype(np.uint16) * known, np.uint16)
 
 
-def encode_png(image: NDArray[np.uint8] | NDArray[np.uint16]) -> bytes:
-    """Return a uint8 or uint16 image, grey or BGR, as a PNG file.
-
-    The fastest compression level, and the difference to the left pixel in every row: what takes
-    longer saves a few per cent.
-
-    Raises:
-        OutputError: the image cannot be encoded.
-    """
-    how = (cv2.IMWRITE_PNG_COMPRESSION, 1, cv2.IMWRITE_PNG_FILTER, cv2.IMWRITE_PNG_FILTER_SUB)
-    return _encoded(".png", image, *how)
-
-
-def encode_pfm(image: Real) -> bytes:
-    """Return a (height, width) float32 image as a PFM file, as Middlebury has it.
-
-    Little-endian, the lowest row first, inf where the image has NaN.
-
-    Raises:
-        OutputError: the image cannot be encoded.
-    """
-    return _encoded(".pfm", np.where(np.isnan(image), np.float32(np.inf), image))
-
-
-def encode_tiff(image: Real) -> bytes:
-    """Return a (height, width) float32 image as a TIFF file, uncompressed: all readers take it.
-
-    Raises:
-        OutputError: the image cannot be encoded.
-    """
-    return _encoded(".tiff", image, cv2.IMWRITE_TIFF_COMPRESSION, 1)
-
-
-def _encoded(suffix: str, image: NDArray[Any], *how: int) -> bytes:
-    done, content = cv2.imencode(suffix, image, how)
-    if not done:
-        raise OutputError(f"cannot encode an image of {image.shape} as {suffix}: try another size")
-    return content.tobytes()
-
-
 _ENCODE: dict[str, Callable[[Any], bytes]] = {
     ".png": encode_png,
     ".pfm": encode_pfm,
@@ -132,7 +91,7 @@ class NumberedImages(NumberedFiles):
     """Image files, one a frame.
 
     Args:
-        path: see :class:`~motionstereo_cli.sinks.files.NumberedFiles`; its suffix says the
+        path: see :class:`~motionstereo_cli.sinks.writers.NumberedFiles`; its suffix says the
             format: uint8 and uint16 images go to .png, float32 ones to .pfm and .tiff.
         stream: what is known of the run.
         image: makes the (height, width) image of a result.
@@ -141,10 +100,10 @@ class NumberedImages(NumberedFiles):
     def __init__(
         self,
         path: Path,
-        stream: Stream,
+        stream: RunContext,
         _: None = None,
         *,
-        image: Callable[[FrameResult, Stream], NDArray[Any]],
+        image: Callable[[FrameResult, RunContext], NDArray[Any]],
     ) -> None:
         super().__init__(path)
         self._stream = stream
@@ -156,10 +115,10 @@ class NumberedImages(NumberedFiles):
         self.add(result.frame.index, self._encode(self._image(result, self._stream)))
 
 
-# The sinks by their names in SAVES; each takes the path and the stream.
+# The sinks by their names in OUTPUTS; each takes the path and the stream.
 
 
-def _images(image: Callable[[FrameResult, Stream], NDArray[Any]]) -> partial[NumberedImages]:
+def _images(image: Callable[[FrameResult, RunContext], NDArray[Any]]) -> partial[NumberedImages]:
     return partial(NumberedImages, image=image)
 
 

@@ -8,18 +8,20 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from motionstereo_cli.mapping import Floor, Mapper, Surroundings
-from motionstereo_cli.sinks.files import part_of, write_whole
-from motionstereo_cli.sinks.images import encode_png
+from motionstereo_cli.files.atomic import part_of, write_whole
+from motionstereo_cli.files.images import encode_png
+from motionstereo_cli.robot.mapper import Floor, Mapper, Surroundings
 from motionstereo_cli.sinks.points import encode_ply
 from motionstereo_cli.types import FrameResult
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from motionstereo_cli.sinks import Stream
+    from motionstereo_cli.sinks import RunContext
 
-_FREE, _OCCUPIED, _UNKNOWN = 254, 0, 205
+_FREE = 254
+_OCCUPIED = 0
+_UNKNOWN = 205
 
 
 def map_png(floor: Floor) -> NDArray[np.uint8]:
@@ -61,7 +63,7 @@ class MapFiles:
         mapper: makes the map.
     """
 
-    def __init__(self, path: Path, stream: Stream, since: Surroundings | None = None) -> None:
+    def __init__(self, path: Path, stream: RunContext, since: Surroundings | None = None) -> None:
         assert stream.rig is not None
         self._path = path
         self.mapper = Mapper(stream.settings, stream.rig, stream.output.map_cell_m)

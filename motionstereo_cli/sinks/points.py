@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from motionstereo_cli.mapping import camera_points
-from motionstereo_cli.sinks.files import NumberedFiles
+from motionstereo_cli.robot.mapper import camera_points
+from motionstereo_cli.sinks.writers import NumberedFiles
 from motionstereo_cli.types import FrameResult
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from motionstereo_cli.sinks import Stream
+    from motionstereo_cli.sinks import RunContext
     from motionstereo_cli.types import Grey
 
 _PLY_TYPES = {np.dtype(np.float32): "float", np.dtype(np.float64): "double"}
@@ -50,11 +50,11 @@ class NumberedClouds(NumberedFiles):
     """PLY files, one a frame: all that has a depth, in the camera's frame.
 
     Args:
-        path: see :class:`~motionstereo_cli.sinks.files.NumberedFiles`.
+        path: see :class:`~motionstereo_cli.sinks.writers.NumberedFiles`.
         stream: what is known of the run; it has a rig.
     """
 
-    def __init__(self, path: Path, stream: Stream, _: None = None) -> None:
+    def __init__(self, path: Path, stream: RunContext, _: None = None) -> None:
         super().__init__(path)
         self._stream = stream
         camera = stream.settings.reference

@@ -11,14 +11,14 @@ from typing import TYPE_CHECKING, Any
 import cv2
 import numpy as np
 
+from motionstereo_cli.files.video import SegmentedVideo
 from motionstereo_cli.sinks.images import depth_png, known_depth_m, motion_png
-from motionstereo_cli.sinks.video import SegmentedVideo
 from motionstereo_cli.types import FrameResult
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from motionstereo_cli.sinks import Stream
+    from motionstereo_cli.sinks import RunContext
     from motionstereo_cli.types import Real
 
 #: The darkest colour of the map is left out, for it is hard to tell from black.
@@ -47,10 +47,10 @@ class ResultVideo:
     def __init__(
         self,
         path: Path,
-        stream: Stream,
+        stream: RunContext,
         since: tuple[tuple[int, int | None], int | None] | None = None,
         *,
-        image: Callable[[FrameResult, Stream], NDArray[Any]],
+        image: Callable[[FrameResult, RunContext], NDArray[Any]],
     ) -> None:
         segments, self._begin = since or ((0, None), None)
         self._video = SegmentedVideo(path, stream.time_base, segments)
@@ -112,12 +112,12 @@ def _palette(colours: str) -> NDArray[np.uint8]:
     return rgb
 
 
-def _bands(result: FrameResult, stream: Stream) -> NDArray[np.uint8]:
+def _bands(result: FrameResult, stream: RunContext) -> NDArray[np.uint8]:
     steps = stream.settings.bands - 1
     return ((result.bands.astype(np.uint16) - 1) * 255 // steps).astype(np.uint8)
 
 
-def _depth(result: FrameResult, stream: Stream) -> NDArray[np.uint8]:
+def _depth(result: FrameResult, stream: RunContext) -> NDArray[np.uint8]:
     output, rig = stream.output, stream.rig
     doffs = rig.doffs if rig else 0.0
     near_px, far_px = stream.settings.max_disparity + doffs, max(1 + doffs, 1)
@@ -128,10 +128,12 @@ def _depth(result: FrameResult, stream: Stream) -> NDArray[np.uint8]:
     return depth_colours(result.disparity_px + np.float32(doffs), near_px, far_px, output.colours)
 
 
-# The sinks by their names in SAVES; each takes the path and the stream.
+# The sinks by their names in OUTPUTS; each takes the path and the stream.
 
 
-def _video(image: Callable[[FrameResult, Stream], NDArray[Any]]) -> functools.partial[ResultVideo]:
+def _video(
+    image: Callable[[FrameResult, RunContext], NDArray[Any]],
+) -> functools.partial[ResultVideo]:
     return functools.partial(ResultVideo, image=image)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from motionstereo_cli.errors import SettingsError
-from motionstereo_cli.settings import checked, param
+from motionstereo_cli.params import checked, param
 
 
 @dataclass(frozen=True, slots=True)

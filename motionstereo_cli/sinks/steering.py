@@ -5,11 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO
 
-from motionstereo_cli.sinks.files import TableFile, cell, reported
+from motionstereo_cli.files.atomic import reported
+from motionstereo_cli.sinks.writers import TableFile, cell
 from motionstereo_cli.types import FrameResult
 
 if TYPE_CHECKING:
-    from motionstereo_cli.sinks import Stream
+    from motionstereo_cli.sinks import RunContext
 
 HEADER = "frame,pts,time_s,status,steer,steer_rad,depth_m,nearest_m,charged,matched"
 
@@ -110,6 +111,6 @@ class SteeringFile(TableFile):
         self.add([steering_line(result, self._format)])
 
 
-def steering_file(path: Path, _: Stream, since: int | None = None) -> SteeringFile:
+def steering_file(path: Path, _: RunContext, since: int | None = None) -> SteeringFile:
     """Return a sink for the steering table, its format told by the name's suffix."""
     return SteeringFile(path, path.suffix.removeprefix("."), since)

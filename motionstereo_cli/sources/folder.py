@@ -19,9 +19,9 @@ import numpy as np
 from PIL import Image as Pillow
 
 from motionstereo_cli.errors import InputError
-from motionstereo_cli.reading import MOST_TABLE_BYTES, read_text, sha256_of
+from motionstereo_cli.files.reading import MOST_TABLE_BYTES, read_text, sha256_of
 from motionstereo_cli.settings import MOST_PIXELS
-from motionstereo_cli.sources.stream import Image, Stream, images
+from motionstereo_cli.sources.recording import Image, Recording, images
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -47,7 +47,7 @@ _DAMAGE = (OSError, ValueError, SyntaxError)
 _MOST_DIGITS = 19
 
 
-class FolderStream(Stream):
+class FolderRecording(Recording):
     """Images of one folder in natural order: frame2 before frame10.
 
     Colour becomes BT.601 luma, alpha is dropped, 16 bits are scaled to 8, and the orientation

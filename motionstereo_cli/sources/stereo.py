@@ -14,13 +14,13 @@ import cv2
 import numpy as np
 
 from motionstereo_cli.errors import InputError, SettingsError
-from motionstereo_cli.sources import views
-from motionstereo_cli.sources.folder import FolderStream
+from motionstereo_cli.sources import layout
+from motionstereo_cli.sources.folder import FolderRecording
+from motionstereo_cli.sources.opening import STDIN, is_address, named, open_recording
 from motionstereo_cli.sources.pairing import pair
 from motionstereo_cli.sources.prefetch import prefetch
-from motionstereo_cli.sources.recordings import STDIN, is_address, named, open_stream
+from motionstereo_cli.sources.recording import Recording, images
 from motionstereo_cli.sources.settings import InputSettings, Place
-from motionstereo_cli.sources.stream import Stream, images
 from motionstereo_cli.types import StereoFrame
 
 if TYPE_CHECKING:
@@ -31,7 +31,8 @@ _DEPTH = 4
 
 #: Something moves where this share of an image changes by more than so many grey levels. A still
 #: scene may look the same twice to one camera, and through its encoder, and not to the other.
-_MOVING_SHARE, _MOTION_GREY = 0.01, 12
+_MOVING_SHARE = 0.01
+_MOTION_GREY = 12
 
 SIDES = ("left", "right")
 
@@ -70,7 +71,7 @@ class StereoSource:
 
     def __init__(
         self,
-        streams: Sequence[Stream],
+        streams: Sequence[Recording],
         settings: InputSettings | None = None,
         paths: Sequence[Path] = (),
     ) -> None:
@@ -91,7 +92,7 @@ class StereoSource:
 
         right = self._sides[1]
         sizes = [
-            views.view_size(each.width, each.height, s.layout, each.name) for each in self._streams
+            layout.view_size(each.width, each.height, s.layout, each.name) for each in self._streams
         ]
         if sizes[0] != sizes[-1]:
             one, other = (f"{width}x{height}" for width, height in sizes)
@@ -270,10 +271,10 @@ class StereoSource:
         last: Grey | None = None
         for order, image in enumerate(stream):
             repeats, last = last is not None and _same(image.grey, last), image.grey
-            parts = views.split(image.grey, s.layout)
+            parts = layout.split(image.grey, s.layout)
             if rectify:
                 parts = tuple(each(part) for each, part in zip(rectify, parts, strict=True))
-            cut = (views.cut(part, self._box, self.width, self.height) for part in parts)
+            cut = (layout.cut(part, self._box, self.width, self.height) for part in parts)
             time_s = None if stream.time_base is None else image.pts * stream.time_base
             loss = _Loss.of(stream)
             yield _Shot(order, image.number, image.pts, time_s, tuple(cut), repeats, loss)
@@ -313,7 +314,7 @@ class StereoSource:
             return number >= place
         return shot.time_s is not None and shot.time_s - self._sides[1].begin_s >= place
 
-    def _need_time(self, flag: str, stream: Stream) -> None:
+    def _need_time(self, flag: str, stream: Recording) -> None:
         if stream.time_base is None:
             raise SettingsError(f"{flag}: {stream.name} has no time stamps: give --frame-rate")
 
@@ -338,7 +339,7 @@ class _Loss(NamedTuple):
     damage: tuple[str, ...]
 
     @classmethod
-    def of(cls, stream: Stream) -> _Loss:
+    def of(cls, stream: Recording) -> _Loss:
         return cls(stream.lost, stream.flawed, tuple(stream.damage))
 
 
@@ -347,7 +348,7 @@ class _Shot(NamedTuple):
 
     Attributes:
         order: how many images came before it.
-        number, pts: as in :class:`~motionstereo_cli.sources.stream.Image`.
+        number, pts: as in :class:`~motionstereo_cli.sources.recording.Image`.
         time_s: pts in s, None where there is no time.
         views: the view, or the two views, in it.
         repeats: the image is that before it, byte for byte.
@@ -374,7 +375,7 @@ class _Side:
         begin_s: time of the first image.
     """
 
-    def __init__(self, stream: Stream, half: int = 0) -> None:
+    def __init__(self, stream: Recording, half: int = 0) -> None:
         self.stream, self.half = stream, half
         self.paired = self.early = self.repeated = 0
         self.loss = _Loss(0, 0, ())
@@ -473,8 +474,8 @@ def open_stereo(
     settings = settings or InputSettings()
     names = named(left, right, settings)
     with ExitStack() as opened:
-        streams = [opened.enter_context(closing(open_stream(name, settings))) for name in names]
-        timeless = (isinstance(each, FolderStream) and not each.stamped for each in streams)
+        streams = [opened.enter_context(closing(open_recording(name, settings))) for name in names]
+        timeless = (isinstance(each, FolderRecording) and not each.stamped for each in streams)
         if settings.frame_rate and not any(timeless):
             raise SettingsError(
                 f"--frame-rate is for image folders, but {names[0]} has time stamps: leave it out"

@@ -16,10 +16,10 @@ import numpy as np
 from av.video.reformatter import ColorRange
 
 from motionstereo_cli.errors import InputError
-from motionstereo_cli.reading import sha256_of
+from motionstereo_cli.files.reading import sha256_of
 from motionstereo_cli.settings import MOST_PIXELS
 from motionstereo_cli.sources.pipe import Pipe
-from motionstereo_cli.sources.stream import Image, Stream, images
+from motionstereo_cli.sources.recording import Image, Recording, images
 
 if TYPE_CHECKING:
     from motionstereo_cli.types import Grey
@@ -41,7 +41,7 @@ _GREY_OF_LIMITED_LUMA = np.clip(np.rint((np.arange(256) - 16) * (255 / 219)), 0,
 )
 
 
-class VideoStream(Stream):
+class VideoRecording(Recording):
     """The grey images of a video file, in the order in which they are shown.
 
     Grey is the luma plane, expanded to 0..255 where the stream is limited range; RGB streams

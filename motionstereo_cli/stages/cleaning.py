@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from motionstereo_cli.kernel import kernel
+from motionstereo_cli.compiled import kernel
 
 #: cv2.filterSpeckles knows whole numbers alone.
 _PER_PX = 16

@@ -5,27 +5,31 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from motionstereo_cli.kernel import kernel
+from motionstereo_cli.compiled import kernel
 
 #: Logistic regression on what is known of a match: constant, log2 of votes, residual in grey
 #: levels, age in frames. Fitted to whether disparities are within 1 px of the truth, on the
 #: rendered corridor and cards, straight, turning, still and panning, at noise 1.5 and 4, each
 #: scene with the same weight.
-_CONSTANT, _PER_DOUBLING = -4.38, 0.918
-_PER_GREY_LEVEL, _PER_FRAME = np.float32(-0.157), np.float32(-0.093)
+_CONSTANT = -4.38
+_PER_DOUBLING = 0.918
+_PER_GREY_LEVEL = np.float32(-0.157)
+_PER_FRAME = np.float32(-0.093)
 
 #: More votes than this say no more.
 _MOST_VOTES = 512
 
 #: A gap filled between two matches is right as often as a match with this evidence.
-_FILLED_VOTES, _FILLED_RESIDUAL = np.float32(340), np.float32(3)
+_FILLED_VOTES = np.float32(340)
+_FILLED_RESIDUAL = np.float32(3)
 
 #: Tables, for logarithms and exponentials take their time: what votes contribute, and the
 #: logistic function from minus to plus the largest logit in steps of 1/64.
 _PER_VOTE = (_CONSTANT + _PER_DOUBLING * np.log2(np.maximum(np.arange(_MOST_VOTES + 1), 1))).astype(
     np.float32
 )
-_LARGEST_LOGIT, _STEPS = np.float32(10), np.float32(64)
+_LARGEST_LOGIT = np.float32(10)
+_STEPS = np.float32(64)
 _LOGISTIC = (1 / (1 + np.exp(10 - np.arange(2 * 10 * 64 + 1) / 64))).astype(np.float32)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from motionstereo_cli.kernel import kernel
+from motionstereo_cli.compiled import kernel
 
 #: Differences of grey beyond this say no more.
 _MOST = np.float32(64)

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from motionstereo_cli.kernel import kernel
+from motionstereo_cli.compiled import kernel
 
 Ints = NDArray[np.int32]
 Reals = NDArray[np.float32]

@@ -1,0 +1,549 @@
+"""Whether a run gives what an earlier one gave: for regression tests.
+
+GOLDEN is what a run wrote, or a part of it. Of images only those that GOLDEN has are compared;
+tables are compared whole. Whatever GOLDEN has and ACTUAL lacks is a difference, and so is a file
+that cannot be read.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+import re
+import xml.etree.ElementTree as ET
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import cv2
+import numpy as np
+
+from motionstereo_cli.analysis.evaluate import Maps
+from motionstereo_cli.analysis.settings import COLUMN_TOLERANCE, CompareSettings
+from motionstereo_cli.batch.folder import RECORD
+from motionstereo_cli.errors import InputError, SettingsError
+from motionstereo_cli.sinks import OUTPUTS
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from motionstereo_cli.types import Real
+
+#: Parts of run.json that may differ without a word, or with a note, from machine to machine.
+_IGNORED = frozenset({"program", "outputs", "shares", "warnings", "damage", "timing"})
+_NOTED = frozenset({"versions", "inputs", "files"})
+
+#: What a difference of exactly the tolerance may exceed it by: in a table's decimals, in float32 m.
+_ROUNDING = 1e-9
+_ROUNDING_M = 1e-5
+
+#: Longest value that a message shows.
+_SHOWN = 60
+
+
+@dataclass(frozen=True, slots=True)
+class Difference:
+    """One thing that differs in an output.
+
+    Attributes:
+        what: a column, a setting, ``pixels``, ``size``, ``rows``, ``frames``, ``files``.
+        found: in words, at its worst.
+        count: in how many rows, frames or files.
+        first_frame, worst_frame: where it is first, and where worst; None if in no frame.
+        worst: the difference there, in the column's unit or as share of the pixels; infinite
+            where it is no number.
+    """
+
+    what: str
+    found: str
+    count: int
+    first_frame: int | None
+    worst_frame: int | None
+    worst: float
+
+
+@dataclass(slots=True)
+class Compared:
+    """An output of GOLDEN beside that of ACTUAL.
+
+    Attributes:
+        name: its path in the folders.
+        unit: what is counted in it.
+        compared: how many of these were compared.
+        differences: by what differs.
+    """
+
+    name: str
+    unit: str
+    compared: int = 0
+    differences: dict[str, Difference] = field(default_factory=dict)
+
+    def differ(
+        self, what: str, found: str, frame: int | None = None, worst: float = math.inf
+    ) -> None:
+        """Note a difference in a frame; the worst of a kind is kept, the others are counted."""
+        former = self.differences.get(what, Difference(what, found, 0, frame, frame, worst))
+        if worst > former.worst:
+            former = replace(former, found=found, worst_frame=frame, worst=worst)
+        self.differences[what] = replace(former, count=former.count + 1)
+
+
+class WorstImage(NamedTuple):
+    """The two images that differ most.
+
+    Attributes:
+        name: output and frame.
+        actual, golden: (height, width) float32 disparity in px or depth in m, NaN = unknown.
+        tolerance: in the same unit.
+        share: of the pixels that differ, 0..1.
+    """
+
+    name: str
+    actual: Real
+    golden: Real
+    tolerance: float
+    share: float
+
+
+@dataclass(frozen=True, slots=True)
+class Report:
+    """What a comparison found.
+
+    Attributes:
+        outputs: everything that GOLDEN has.
+        notes: what differs and does not count, or was not compared, one line each.
+        worst_image: None where no two images differ by more than the tolerance.
+    """
+
+    outputs: tuple[Compared, ...]
+    notes: tuple[str, ...]
+    worst_image: WorstImage | None
+
+    @property
+    def differs(self) -> bool:
+        """Whether there is any difference."""
+        return any(output.differences for output in self.outputs)
+
+
+def compare(
+    actual: Path,
+    golden: Path,
+    settings: CompareSettings | None = None,
+    *,
+    tolerances: Mapping[str, float] | None = None,
+    progress: Callable[[], object] = lambda: None,
+) -> Report:
+    """Compare the results of a run with golden ones, an image of each at a time in memory.
+
+    Args:
+        actual: folder that ``run`` wrote.
+        golden: the same of an earlier run, or a part of it.
+        settings: how far images may differ; the defaults if None.
+        tolerances: how far numbers of tables may differ, by column, beside
+            :data:`~motionstereo_cli.settings.COLUMN_TOLERANCE`.
+        progress: called after each image.
+
+    Raises:
+        InputError: ``actual`` is not what a run wrote, ``golden`` has nothing to compare, or they
+            are the same folder.
+        SettingsError: no table of ``golden`` has a column that a tolerance is given for.
+    """
+    if not (actual / RECORD).is_file():
+        raise InputError(
+            f"{actual} has no {RECORD}, so no run was completed there: check the path, or run again"
+        )
+    if golden.resolve() == actual.resolve():
+        raise InputError(f"{actual} and {golden} are the same folder: give two")
+    comparison = _Comparison(
+        actual,
+        golden,
+        settings or CompareSettings(),
+        {**COLUMN_TOLERANCE, **(tolerances or {})},
+        progress,
+    )
+    report = comparison.report()
+    if not report.outputs:
+        raise InputError(f"{golden} has nothing that run writes: check the path")
+    for column in tolerances or {}:
+        if column not in comparison.columns:
+            known = ", ".join(sorted(comparison.columns & COLUMN_TOLERANCE.keys()))
+            raise SettingsError(
+                f"--tolerance: no table of {golden} has a column {column!r}: "
+                f"choose from {known or 'none, for there is no table'}"
+            )
+    return report
+
+
+class _Comparison:
+    def __init__(
+        self,
+        actual: Path,
+        golden: Path,
+        settings: CompareSettings,
+        tolerances: Mapping[str, float],
+        progress: Callable[[], object],
+    ) -> None:
+        self._actual, self._golden = actual, golden
+        self._settings, self._tolerances = settings, tolerances
+        self._progress = progress
+        self._notes: list[str] = []
+        self._worst: WorstImage | None = None
+        self.columns: set[str] = set()
+
+    def report(self) -> Report:
+        outputs = {}
+        for save in OUTPUTS.values():
+            path = self._golden / save.path
+            if "{" in save.path and save.shown.startswith(("depth", "disparity")):
+                if path.parent.is_dir() and save.shown not in outputs:
+                    outputs[save.shown] = self._maps(save.shown)
+            elif path.suffix == ".csv":
+                if path.exists():
+                    outputs[save.path] = self._table(save.path)
+            elif files := sorted(self._golden.glob(save.path.replace("{:06d}", "*"))):
+                outputs[save.shown] = self._presence(save.shown, files)
+        if (self._golden / RECORD).exists():
+            outputs[RECORD] = self._record()
+        return Report(tuple(outputs.values()), tuple(self._notes), self._worst)
+
+    def _table(self, name: str) -> Compared:
+        output = Compared(name, "rows")
+        try:
+            golden = read_table(self._golden / name)
+            self.columns.update(golden.columns)
+            actual = read_table(self._actual / name)
+        except InputError as error:
+            output.differ("files", str(error))
+            return output
+        for column in golden.columns:
+            if column not in actual.columns:
+                output.differ(column, "the column is missing")
+        shared = [column for column in golden.columns if column in actual.columns]
+        for key in sorted(golden.rows.keys() | actual.rows.keys()):
+            if key in golden.rows and key in actual.rows:
+                for column in shared:
+                    self._cell(output, key[0], column, actual.rows[key], golden.rows[key])
+                output.compared += 1
+            else:
+                output.differ("rows", "missing" if key in golden.rows else "not in golden", key[0])
+        return output
+
+    def _cell(
+        self,
+        output: Compared,
+        frame: int,
+        column: str,
+        actual: Mapping[str, str],
+        golden: Mapping[str, str],
+    ) -> None:
+        mine, theirs = actual[column], golden[column]
+        if mine == theirs:
+            return
+        tolerance = self._tolerances.get(column)
+        error = math.inf if tolerance is None else _distance(mine, theirs)
+        if tolerance is None or error - tolerance > _ROUNDING:
+            found = f"{_shown(mine)}, golden {_shown(theirs)}"
+            if math.isfinite(error):
+                found = f"{mine}, golden {theirs} (tolerance {tolerance:g})"
+            output.differ(column, found, frame, error)
+
+    def _maps(self, name: str) -> Compared:
+        output = Compared(name, "images")
+        try:
+            golden = Maps(self._golden / name)
+            actual = Maps(self._actual / name)
+        except InputError as error:
+            output.differ("files", str(error))
+            return output
+        if golden.kind == "disparity":
+            tolerance, shown = self._settings.tolerance_px, f"{self._settings.tolerance_px:g} px"
+        else:
+            tolerance = self._settings.tolerance_mm / 1000
+            shown = f"{self._settings.tolerance_mm:g} mm"
+        for frame in golden.files:
+            self._progress()
+            if frame not in actual.files:
+                output.differ("frames", "missing", frame)
+                continue
+            try:
+                mine, theirs = actual.read(frame), golden.read(frame)
+            except InputError as error:
+                output.differ("files", str(error), frame)
+                continue
+            if mine.shape != theirs.shape:
+                found = f"{_size(mine)}, golden {_size(theirs)}"
+                output.differ("size", found, frame)
+                continue
+            output.compared += 1
+            share = float(np.mean(_far(mine, theirs, tolerance) | _in_one_alone(mine, theirs)))
+            if share > (self._worst.share if self._worst else 0):
+                self._worst = WorstImage(f"{name} frame {frame}", mine, theirs, tolerance, share)
+            if share > self._settings.max_differing:
+                found = (
+                    f"{share:.2%} are over {shown} off or known in one alone "
+                    f"(tolerance {self._settings.max_differing:.2%})"
+                )
+                output.differ("pixels", found, frame, share)
+        return output
+
+    def _record(self) -> Compared:
+        output = Compared(RECORD, "values")
+        try:
+            actual, golden = (
+                dict(_leaves(_read_record(folder / RECORD)))
+                for folder in (self._actual, self._golden)
+            )
+        except InputError as error:
+            output.differ("files", str(error))
+            return output
+        for name, theirs in golden.items():
+            section = name.partition(".")[0]
+            if section in _IGNORED or (section in _NOTED and name.endswith(".path")):
+                continue
+            output.compared += section not in _NOTED
+            if name in actual and _same(actual[name], theirs):
+                continue
+            if name in actual:
+                mine = _shown(actual[name])
+            else:
+                mine = "given" if any(key.startswith(f"{name}.") for key in actual) else "missing"
+            found = f"{mine}, golden {_shown(theirs)}"
+            if section in _NOTED:
+                self._notes.append(f"{name} is {found}")
+            else:
+                output.differ(name, found)
+        return output
+
+    def _presence(self, name: str, files: list[Path]) -> Compared:
+        output = Compared(name, "files", len(files))
+        for file in files:
+            path = file.relative_to(self._golden)
+            if not (self._actual / path).is_file():
+                output.differ("files", f"{path} is missing")
+        self._notes.append(f"{name} has to be there, what is in it is not compared")
+        return output
+
+
+class Table(NamedTuple):
+    """A CSV table with a row for each frame, or for each frame and id.
+
+    Attributes:
+        columns: names, in order.
+        rows: by frame and id (empty if there is no such column), the cells by column.
+    """
+
+    columns: tuple[str, ...]
+    rows: dict[tuple[int, str], dict[str, str]]
+
+
+def read_table(path: Path) -> Table:
+    """Read a CSV table that ``run`` wrote.
+
+    Raises:
+        InputError: it cannot be read, has no or a second column of a name, no column ``frame``, a
+            row of another length, or two rows for the same frame and id.
+    """
+    try:
+        with path.open(newline="", encoding="utf-8-sig", errors="replace") as file:
+            lines = list(csv.reader(file, strict=True))
+    except (OSError, csv.Error) as error:
+        reason = error.strerror if isinstance(error, OSError) else error
+        raise InputError(f"cannot read the table {path}: {reason}") from error
+    header = lines[0] if lines else []
+    if "frame" not in header or len(set(header)) < len(header):
+        raise InputError(f"{path} is no table of a run: its first line has to name each column")
+    rows: dict[tuple[int, str], dict[str, str]] = {}
+    for number, cells in enumerate(lines[1:], 2):
+        if len(cells) != len(header):
+            raise InputError(
+                f"{path} row {number} has {len(cells)} cells and not {len(header)}: write it again"
+            )
+        row = dict(zip(header, cells, strict=True))
+        try:
+            key = int(row["frame"]), row.get("id", "")
+        except ValueError:
+            raise InputError(
+                f"{path} row {number}: {_shown(row['frame'])} is no frame number: write it again"
+            ) from None
+        if key in rows:
+            raise InputError(f"{path} row {number}: frame {key[0]} comes twice: write it again")
+        rows[key] = row
+    return Table(tuple(header), rows)
+
+
+def format_table(report: Report) -> str:
+    """Return what differs as a table to read, or one line if nothing does."""
+    if not report.differs:
+        facts = (f"{output.name} ({output.compared} {output.unit})" for output in report.outputs)
+        return f"no difference in {', '.join(facts)}\n"
+    rows = [("output", "what", "count", "first", "worst", "found")]
+    for output in report.outputs:
+        for item in output.differences.values():
+            frames = (
+                "-" if frame is None else str(frame)
+                for frame in (item.first_frame, item.worst_frame)
+            )
+            rows.append((output.name, item.what, str(item.count), *frames, item.found))  # type: ignore[arg-type]
+    widths = [max(map(len, column)) for column in list(zip(*rows, strict=True))[:-1]]
+    return "".join(
+        f"{name:<{widths[0]}}  {what:<{widths[1]}}  {count:>{widths[2]}}  {first:>{widths[3]}}  "
+        f"{worst:>{widths[4]}}  {found}\n"
+        for name, what, count, first, worst, found in rows
+    )
+
+
+def format_json(report: Report) -> str:
+    """Return the report as JSON; null where a difference is no number or in no frame."""
+
+    def known(item: Difference) -> dict[str, Any]:
+        return {**asdict(item), "worst": item.worst if math.isfinite(item.worst) else None}
+
+    content = {
+        "differs": report.differs,
+        "outputs": [
+            {
+                "name": output.name,
+                "unit": output.unit,
+                "compared": output.compared,
+                "differences": [known(item) for item in output.differences.values()],
+            }
+            for output in report.outputs
+        ],
+        "notes": report.notes,
+    }
+    return json.dumps(content, indent=2, allow_nan=False) + "\n"
+
+
+def format_junit(report: Report) -> bytes:
+    """Return the report as JUnit XML, a test case for each output."""
+    failed = [output for output in report.outputs if output.differences]
+    suite = ET.Element(
+        "testsuite",
+        name="motionstereo compare",
+        tests=str(len(report.outputs)),
+        failures=str(len(failed)),
+        errors="0",
+        skipped="0",
+    )
+    for output in report.outputs:
+        case = ET.SubElement(suite, "testcase", classname="motionstereo.compare", name=output.name)
+        if output.differences:
+            message = f"differs in {', '.join(output.differences)}"
+            failure = ET.SubElement(case, "failure", type="difference", message=_xml(message))
+            failure.text = _xml(format_table(Report((output,), (), None)))
+    text: bytes = ET.tostring(suite, encoding="utf-8", xml_declaration=True)
+    return text + b"\n"
+
+
+_GAP_PX = 4
+_CAPTION_PX = 22
+_LEAST_WIDTH_PX = 640
+_SAME_BGR = (90, 90, 90)
+_FAR_BGR = (40, 40, 230)
+_ACTUAL_ALONE_BGR = (60, 220, 250)
+_GOLDEN_ALONE_BGR = (230, 190, 60)
+
+
+def draw_worst(worst: WorstImage) -> NDArray[np.uint8]:
+    """Return a picture: actual, golden, and where they differ.
+
+    In the first two, red is near, blue far and black unknown, on one scale. In the third, grey is
+    alike, red differs, yellow is known in ACTUAL alone, light blue in GOLDEN alone.
+
+    Returns:
+        (height, width, 3) uint8 BGR.
+    """
+    actual, golden = worst.actual, worst.golden
+    difference = np.zeros((*actual.shape, 3), np.uint8)
+    difference[~np.isnan(actual) & ~np.isnan(golden)] = _SAME_BGR
+    difference[_far(actual, golden, worst.tolerance)] = _FAR_BGR
+    difference[~np.isnan(actual) & np.isnan(golden)] = _ACTUAL_ALONE_BGR
+    difference[np.isnan(actual) & ~np.isnan(golden)] = _GOLDEN_ALONE_BGR
+    nearness = np.stack([actual, golden])
+    if worst.name.startswith("depth"):
+        nearness = np.float32(1) / nearness
+    panels = [*_coloured(nearness), difference]
+    strip = np.hstack([np.pad(panel, ((0, 0), (0, _GAP_PX), (0, 0))) for panel in panels])
+    widening = max(_LEAST_WIDTH_PX - strip.shape[1], 0)
+    strip = np.pad(strip, ((_CAPTION_PX, 0), (0, widening), (0, 0)))
+    caption = (
+        f"{worst.name}: actual, golden, difference {worst.share:.2%} "
+        "(red: off, yellow: actual alone, blue: golden alone)"
+    )
+    where, font = (_GAP_PX, _CAPTION_PX - 7), cv2.FONT_HERSHEY_SIMPLEX
+    cv2.putText(strip, caption, where, font, 0.4, (255, 255, 255), 1, cv2.LINE_AA)
+    return strip
+
+
+def _coloured(nearness: Real) -> NDArray[np.uint8]:
+    """Return images (n, height, width), NaN = unknown, in colour on one logarithmic scale."""
+    known = ~np.isnan(nearness)
+    levels = np.zeros(nearness.shape, np.uint8)
+    if known.any():
+        logs = np.log(nearness[known])
+        low, high = np.quantile(logs, [0.01, 0.99])
+        levels[known] = np.clip((logs - low) / max(high - low, 1e-6), 0, 1) * 223 + 32
+    colours = np.asarray(cv2.applyColorMap(levels.reshape(-1, 1), cv2.COLORMAP_TURBO), np.uint8)
+    return np.where(known[..., np.newaxis], colours.reshape(*nearness.shape, 3), np.uint8(0))
+
+
+def _far(actual: Real, golden: Real, tolerance: float) -> NDArray[np.bool_]:
+    return np.asarray(np.abs(actual - golden) > tolerance + _ROUNDING_M)  # NaN is not
+
+
+def _in_one_alone(actual: Real, golden: Real) -> NDArray[np.bool_]:
+    return np.asarray(np.isnan(actual) != np.isnan(golden))
+
+
+def _distance(one: str, other: str) -> float:
+    """Return how far two cells are apart, infinite where either is no finite number."""
+    try:
+        distance = abs(float(one) - float(other))
+    except ValueError:
+        return math.inf
+    return distance if math.isfinite(distance) else math.inf
+
+
+def _read_record(path: Path) -> dict[str, Any]:
+    try:
+        record = json.loads(path.read_bytes())
+    except (OSError, ValueError, RecursionError) as error:
+        raise InputError(f"{path} cannot be read: write it again") from error
+    if not isinstance(record, dict):
+        raise InputError(f"{path} is not the record of a run: write it again")
+    return record
+
+
+def _leaves(record: dict[str, Any]) -> Iterator[tuple[str, Any]]:
+    """Yield the values of nested dicts and lists with their dotted names, in order."""
+    waiting: list[tuple[str, Any]] = [*reversed(record.items())]
+    while waiting:
+        name, value = waiting.pop()
+        if isinstance(value, list):
+            value = dict(enumerate(value))
+        if isinstance(value, dict):
+            waiting += [(f"{name}.{key}", inner) for key, inner in reversed(value.items())]
+        else:
+            yield name, value
+
+
+def _same(one: object, other: object) -> bool:
+    if isinstance(one, float) and isinstance(other, float):
+        return math.isclose(one, other, rel_tol=1e-6, abs_tol=_ROUNDING)  # a rig is computed
+    return one == other
+
+
+def _shown(value: object) -> str:
+    text = "unknown" if value == "" else ascii(value)
+    return text if len(text) <= _SHOWN else f"{text[:_SHOWN]}..."
+
+
+def _size(image: Real) -> str:
+    return f"{image.shape[1]}x{image.shape[0]}"
+
+
+def _xml(text: str) -> str:
+    """Return the text without the characters that XML cannot have."""
+    return re.sub("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]", "?", text)

@@ -1,0 +1,1 @@
+"""The ground floor: atomic writes, bounded reads, hashes, image and video encoders."""

@@ -1,0 +1,244 @@
+"""Guidance: the heading toward where depth is largest.
+
+From one image alone, on *nearness*: disparity plus doffs in px, which is proportional to inverse
+depth, so that it needs no rig. Or, for a robot that knows its own motion, on a map of what it has
+seen of late: toward where the way is free farthest.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+#: Share of a strip of the image, or of all of it, below which its matches are taken for noise.
+LEAST_KNOWN_SHARE = 0.002
+
+
+#: Of the pixels of a strip, the share allowed to be nearer than its nearness says: noise.
+_NEARER_SHARE = 0.2
+
+
+def strip_nearness(
+    nearness_px: NDArray[np.float32], strips: int, least_share: float
+) -> NDArray[np.float32]:
+    """Return how near things are in each vertical strip of the image, (strips,) float32 px.
+
+    That is the nearness which all but a fifth of the strip's known pixels stay below.
+    NaN where less than ``least_share`` (0..1) of the strip is known.
+
+    Args:
+        nearness_px: disparity + doffs, (height, width) float32, NaN = unknown.
+        strips: number of strips, at most the width.
+        least_share: share of a strip that has to be known.
+    """
+    result = np.full(strips, np.nan, np.float32)
+    for number, strip in enumerate(np.array_split(nearness_px, strips, axis=1)):
+        result[number] = _quantile(strip, 1 - _NEARER_SHARE, least_share)
+    return result
+
+
+def _quantile(values: NDArray[np.float32], share: float, least_share: float) -> float:
+    """Return the quantile of all but NaN, between the two nearest; NaN if too few are known.
+
+    NaN sorts behind all numbers. To pick the numbers first takes longer than the rest.
+    """
+    known = values.size - np.count_nonzero(np.isnan(values))
+    if known <= least_share * values.size:
+        return np.nan
+    place = (known - 1) * share
+    number = math.floor(place)
+    part = np.partition(values, number, axis=None)
+    below, above = part[number], np.fmin.reduce(part[number + 1 :], initial=np.inf)
+    return float(below + (above - below) * np.float32(place - number) if place > number else below)
+
+
+def heading(nearness_px: NDArray[np.float32]) -> float | None:
+    """Return the direction of the largest depth as a place across the image, 0 left .. 1 right.
+
+    The centre of the farthest strip and its two neighbours, each weighted by depth to the fourth
+    power, so that the heading moves smoothly as one strip outdoes another. None where no strip is
+    known.
+
+    Args:
+        nearness_px: nearness of each strip, (strips,) float32, NaN = unknown.
+    """
+    if np.isnan(nearness_px).all():
+        return None
+    farthest = int(np.nanargmin(nearness_px))
+    near = np.arange(max(farthest - 1, 0), min(farthest + 2, len(nearness_px)))
+    near = near[~np.isnan(nearness_px[near])]
+    least = max(float(nearness_px[farthest]), 1.0)  # px: finer differences are noise
+    weight = (least / np.maximum(nearness_px[near], least)) ** 4
+    return float(np.average(near + 0.5, weights=weight)) / len(nearness_px)
+
+
+def steadied(before: float | None, target: float, gain: float) -> float:
+    """Return the heading moved from the one before toward a target by a share ``gain``, 0..1."""
+    return target if before is None else before + gain * (target - before)
+
+
+def nearest(nearness_px: NDArray[np.float32], least_share: float) -> float | None:
+    """Return the nearness of the nearest thing in px; None where too little is known.
+
+    All but a hundredth of the known pixels are farther.
+
+    Args:
+        nearness_px: disparity + doffs, (height, width) float32, NaN = unknown.
+        least_share: share of the image, 0..1, that has to be known.
+    """
+    found = _quantile(nearness_px, 0.99, least_share)
+    return None if math.isnan(found) else found
+
+
+#: Directions that are weighed, about the robot's yaw: a full circle, in steps of 3 degrees.
+DIRECTIONS_RAD = np.radians(np.arange(-180, 180, 3, dtype=np.float64))
+
+#: Longer ways count as this long: what lies beyond is too uncertain, and the map ends at 8 m.
+_LONGEST_M = 7.0
+_STEP_M = 0.05
+#: Room that is kept beside the robot, and how soon it has to be won where it starts with less.
+_ROOM_M = 0.2
+_WIDENING = 0.35
+#: Half the width of the strip that has to be known as free; its sides only must not be occupied.
+_KNOWN_M = 0.15
+
+#: What a radian away from the direction of travel, or from the last heading, is worth in way.
+_TRAVEL_COST_M = 1.0
+_CHANGE_COST_M = 0.5
+#: Directions farther from the direction of travel lead back.
+_BACK_RAD = math.radians(100)
+#: A way shorter than the first is none: then the robot looks around until one of the second.
+_LEAST_WAY_M = 0.9
+_FOUND_WAY_M = 1.5
+_AHEAD_RAD = math.radians(35)
+#: After looking around that far without success, the way back is as good as any.
+_LOOK_RAD = math.radians(540)
+#: Way on which the direction of travel follows the robot.
+_TRAVEL_M = 2.5
+
+
+@dataclass(frozen=True, slots=True)
+class Course:
+    """What a moving robot intends.
+
+    Attributes:
+        heading_rad: where it steers, as a yaw in the world.
+        travel_rad: yaw of its way of late.
+        look: 1 while it turns left to look around, -1 to the right, 0 while it knows a way.
+        looked_rad: how far it has turned since.
+    """
+
+    heading_rad: float
+    travel_rad: float
+    look: int = 0
+    looked_rad: float = 0.0
+
+
+def free_ways(
+    occupied: NDArray[np.bool_],
+    free: NDArray[np.bool_],
+    place: tuple[float, float],
+    directions_rad: NDArray[np.float64],
+    *,
+    cell_m: float,
+    radius_m: float,
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return how far a round robot can drive in each direction, (n,) float64 m.
+
+    First the way that is known to be free, second the way on which nothing is known to stand.
+
+    Args:
+        occupied, free: cells known to be so, (nx, ny) bool; the rest is unknown.
+        place: the robot's middle in cells along both axes.
+        directions_rad: yaws along the axes of the cells, (n,).
+        cell_m: size of a cell in m.
+        radius_m: radius of the robot in m.
+    """
+    x, y = (np.arange(size) + 0.5 - at for size, at in zip(occupied.shape, place, strict=True))
+    here = np.hypot(x[:, None], y) * cell_m <= radius_m  # where the robot is, nothing else is
+    to_occupied, to_unknown = (
+        cv2.distanceTransform((cells | here).astype(np.uint8), cv2.DIST_L2, 5) * np.float32(cell_m)
+        for cells in (~occupied, free)
+    )
+    step = np.arange(_STEP_M, _LONGEST_M + _STEP_M, _STEP_M)
+    rows = (place[0] + np.cos(directions_rad)[:, None] * step / cell_m).astype(np.intp)
+    columns = (place[1] + np.sin(directions_rad)[:, None] * step / cell_m).astype(np.intp)
+    inside = (rows >= 0) & (rows < occupied.shape[0]) & (columns >= 0)
+    inside &= columns < occupied.shape[1]
+    rows, columns = np.where(inside, rows, 0), np.where(inside, columns, 0)
+    room = to_occupied[rows, columns]
+    room_here = float(to_occupied[int(place[0]), int(place[1])])
+    wanted = np.minimum(radius_m + _ROOM_M, max(room_here - cell_m, 0) + _WIDENING * step)
+    open_way = inside & (room >= wanted)
+    known = open_way & (to_unknown[rows, columns] >= np.minimum(_KNOWN_M, 0.15 * step))
+    first = [(np.cumprod(way, axis=1).sum(axis=1) * _STEP_M) for way in (known, open_way)]
+    return first[0], first[1]
+
+
+def plan(
+    course: Course,
+    yaw_rad: float,
+    way_m: NDArray[np.float64],
+    possible_m: NDArray[np.float64],
+    directions_rad: NDArray[np.float64],
+    *,
+    turned_rad: float,
+) -> tuple[Course, float | None]:
+    """Return the next course and the free way on it in m, None while looking around.
+
+    Args:
+        course: the last one.
+        yaw_rad: yaw of the robot in the world.
+        way_m, possible_m: free ways, see :func:`free_ways`.
+        directions_rad: their yaws in the world.
+        turned_rad: how far the robot has turned since the last frame.
+    """
+    looked_rad = course.looked_rad + abs(turned_rad) if course.look else 0.0
+    from_travel = np.abs(wrapped(directions_rad - course.travel_rad))
+    smooth_m = np.mean([np.roll(way_m, k) for k in (-2, -1, 0, 1, 2)], axis=0)
+    worth = np.minimum(way_m, smooth_m) - _TRAVEL_COST_M * from_travel
+    worth -= _CHANGE_COST_M * np.abs(wrapped(directions_rad - course.heading_rad))
+    # A short way is worth going on with, but not turning for.
+    ahead = (np.abs(wrapped(directions_rad - yaw_rad)) <= _AHEAD_RAD) & (course.look == 0)
+    allowed = way_m >= np.where(ahead, _LEAST_WAY_M, _FOUND_WAY_M)
+    if looked_rad < _LOOK_RAD:
+        allowed &= from_travel <= _BACK_RAD
+    if allowed.any():
+        best = int(np.argmax(np.where(allowed, worth, -np.inf)))
+        return Course(float(directions_rad[best]), course.travel_rad), float(way_m[best])
+    look = course.look or _side_to_look(possible_m, directions_rad, course.travel_rad)
+    heading_rad = yaw_rad + look * math.pi / 2
+    return Course(heading_rad, course.travel_rad, look, looked_rad), None
+
+
+def travelled(course: Course, forward_m: float, direction_rad: float) -> Course:
+    """Return the course after a piece of way: the direction of travel follows it.
+
+    Args:
+        course: the last one.
+        forward_m: length of the piece in m.
+        direction_rad: its yaw in the world.
+    """
+    share = min(1.0, forward_m / _TRAVEL_M)
+    off_rad = math.remainder(direction_rad - course.travel_rad, math.tau)
+    travel_rad = course.travel_rad + share * off_rad
+    return Course(course.heading_rad, travel_rad, course.look, course.looked_rad)
+
+
+def wrapped(angle_rad: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return angles as -pi..pi."""
+    return (angle_rad + math.pi) % math.tau - math.pi
+
+
+def _side_to_look(
+    possible_m: NDArray[np.float64], directions_rad: NDArray[np.float64], travel_rad: float
+) -> int:
+    """Return 1 where more may be free to the left of the way than to its right, else -1."""
+    off = wrapped(directions_rad - travel_rad)
+    left = possible_m[(off > 0.3) & (off < 2.2)].sum()
+    right = possible_m[(off < -0.3) & (off > -2.2)].sum()
+    return 1 if left >= right else -1

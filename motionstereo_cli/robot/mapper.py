@@ -1,0 +1,242 @@
+"""From depth to points in space, and from many frames to one map of the surroundings.
+
+Beside the pipeline, for a map is an output: nothing of the processing depends on it.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from motionstereo_cli.robot.fused_map import (
+    FREE,
+    OCCUPIED,
+    Grid,
+    Voxels,
+    known_free,
+    marked,
+    merged,
+    seen_often,
+    trimmed,
+    voxels_of,
+)
+from motionstereo_cli.robot.local_map import View, nearest_by_bearing, sighted
+from motionstereo_cli.robot.points import in_world, points
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from motionstereo_cli.settings import Settings
+    from motionstereo_cli.types import FrameResult, Grey, Pose, Rig
+
+    Points = NDArray[np.float64]
+
+#: Error of a disparity that the map allows for, and the most that it may make of a place's
+#: distance: what is farther does not go into the map.
+_ERROR_PX = 0.25
+_ERROR_M = 0.16
+#: Nor does what is farther than so many cells.
+_MOST_CELLS = 400
+
+_BEARINGS = 80
+
+#: New voxels are kept apart until they are so many: a large cloud is then rarely touched.
+_RECENT = 30_000
+
+
+def camera_points(
+    result: FrameResult, which: NDArray[np.bool_], settings: Settings, rig: Rig
+) -> tuple[Points, Grey]:
+    """Return what a frame shows as points of the reference camera's optical frame, with their grey.
+
+    Args:
+        result: the frame; it has depth.
+        which: pixels to give, (height, width) bool; those of unknown depth are left out.
+        settings: says which camera is the reference.
+        rig: the camera.
+
+    Returns:
+        (n, 3) float64 m, x right, y down, z forward; (n,) uint8.
+    """
+    assert result.depth_m is not None
+    which = which & ~np.isnan(result.depth_m)
+    frame, camera = result.frame, settings.reference
+    grey = frame.right if camera == "right" else frame.left
+    found = points(
+        result.depth_m,
+        which,
+        focal_px=rig.focal_px,
+        cx_px=rig.cx_of(camera),
+        cy_px=rig.cy,
+    )
+    return found, grey[which]
+
+
+@dataclass(frozen=True, slots=True)
+class Surroundings:
+    """All that a map knows.
+
+    Attributes:
+        grid: the floor plane.
+        cloud: voxels seen so far, but for those in ``recent``.
+        recent: voxels of the last frames.
+        heights_m: lowest and highest z in the world that was in the robot's way in every frame.
+    """
+
+    grid: Grid
+    cloud: Voxels
+    recent: Voxels
+    heights_m: tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Floor:
+    """The floor plane from above.
+
+    Attributes:
+        occupied, free: (nx, ny) bool, axis 0 along the world's x, axis 1 along its y; a cell that
+            is neither is unknown.
+        x_m, y_m: place of the outer corner of ``occupied[0, 0]`` in the world.
+        cell_m: size of a cell.
+    """
+
+    occupied: NDArray[np.bool_]
+    free: NDArray[np.bool_]
+    x_m: float
+    y_m: float
+    cell_m: float
+
+
+class Mapper:
+    """Fuses what moves just now, frame by frame, into one map in the world frame of the poses.
+
+    Args:
+        settings: parameters of the processing: what counts as in the robot's way.
+        rig: the camera.
+        cell_m: size of the cells of the floor plane and of the voxels.
+
+    Attributes:
+        known: the map, None before the first frame.
+    """
+
+    def __init__(self, settings: Settings, rig: Rig, cell_m: float) -> None:
+        self._settings = settings
+        self._rig = rig
+        self._cell_m = cell_m
+        # Z = f B / d, so an error of d makes one of Z^2 / (f B) times as much in Z.
+        reach_m = math.sqrt(_ERROR_M * rig.focal_px * rig.baseline_m / _ERROR_PX)
+        self._reach_m = min(reach_m, _MOST_CELLS * cell_m)
+        self.known: Surroundings | None = None
+
+    def add(self, result: FrameResult) -> None:
+        """Take in a frame; its result has depth and pose."""
+        s, pose = self._settings, result.pose
+        assert pose is not None
+        known = self.known or self._nothing(pose)
+        seen, grey = camera_points(result, result.motion, s, self._rig)
+        to_left_m = self._rig.baseline_m / (2 if s.reference == "left" else -2)
+        placed = in_world(
+            seen,
+            camera_left_m=to_left_m,
+            place_m=(pose.x_m, pose.y_m, pose.z_m),
+            quaternion=(pose.qx, pose.qy, pose.qz, pose.qw),
+        )
+        near = seen[:, 2] <= self._reach_m
+        recent = merged(
+            known.recent, voxels_of(placed[near] / self._cell_m, grey[near], known.cloud.origin)
+        )
+        low_m, high_m = known.heights_m
+        known = Surroundings(
+            grid=self._marked(known.grid, placed, pose, to_left_m),
+            cloud=known.cloud,
+            recent=recent,
+            heights_m=(
+                max(low_m, pose.z_m - s.robot_below_m),
+                min(high_m, pose.z_m + s.robot_above_m),
+            ),
+        )
+        self.known = _settled(known) if len(recent.key) > _RECENT else known
+
+    def floor(self) -> Floor:
+        """Return the floor plane as far as it is known: at least one cell."""
+        grid = trimmed(Grid.empty() if self.known is None else self.known.grid)
+        x_m, y_m = (corner * self._cell_m for corner in grid.corner)
+        return Floor(grid.evidence >= OCCUPIED, grid.evidence <= FREE, x_m, y_m, self._cell_m)
+
+    def points(self) -> tuple[Points, Grey]:
+        """Return the cloud, one point a voxel: (n, 3) float64 m in the world, (n,) uint8 grey.
+
+        What has been seen in a few frames alone is left out, and so is what stood in the robot's
+        way where the floor plane is free: it moved on.
+        """
+        if self.known is None:
+            return np.zeros((0, 3)), np.zeros(0, np.uint8)
+        self.known = _settled(self.known)
+        places, grey = seen_often(self.known.cloud)
+        height_m = places[:, 2] * self._cell_m
+        low_m, high_m = self.known.heights_m
+        stays = ~(
+            (low_m < height_m) & (height_m < high_m) & known_free(self.known.grid, places[:, :2])
+        )
+        return places[stays] * self._cell_m, grey[stays]
+
+    def _nothing(self, pose: Pose) -> Surroundings:
+        place = (pose.x_m, pose.y_m, pose.z_m)
+        x, y, z = (math.floor(each / self._cell_m) for each in place)
+        none = Voxels.empty((x, y, z))
+        return Surroundings(Grid.empty(), none, none, (-math.inf, math.inf))
+
+    def _marked(self, grid: Grid, placed: Points, pose: Pose, to_left_m: float) -> Grid:
+        """Return the grid with a frame's points, which are in the world frame.
+
+        They are looked at as a level camera would see them, so that a tilted one does no harm.
+        """
+        s, rig, cell_m, yaw = self._settings, self._rig, self._cell_m, pose.yaw_rad
+        cos, sin = math.cos(yaw), math.sin(yaw)
+        view = View(
+            x_m=pose.x_m - to_left_m * sin,
+            y_m=pose.y_m + to_left_m * cos,
+            yaw_rad=yaw,
+            focal_px=rig.focal_px,
+            cx_px=rig.cx_of(s.reference),
+            cy_px=rig.cy,
+            focal_baseline=rig.focal_px * rig.baseline_m,
+        )
+        x, y, up = (placed - (view.x_m, view.y_m, pose.z_m)).T
+        ahead, leftward = cos * x + sin * y, cos * y - sin * x
+        in_way = (up > -s.robot_below_m) & (up < s.robot_above_m) & (ahead > 0)
+        ahead, leftward = ahead[in_way], leftward[in_way]
+        column = view.cx_px - view.focal_px * leftward / ahead
+        bearing = np.floor((column + 0.5) * _BEARINGS / rig.width)
+        inside = (bearing >= 0) & (bearing < _BEARINGS)
+        near_px = nearest_by_bearing(
+            (view.focal_baseline / ahead[inside]).astype(np.float32),
+            bearing[inside].astype(np.intp),
+            _BEARINGS,
+        )
+        widest = max(view.cx_px, rig.width - view.cx_px) / view.focal_px
+        half = math.ceil(self._reach_m * math.hypot(1, widest) / cell_m)
+        corner = math.floor(view.x_m / cell_m) - half, math.floor(view.y_m / cell_m) - half
+        free, hit = sighted(
+            (2 * half, 2 * half),
+            corner,
+            near_px,
+            view,
+            rig.width,
+            cell_m=cell_m,
+            reach_m=self._reach_m,
+            error_px=_ERROR_PX,
+        )
+        return marked(grid, corner, free, hit)
+
+
+def _settled(known: Surroundings) -> Surroundings:
+    """Return the same with all voxels in the cloud."""
+    return replace(
+        known,
+        cloud=merged(known.cloud, known.recent),
+        recent=Voxels.empty(known.cloud.origin),
+    )

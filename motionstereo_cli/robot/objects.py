@@ -1,0 +1,358 @@
+"""Moving objects: regions of what has just moved, followed from frame to frame.
+
+A region is a connected patch of fresh disparity without a jump inside it. Each frame's regions
+are assigned to the objects known so far at the least total cost (the Hungarian method). How fast
+an object comes closer follows from where it was in the last frames.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from motionstereo_cli.compiled import kernel
+
+Reals = NDArray[np.float32]
+
+#: Regions are made of cells of so many pixels squared: that is the resolution of their boxes.
+CELL_PX = 4
+#: A cell is known where at least this share of its pixels is.
+_LEAST_SHARE = 0.125
+#: Within a region, the nearness of neighbouring cells differs by no more than the larger of these.
+#: Within a cell, that is the most of its standard deviation.
+_JUMP_PX = 0.5
+_JUMP_SHARE = 0.03
+#: Gaps of twice so many cells are bridged.
+_GAP_CELLS = 2
+#: What has nearer neighbours on more than this share of its sides is what objects stand before.
+_BEHIND_SHARE = 0.5
+
+#: An object is looked for where it is expected, at most so many of its sizes away and at a
+#: nearness that differs by no more than this factor.
+_MOST_SIZES = 1.0
+_MOST_FACTOR = 1.3
+#: Its way in the image is foretold from its last observations, but no farther than it has come in
+#: them: what goes out of sight has often just come to rest.
+_WAY_SIGHTINGS = 5
+#: It is forgotten when it has been out of sight for so many frames.
+_MOST_MISSED = 30
+
+#: Speeds are fitted to so many of the last observations, once there are as many as the second.
+_FITTED = 12
+_LEAST_FITTED = 6
+_LATER, _EARLIER = np.tril_indices(_FITTED, -1)
+#: A fit that misses the nearness by so much, on average, is worth half.
+_HALF_WORTH_PX = 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class Region:
+    """A connected patch of the image that has just moved, all about equally far away.
+
+    Attributes:
+        x, y, width, height: its box in px, upper left corner first, to :data:`CELL_PX`.
+        middle_x, middle_y: mean place of its pixels in px.
+        nearness_px: median of disparity + doffs in it.
+        known: share of its pixels whose disparity is known and fresh, 0..1.
+    """
+
+    x: int
+    y: int
+    width: int
+    height: int
+    middle_x: float
+    middle_y: float
+    nearness_px: float
+    known: float
+
+
+@dataclass(frozen=True, slots=True)
+class Observation:
+    """An object in one frame.
+
+    Attributes:
+        time_s: when, in s.
+        region: where it is in the image.
+        offset_m: from the camera to it, along the x and y axes of the world.
+        place_m: where it is in the world, x and y.
+    """
+
+    time_s: float
+    region: Region
+    offset_m: tuple[float, float]
+    place_m: tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Track:
+    """An object as far as it has been followed.
+
+    Attributes:
+        number: what it is called.
+        observations: the last frames that it was seen in, oldest first.
+        seen: frames that it has been seen in.
+        missed: frames since it was last seen; 0 = it is in the last frame.
+    """
+
+    number: int
+    observations: tuple[Observation, ...]
+    seen: int = 1
+    missed: int = 0
+
+
+def regions(nearness_px: Reals, fresh: NDArray[np.bool_], least_share: float) -> tuple[Region, ...]:
+    """Return the regions of an image that may be objects.
+
+    Left out are what others stand before, as the background of a camera that turns, and what
+    reaches from the left border of the image to the right one.
+
+    Args:
+        nearness_px: disparity + doffs, (height, width) float32, NaN = unknown.
+        fresh: where something has just moved, (height, width) bool.
+        least_share: share of the image, 0..1, that a region has to have.
+    """
+    share, cells = _in_cells(nearness_px, fresh)
+    bridged = _bridged(cells)
+    count, labels = _labelled(bridged)
+    nearer, sides = _neighbours(labels, bridged, count)
+    labels[np.isnan(cells)] = 0
+    size, boxes = _boxes(labels, count)
+    wanted = (size >= least_share * cells.size) & (nearer <= _BEHIND_SHARE * sides)
+    wanted &= boxes[:, 2] - boxes[:, 0] < cells.shape[1]
+    wanted[0] = False  # the unknown
+    return tuple(
+        _region(labels, label, boxes[label].tolist(), cells, share)
+        for label in np.flatnonzero(wanted).tolist()
+    )
+
+
+@kernel
+def _in_cells(nearness_px: Reals, fresh: NDArray[np.bool_]) -> tuple[Reals, Reals]:
+    """Return the known share of each cell and its mean nearness, NaN = unknown or mixed."""
+    height, width = nearness_px.shape
+    rows, columns = max(height // CELL_PX, 1), max(width // CELL_PX, 1)
+    share = np.zeros((rows, columns), np.float32)
+    mean = np.full((rows, columns), np.nan, np.float32)
+    for row in range(rows):
+        for column in range(columns):
+            count, total, squares = 0, 0.0, 0.0
+            for y in range(row * CELL_PX, min((row + 1) * CELL_PX, height)):
+                for x in range(column * CELL_PX, min((column + 1) * CELL_PX, width)):
+                    near = nearness_px[y, x]
+                    if fresh[y, x] and near > 0:
+                        count += 1
+                        total += near
+                        squares += near * near
+            share[row, column] = count / CELL_PX**2
+            if share[row, column] >= _LEAST_SHARE:
+                middle = total / count
+                jump = max(_JUMP_PX, _JUMP_SHARE * middle)
+                if squares / count - middle**2 <= jump**2:
+                    mean[row, column] = middle
+    return share, mean
+
+
+def _bridged(cells: Reals) -> Reals:
+    """Return the cells with gaps filled by the nearest of their neighbours, 0 = unknown."""
+    near = np.nan_to_num(cells)
+    span = np.ones((2 * _GAP_CELLS + 1, 2 * _GAP_CELLS + 1), np.uint8)
+    return np.where(near > 0, near, cv2.dilate(near, span))
+
+
+def _labelled(near: Reals) -> tuple[int, NDArray[np.int32]]:
+    """Return the number of regions and each cell's, 0 = none, which counts as one.
+
+    Cells and the links between them become pixels, so that a common labelling of connected pixels
+    heeds the jumps between cells.
+    """
+    maze = np.zeros((2 * near.shape[0] - 1, 2 * near.shape[1] - 1), np.uint8)
+    maze[::2, ::2] = near > 0
+    maze[::2, 1::2] = _linked(near[:, :-1], near[:, 1:])
+    maze[1::2, ::2] = _linked(near[:-1], near[1:])
+    count, labels = cv2.connectedComponents(maze, connectivity=4)
+    return count, np.array(labels[::2, ::2], np.int32)
+
+
+def _linked(a: Reals, b: Reals) -> NDArray[np.bool_]:
+    least = np.minimum(a, b)
+    jump = np.maximum(np.float32(_JUMP_PX), np.float32(_JUMP_SHARE) * least)
+    linked: NDArray[np.bool_] = (least > 0) & (np.abs(a - b) <= jump)
+    return linked
+
+
+def _neighbours(
+    labels: NDArray[np.int32], near: Reals, count: int
+) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return how often each region has a nearer one beside it in its rows, and any other end."""
+    other = labels[:, :-1] != labels[:, 1:]
+    left, right = labels[:, :-1][other], labels[:, 1:][other]
+    left_is_near = near[:, :-1][other] > near[:, 1:][other]
+    behind = np.where(left_is_near, right, left)
+    return np.bincount(behind, minlength=count), np.bincount(
+        np.concatenate([left, right]), minlength=count
+    )
+
+
+@kernel
+def _boxes(labels: NDArray[np.int32], count: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return the cells of each region, (count,), and its box (left, top, right, bottom).
+
+    Right and bottom are those of the first cell outside.
+    """
+    size = np.zeros(count, np.intp)
+    boxes = np.zeros((count, 4), np.intp)
+    boxes[:, 0], boxes[:, 1] = labels.shape[1], labels.shape[0]
+    for row in range(labels.shape[0]):
+        for column in range(labels.shape[1]):
+            label = labels[row, column]
+            size[label] += 1
+            boxes[label, 0] = min(boxes[label, 0], column)
+            boxes[label, 1] = min(boxes[label, 1], row)
+            boxes[label, 2] = max(boxes[label, 2], column + 1)
+            boxes[label, 3] = max(boxes[label, 3], row + 1)
+    return size, boxes
+
+
+def _region(
+    labels: NDArray[np.int32],
+    label: int,
+    box: tuple[int, int, int, int],
+    cells: Reals,
+    share: Reals,
+) -> Region:
+    left, top, right, bottom = box
+    inside = slice(top, bottom), slice(left, right)
+    row, column = np.nonzero(labels[inside] == label)
+    weight = share[inside][row, column]
+    total = float(weight.sum())
+    return Region(
+        x=left * CELL_PX,
+        y=top * CELL_PX,
+        width=(right - left) * CELL_PX,
+        height=(bottom - top) * CELL_PX,
+        middle_x=(left + float(weight @ column) / total + 0.5) * CELL_PX - 0.5,
+        middle_y=(top + float(weight @ row) / total + 0.5) * CELL_PX - 0.5,
+        nearness_px=float(_median(cells[inside][row, column])),
+        known=total / len(weight),
+    )
+
+
+def follow(
+    tracks: Sequence[Track], observations: Sequence[Observation], time_s: float, next_number: int
+) -> tuple[Track, ...]:
+    """Return the tracks a frame later.
+
+    Args:
+        tracks: those of the frame before.
+        observations: what is in this frame.
+        time_s: when that is, later than all before.
+        next_number: the number of the first new track.
+    """
+    pairs = _assigned(tracks, [observation.region for observation in observations], time_s)
+    result = []
+    for index, track in enumerate(tracks):
+        if index in pairs:
+            observation = observations[pairs[index]]
+            kept = (*track.observations, observation)[-_FITTED:]
+            result.append(Track(track.number, kept, track.seen + 1))
+        elif track.missed < min(_MOST_MISSED, track.seen):
+            result.append(replace(track, missed=track.missed + 1))
+    new = (s for index, s in enumerate(observations) if index not in pairs.values())
+    result += (Track(next_number + i, (observation,)) for i, observation in enumerate(new))
+    return tuple(result)
+
+
+def _assigned(tracks: Sequence[Track], found: Sequence[Region], time_s: float) -> dict[int, int]:
+    """Return the index of the region for each track that has one, by the track's index."""
+    if not tracks or not found:
+        return {}
+    from scipy.optimize import linear_sum_assignment
+
+    wanted = np.array([_expected(track, time_s) for track in tracks])[:, None]
+    given = np.array([_measures(region) for region in found])[None]
+    size = np.maximum(wanted[..., 2:4], given[..., 2:4])
+    sizes = np.hypot(*np.moveaxis((given[..., :2] - wanted[..., :2]) / size, -1, 0))
+    factor = np.abs(np.log(given[..., 4] / wanted[..., 4])) / math.log(_MOST_FACTOR)
+    # Where two tracks claim a region, the one that has been followed longer has it.
+    young = 0.3 / np.array([[track.seen] for track in tracks])
+    cost = sizes / _MOST_SIZES + factor + young
+    cost[(sizes > _MOST_SIZES) | (factor > 1)] = 1e6
+    rows, columns = linear_sum_assignment(cost)
+    return {int(r): int(c) for r, c in zip(rows, columns, strict=True) if cost[r, c] < 1e6}
+
+
+def _measures(region: Region) -> tuple[float, ...]:
+    return (
+        *(region.middle_x, region.middle_y, region.width, region.height),
+        region.nearness_px,
+    )
+
+
+def _expected(track: Track, time_s: float) -> tuple[float, ...]:
+    """Return the measures of the region that a track should have at a time."""
+    first, last = track.observations[-_WAY_SIGHTINGS:][0], track.observations[-1]
+    x, y, *rest = _measures(last.region)
+    if first is not last:
+        share = min((time_s - last.time_s) / (last.time_s - first.time_s), 1.0)
+        x += share * (x - first.region.middle_x)
+        y += share * (y - first.region.middle_y)
+    return (x, y, *rest)
+
+
+@dataclass(frozen=True, slots=True)
+class Movement:
+    """How an object has moved of late, evenly and straight.
+
+    Attributes:
+        from_camera_mps: along the x and y axes of the world, as seen from the camera.
+        over_ground_mps: the same over ground.
+        residual: by how much its observations miss that, the median, as a share of its distance.
+    """
+
+    from_camera_mps: tuple[float, float]
+    over_ground_mps: tuple[float, float]
+    residual: float
+
+
+def movement(track: Track) -> Movement | None:
+    """Return how an object moves; None where it is not known yet.
+
+    Speeds are the median of the slopes between all pairs of observations (Theil and Sen).
+    """
+    if len(track.observations) < _LEAST_FITTED:
+        return None
+    time_s = np.array([observation.time_s for observation in track.observations])
+    places = np.array([(*s.offset_m, *s.place_m) for s in track.observations])
+    count = len(time_s) * (len(time_s) - 1) // 2
+    later, earlier = _LATER[:count], _EARLIER[:count]
+    apart_s = (time_s[later] - time_s[earlier])[:, None]
+    speed = _median((places[later] - places[earlier]) / apart_s)
+    offset = places[:, :2]
+    off = offset - speed[:2] * time_s[:, None]
+    off = np.abs(off - _median(off)).sum(axis=1)
+    residual = float(_median(off)) / float(np.abs(offset).sum(axis=1).min())
+    x, y, ground_x, ground_y = speed.tolist()
+    return Movement((x, y), (ground_x, ground_y), residual)
+
+
+def trust(track: Track, moves: Movement | None) -> float:
+    """Return how far to believe in an object and its speed, 0..1.
+
+    The share of the fitted frames that it has been seen in, times the known share of its pixels,
+    times 1 / (1 + r / 0.5 px) for observations that miss the fitted movement by r, in disparity.
+    """
+    region = track.observations[-1].region
+    off_px = 0.0 if moves is None else moves.residual * region.nearness_px
+    return min(track.seen / _FITTED, 1) * region.known / (1 + off_px / _HALF_WORTH_PX)
+
+
+def _median(values: NDArray[Any]) -> NDArray[Any]:
+    """Return the median along the first axis, of an even number the lower; np.median is slow."""
+    ordered: NDArray[Any] = np.sort(values, axis=0)[(len(values) - 1) // 2]
+    return ordered

@@ -1,0 +1,124 @@
+"""Follows what moves from frame to frame."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from motionstereo_cli.robot.heading import LEAST_KNOWN_SHARE
+from motionstereo_cli.robot.objects import (
+    Observation,
+    Region,
+    Track,
+    follow,
+    movement,
+    regions,
+    trust,
+)
+from motionstereo_cli.settings import Settings
+from motionstereo_cli.types import (
+    MovingObject,
+    Pose,
+    Rig,
+    StereoFrame,
+    camera_place,
+)
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from motionstereo_cli.types import Real
+
+#: A region is an object once it has been seen in so many frames.
+LEAST_SEEN = 3
+
+
+class Tracker:
+    """Follows what moves from frame to frame.
+
+    Args:
+        settings: parameters of the processing.
+        rig: the camera, None if unknown; lengths are then 1 / disparity.
+
+    Attributes:
+        tracks: what is followed, in the last frame or lately out of sight.
+        last_id: the number of the last new track.
+        time_s: time of the last frame, its number where the source has no time.
+    """
+
+    def __init__(self, settings: Settings, rig: Rig | None) -> None:
+        self._settings = settings
+        self._rig = rig
+        self.tracks: tuple[Track, ...] = ()
+        self.last_id = 0
+        self.time_s = -math.inf
+
+    def follow(
+        self,
+        disparity_px: Real,
+        fresh: NDArray[np.bool_],
+        frame: StereoFrame,
+        pose: Pose | None = None,
+    ) -> tuple[MovingObject, ...]:
+        """Return the objects of a frame.
+
+        Args:
+            disparity_px: (height, width) float32, NaN = unknown.
+            fresh: where the disparity shows what is there now, (height, width) bool.
+            frame: its number and time.
+            pose: where the rig is; None where nobody knows.
+        """
+        time_s = float(frame.index) if frame.time_s is None else frame.time_s
+        if time_s <= self.time_s:
+            self.tracks = ()  # another recording begins
+        self.time_s = time_s
+        near = disparity_px + np.float32(self._rig.doffs if self._rig else 0)
+        observations = [
+            self._observation(region, time_s, pose)
+            for region in regions(near, fresh, LEAST_KNOWN_SHARE)
+        ]
+        self.tracks = follow(self.tracks, observations, time_s, self.last_id + 1)
+        self.last_id = max([self.last_id, *(track.number for track in self.tracks)])
+        return tuple(
+            self._object(track, pose, timed=frame.time_s is not None)
+            for track in self.tracks
+            if not track.missed and track.seen >= LEAST_SEEN
+        )
+
+    def _observation(self, region: Region, time_s: float, pose: Pose | None) -> Observation:
+        if self._rig is None:
+            ahead = 1 / region.nearness_px
+            return Observation(time_s, region, (ahead, 0.0), (ahead, 0.0))
+        ahead_m = self._rig.focal_px * self._rig.baseline_m / region.nearness_px
+        cx_px = self._rig.cx_of(self._settings.reference)
+        left_m = (cx_px - region.middle_x) / self._rig.focal_px * ahead_m
+        if pose is None:
+            return Observation(time_s, region, (ahead_m, left_m), (ahead_m, left_m))
+        cos, sin = math.cos(pose.yaw_rad), math.sin(pose.yaw_rad)
+        x_m, y_m = cos * ahead_m - sin * left_m, sin * ahead_m + cos * left_m
+        camera_x_m, camera_y_m = camera_place(self._rig, pose, self._settings.reference)
+        return Observation(time_s, region, (x_m, y_m), (camera_x_m + x_m, camera_y_m + y_m))
+
+    def _object(self, track: Track, pose: Pose | None, *, timed: bool) -> MovingObject:
+        last, moves = track.observations[-1], movement(track) if timed else None
+        yaw_rad = 0.0 if pose is None else pose.yaw_rad
+        cos, sin = math.cos(yaw_rad), math.sin(yaw_rad)
+        ahead, closing = cos * last.offset_m[0] + sin * last.offset_m[1], None
+        if moves is not None:
+            closing = -cos * moves.from_camera_mps[0] - sin * moves.from_camera_mps[1]
+        in_world = self._rig is not None and pose is not None
+        return MovingObject(
+            id=track.number,
+            x=last.region.x,
+            y=last.region.y,
+            width=last.region.width,
+            height=last.region.height,
+            depth_m=ahead if self._rig else None,
+            closing_mps=closing if self._rig else None,
+            time_to_contact_s=ahead / closing if closing is not None and closing > 0 else None,
+            confidence=trust(track, moves),
+            place_m=last.place_m if in_world else None,
+            velocity_mps=moves.over_ground_mps if in_world and moves else None,
+        )

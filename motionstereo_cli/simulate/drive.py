@@ -1,0 +1,209 @@
+"""A drive: a simulated robot finds its way by what the pipeline tells it, frame by frame."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import json
+import math
+from collections.abc import Callable, Iterator
+from fractions import Fraction
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import cv2
+import numpy as np
+
+from motionstereo_cli import __version__
+from motionstereo_cli.errors import OutputError
+from motionstereo_cli.files.atomic import part_of, reported, write_whole
+from motionstereo_cli.files.images import encode_png
+from motionstereo_cli.files.video import VideoWriter
+from motionstereo_cli.pipeline import process
+from motionstereo_cli.rig import write_rig
+from motionstereo_cli.rig.poses import HEAD, format_pose
+from motionstereo_cli.settings import Settings
+from motionstereo_cli.simulate.drive_world import DriveWorld, Shot
+from motionstereo_cli.simulate.plan import Plan
+from motionstereo_cli.simulate.settings import ROBOT_RADIUS_M
+from motionstereo_cli.sinks import RunContext
+from motionstereo_cli.sinks.map import MapFiles
+from motionstereo_cli.sinks.previews import depth_colours
+from motionstereo_cli.sinks.steering import SteeringFile
+from motionstereo_cli.types import FrameResult, Pose, StereoFrame
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+#: Matroska counts whole milliseconds.
+_TIME_BASE = Fraction(1, 1000)
+
+#: What a drive writes, in the order in which it is removed: the record goes last, for it tells
+#: whose the rest is.
+RECORD = "drive.json"
+OUTPUTS = (
+    *("left.mkv", "right.mkv", "rig.yaml", "steering.csv", "poses.txt", "plan.png"),
+    *("map.ply", "map.png", "map.yaml", "drive.mp4", RECORD),
+)
+_PROGRAM = "motionstereo drive"
+
+
+def drive(
+    out: Path,
+    world: DriveWorld,
+    settings: Settings | None = None,
+    *,
+    view: bool = False,
+    overwrite: bool = False,
+    progress: Callable[[], object] = lambda: None,
+) -> dict[str, Any]:
+    """Let the robot drive until it ends, write what happened, and return the record.
+
+    Writes left.mkv and right.mkv (FFV1), rig.yaml, poses.txt (TUM), steering.csv as ``run`` does,
+    plan.png, map.ply, map.png, map.yaml, the record drive.json and, with ``view``, drive.mp4.
+    ``run`` on the recordings with that rig and those poses gives the same steering.csv and map.
+
+    When it fails or is interrupted, no file is left behind.
+
+    Args:
+        out: the folder, made if need be.
+        world: the world at the start.
+        settings: parameters of the processing; the defaults for this robot if None.
+        view: write drive.mp4.
+        overwrite: replace a former drive in ``out``; other files are never touched.
+        progress: called after each frame.
+
+    Raises:
+        OutputError: ``out`` is not empty, or cannot be written.
+    """
+    settings = settings or Settings(robot_radius_m=ROBOT_RADIUS_M)
+    rig = world.settings.rig
+    _prepare(out, overwrite=overwrite)
+    plan = Plan(world)
+    surroundings = MapFiles(out / "map.ply", RunContext(_TIME_BASE, settings, rig))
+    steering: SteeringFile | None = None
+    videos: list[VideoWriter] = []
+    poses = [HEAD]
+    try:
+        for name in ("left.mkv", "right.mkv", *(("drive.mp4",) if view else ())):
+            videos.append(VideoWriter(out / name, _TIME_BASE))
+        steering = SteeringFile(out / "steering.csv")
+        for result in driven(world, settings):
+            frame = result.frame
+            assert result.pose is not None
+            poses.append(format_pose(frame.pts * float(_TIME_BASE), result.pose))
+            steering.write(result)
+            surroundings.write(result)
+            plan.add_walkers()
+            images = [frame.left, frame.right]
+            if view:
+                picture = plan.draw(surroundings.mapper.floor())
+                images.append(_view(result, picture, settings))
+            for video, image in zip(videos, images, strict=True):
+                video.write(image, frame.pts)
+            world.act_on(result.steering)
+            progress()
+        steering.close()
+        for video in videos:
+            video.close()
+        surroundings.close()
+        write_rig(out / "rig.yaml", rig)
+        write_whole(out / "poses.txt", "".join(poses).encode())
+        picture = plan.draw(surroundings.mapper.floor())
+        write_whole(out / "plan.png", encode_png(picture[..., ::-1]))
+        record = _record(world, settings)
+        write_whole(out / RECORD, json.dumps(record, indent=2).encode() + b"\n")
+    except BaseException:
+        if steering is not None:
+            steering.abandon(keep=False)
+        for video in videos:
+            with contextlib.suppress(OutputError):
+                video.close(keep=False)
+        with contextlib.suppress(OSError):
+            _remove(out)
+        raise
+    return record
+
+
+def driven(world: DriveWorld, settings: Settings) -> Iterator[FrameResult]:
+    """Yield the result of each frame; the next is taken where the robot then is.
+
+    Whoever iterates moves the robot by each result; see :meth:`DriveWorld.act_on`.
+    """
+    shot: Shot
+
+    def frames() -> Iterator[StereoFrame]:
+        nonlocal shot
+        for shot in world.shots():
+            yield shot.frame
+
+    def pose_of(_: StereoFrame) -> Pose:
+        return shot.pose
+
+    return process(frames(), settings, world.settings.rig, pose_of)
+
+
+def _record(world: DriveWorld, settings: Settings) -> dict[str, Any]:
+    corridor = world.corridor
+    touched = (world.ended or "").startswith("touched")
+    collision = {"frame": world.frames, "x_m": world.robot.x_m, "y_m": world.robot.y_m}
+    return {
+        "program": _PROGRAM,
+        "version": __version__,
+        "settings": dataclasses.asdict(settings),
+        "world": {
+            **dataclasses.asdict(world.settings),
+            "corridor_width_m": round(corridor.width_m, 3),
+            "corridor_length_m": round(world.lap_m / 4, 3),
+            "lamp_m": round(corridor.lamp_m, 3),
+        },
+        "ended": world.ended,
+        "frames": world.frames,
+        "laps": round(world.laps, 4),
+        "distance_m": round(world.way_m, 3),
+        "lap_m": round(world.lap_m, 3),
+        "collisions": [{**collision, "what": world.ended}] if touched else [],
+        "nearest_pass_m": round(world.nearest_pass_m, 3),
+    }
+
+
+def _view(result: FrameResult, picture: NDArray[np.uint8], settings: Settings) -> NDArray[np.uint8]:
+    """Return reference image, memory, depth and the plan's picture side by side, RGB."""
+    height = result.charge.shape[0]
+    width = 2 * math.ceil(picture.shape[1] * height / picture.shape[0] / 2)
+    columns = [
+        cv2.cvtColor(getattr(result.frame, settings.reference), cv2.COLOR_GRAY2RGB),
+        cv2.cvtColor(result.charge, cv2.COLOR_GRAY2RGB),
+        depth_colours(result.disparity_px, settings.max_disparity),
+        cv2.resize(picture, (width, height), interpolation=cv2.INTER_AREA),
+    ]
+    return np.hstack(columns).astype(np.uint8, copy=False)
+
+
+def _prepare(out: Path, *, overwrite: bool) -> None:
+    """Make an empty ``out``, or one in which none of the outputs exists."""
+    with reported(out):
+        out.mkdir(parents=True, exist_ok=True)
+        if any(out.iterdir()) and not overwrite:
+            raise OutputError(f"{out} is not empty: give another folder, or --overwrite")
+        if _is_former(out / RECORD):
+            _remove(out)
+        for name in OUTPUTS:
+            if (out / name).exists():
+                raise OutputError(
+                    f"{out / name} is in the way and no {RECORD} says that a drive wrote it: "
+                    "move it or give another folder"
+                )
+
+
+def _is_former(record: Path) -> bool:
+    try:
+        return bool(json.loads(record.read_bytes())["program"] == _PROGRAM)
+    except (OSError, ValueError, LookupError, TypeError):
+        return False
+
+
+def _remove(out: Path) -> None:
+    for name in OUTPUTS:
+        (out / name).unlink(missing_ok=True)
+        part_of(out / name).unlink(missing_ok=True)

@@ -1,0 +1,109 @@
+"""What every stream of images from one camera offers, wherever the images come from."""
+
+from __future__ import annotations
+
+import itertools
+from abc import ABC, abstractmethod
+from collections.abc import Iterator
+from fractions import Fraction
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from motionstereo_cli.errors import InputError
+
+if TYPE_CHECKING:
+    from motionstereo_cli.types import Grey
+
+
+class Image(NamedTuple):
+    """One image of one camera.
+
+    Attributes:
+        number: place in the recording, from 0; places of lost images are left out.
+        pts: presentation time stamp in units of the stream's time base.
+        grey: (height, width) uint8 grey levels 0..255; not to be written to.
+    """
+
+    number: int
+    pts: int
+    grey: Grey
+
+
+class Recording(ABC):
+    """Images of one camera, all of one size; to be iterated once.
+
+    Attributes:
+        name: what to call the recording in messages.
+        width, height: size in px of the images as delivered.
+        time_base: seconds per unit of pts, None where images have no time.
+        frame_rate: images per second, a mean; None where nobody knows.
+        expected_images: how many places the recording seems to have, None where nobody knows.
+        numbered: the time stamps are numbers from file names, which tell better than places
+            which images belong together.
+        stamped: the time stamps were taken by the camera, and do so as well.
+        warnings: what looks wrong before anything is lost, one line each.
+    """
+
+    name: str
+    width: int
+    height: int
+    time_base: Fraction | None
+    frame_rate: Fraction | None = None
+    expected_images: int | None
+    numbered: bool = False
+    stamped: bool = False
+    warnings: tuple[str, ...] = ()
+
+    def __iter__(self) -> Iterator[Image]:
+        return self._images
+
+    def _start(self, images: Iterator[Image], name: object, advice: str = "") -> None:
+        """Take the images to deliver, and the size from the first.
+
+        Raises:
+            InputError: there is none.
+        """
+        first = next(images, None)
+        if first is None:
+            advice = advice or "check that it is whole"
+            raise InputError(f"{name}: none of its images can be decoded: {advice}")
+        self.name = str(name)
+        self.height, self.width = first.grey.shape
+        self._images = itertools.chain([first], images)
+
+    @property
+    @abstractmethod
+    def lost(self) -> int:
+        """Images so far that should have come and did not."""
+
+    @property
+    def flawed(self) -> int:
+        """Images so far that came with visible errors."""
+        return 0
+
+    @property
+    @abstractmethod
+    def damage(self) -> list[str]:
+        """Both in words, one line for each kind of damage."""
+
+    @abstractmethod
+    def describe(self) -> dict[str, Any]:
+        """Return what the recording is, as JSON-able values."""
+
+    @abstractmethod
+    def fingerprint(self) -> dict[str, Any]:
+        """Return the recording's size in ``bytes`` and its ``sha256``; reads all of it.
+
+        Where it came through a pipe, that is what came; the hash is None before the end.
+        """
+
+    def stop(self) -> None:  # noqa: B027 (files never wait)
+        """Let an iteration that waits for data in another thread end."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Give back what is open."""
+
+
+def images(count: int) -> str:
+    """Return ``count`` images in words."""
+    return "1 image" if count == 1 else f"{count} images"

@@ -1,0 +1,34 @@
+"""Units: what has to be equal for a pixel of one view to correspond to one of the other."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from motionstereo_cli.compiled import kernel
+
+
+@kernel
+def match_keys(
+    charge: NDArray[np.uint8],
+    charge_min: int = 0,
+    bands: NDArray[np.uint8 | np.uint16] | None = None,
+) -> NDArray[np.uint16]:
+    """Return the unit of each pixel, (height, width) uint16; 0 = at rest, never matches.
+
+    Pixels of equal unit may correspond. The unit is the charge alone, as in the paper, or with
+    ``bands`` the charge and the grey-level band: on finely textured things everything is fully
+    charged, and the charge alone says little.
+
+    Args:
+        charge: charge of each pixel, (height, width) uint8.
+        charge_min: the charge at rest.
+        bands: bands 1..256, (height, width), or None.
+    """
+    height, width = charge.shape
+    unit = np.zeros((height, width), np.uint16)
+    for y in range(height):
+        for x in range(width):
+            band = 0 if bands is None else bands[y, x] - 1
+            unit[y, x] = charge[y, x] * 256 + band if charge[y, x] > charge_min else 0
+    return unit

@@ -1,0 +1,82 @@
+"""The matchers that everyone uses, as their users use them, on the same terms as ours."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+
+if TYPE_CHECKING:
+    from motionstereo_cli.types import Grey, Real
+
+_STEPS_PER_PX = 16  # of cv2's fixed-point disparities
+
+#: Sides of the windows: the best of 9, 15, 21, 31 and of 3, 5, 7, 11 by the share of the pixels of
+#: the bench's scenes that get a right disparity.
+_BM_BLOCK_PX = 21
+_SGBM_BLOCK_PX = 11
+
+
+def stereo_bm(right: Grey, left: Grey, max_disparity: int, *, filtered: bool = False) -> Real:
+    """Return cv2.StereoBM's disparity of the right view.
+
+    Args:
+        right, left: (height, width) uint8.
+        max_disparity: disparities 0 to this, rounded up to a multiple of 16, less 1.
+        filtered: with left-right check (1 px) and speckle filter (100 px).
+
+    Returns:
+        (height, width) float32 px, NaN = unknown.
+    """
+    return _right_view(bm_matcher(max_disparity), right, left, filtered=filtered)
+
+
+def stereo_sgbm(right: Grey, left: Grey, max_disparity: int, *, filtered: bool = False) -> Real:
+    """Return cv2.StereoSGBM's disparity of the right view: five paths, P1 and P2 as cv2 advises.
+
+    Arguments and result as for :func:`stereo_bm`.
+    """
+    return _right_view(sgbm_matcher(max_disparity), right, left, filtered=filtered)
+
+
+def bm_matcher(max_disparity: int) -> cv2.StereoMatcher:
+    """Return the cv2.StereoBM of :func:`stereo_bm`."""
+    return cv2.StereoBM.create(_range(max_disparity), _BM_BLOCK_PX)
+
+
+def sgbm_matcher(max_disparity: int) -> cv2.StereoMatcher:
+    """Return the cv2.StereoSGBM of :func:`stereo_sgbm`."""
+    return cv2.StereoSGBM.create(
+        minDisparity=0,
+        numDisparities=_range(max_disparity),
+        blockSize=_SGBM_BLOCK_PX,
+        P1=8 * _SGBM_BLOCK_PX**2,
+        P2=32 * _SGBM_BLOCK_PX**2,
+        disp12MaxDiff=-1,
+        uniquenessRatio=10,
+        preFilterCap=63,
+    )
+
+
+def _range(max_disparity: int) -> int:
+    return -(-max_disparity // 16) * 16
+
+
+def _right_view(matcher: cv2.StereoMatcher, right: Grey, left: Grey, *, filtered: bool) -> Real:
+    if filtered:
+        matcher.setDisp12MaxDiff(1)
+        matcher.setSpeckleWindowSize(100)
+        matcher.setSpeckleRange(2)
+    # Mirrored, the right view is the left one of a rig. cv2 leaves out as many columns as there
+    # are disparities, where a partner might lie outside the image. An added strip takes their
+    # place: on the bench's scenes that gives 0.10 more coverage at no more error.
+    strip = matcher.getNumDisparities()
+    views = [
+        cv2.copyMakeBorder(cv2.flip(view, 1), 0, 0, strip, 0, cv2.BORDER_REPLICATE)
+        for view in (right, left)
+    ]
+    steps = cv2.flip(np.ascontiguousarray(matcher.compute(*views)[:, strip:]), 1)
+    disparity = steps.astype(np.float32) / np.float32(_STEPS_PER_PX)
+    disparity[steps < 0] = np.nan
+    return disparity

@@ -1,0 +1,446 @@
+"""How fast, against what people would pick instead: ``python -m bench speed``.
+
+Contestants see the same frames and take turns, round by round: whatever else the machine does, it
+does to all of them. Tables and JSON give medians over the rounds.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import copy
+import functools
+import json
+import os
+import platform
+import sys
+import tempfile
+import time
+from collections import defaultdict
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass
+from itertools import islice
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from tqdm import tqdm
+
+from bench import decode, script
+from bench.accuracy import RUN_IN
+from bench.clips import Clip, first_frames, rendered, repeated
+from bench.peers import bm_matcher, sgbm_matcher
+from bench.speed_report import format_markdown, goals
+from bench.timing import Cost, Samples, core_count, on_cores, python
+from motionstereo_cli import pipeline
+from motionstereo_cli.batch.run import versions
+from motionstereo_cli.errors import MotionStereoError
+from motionstereo_cli.robot.guide import Guide
+from motionstereo_cli.robot.tracker import Tracker
+from motionstereo_cli.settings import Settings
+from motionstereo_cli.simulate.settings import SimulateSettings
+
+if TYPE_CHECKING:
+    from motionstereo_cli.types import Grey, Rig, StereoFrame
+
+NOISE_SIGMA = 1.5  # grey levels
+BASELINE_M = 0.12  # at the width of the plan
+
+#: Frames used where frames are timed by themselves: the run-in is not timed.
+FRAMES = RUN_IN + 6
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """How large the benchmark is.
+
+    Attributes:
+        width, height: size of the images in px, where it is not the subject.
+        corridor: frames rendered, to be shown there and back.
+        long_times: how often that is repeated in the run on several cores.
+        sizes: widths and heights in px of the growth.
+        ranges: disparities in px, of the matching and of the growth.
+        lengths: numbers of frames of the growth.
+    """
+
+    width: int = 640
+    height: int = 480
+    corridor: str = "250:325"
+    long_times: int = 4
+    sizes: tuple[tuple[int, int], ...] = (
+        (320, 240),
+        (640, 480),
+        (1280, 720),
+        (1920, 1080),
+        (3840, 2160),
+    )
+    ranges: tuple[tuple[int, ...], tuple[int, ...]] = (64, 128, 256), (32, 64, 128, 256, 512)
+    lengths: tuple[int, ...] = (100, 500, 10_000)
+
+
+QUICK = Plan(
+    width=160,
+    height=120,
+    corridor="250:262",
+    long_times=1,
+    sizes=((80, 60), (160, 120)),
+    ranges=((64, 96), (16, 32)),
+    lengths=(20, 40),
+)
+
+
+class Bench:
+    """The recordings, and what was measured on them.
+
+    Args:
+        folder: an empty folder for recordings and results.
+        plan: how large everything is.
+        rounds: how often everything is measured.
+        recording: left and right video of one more recording to match.
+    """
+
+    def __init__(
+        self, folder: Path, plan: Plan, rounds: int, recording: tuple[Path, Path] | None
+    ) -> None:
+        self.folder = folder
+        self.plan = plan
+        self.rounds = rounds
+        self.recording = recording
+        self.samples = Samples()
+        self.all_cores = core_count()
+        self._clips: dict[str, Clip] = {}
+
+    def clip(self, name: str, *, back: bool = False, **scene: Any) -> Clip:
+        """Return a rendered recording, made when its name first comes up."""
+        if name not in self._clips:
+            plan = self.plan
+            size = {"width": plan.width, "height": plan.height, "baseline_m": BASELINE_M}
+            settings = SimulateSettings(**size | {"noise_sigma": NOISE_SIGMA} | scene)
+            self._clips[name] = rendered(self.folder / name, settings, back=back)
+        return self._clips[name]
+
+    @property
+    def corridor(self) -> Clip:
+        """The paper's corridor."""
+        return self.clip("corridor", frames=self.plan.corridor, back=True)
+
+    @functools.cached_property
+    def long(self) -> Clip:
+        """The corridor over and over, for what includes start-up."""
+        return repeated(self.corridor, self.folder / "long", self.plan.long_times)
+
+    @property
+    def cards(self) -> Clip:
+        """Fine texture, all of it in motion."""
+        return self.clip("cards", scene="cards", pan=True, frames=str(FRAMES))
+
+    def turns(self) -> Iterator[int]:
+        """Yield the number of cores to use: one, then all, in each round."""
+        for _ in range(self.rounds):
+            for cores in dict.fromkeys((1, self.all_cores)):
+                with on_cores(cores):
+                    yield cores
+
+
+@contextlib.contextmanager
+def stage_clock() -> Iterator[dict[str, float]]:
+    """Clock what the pipeline calls: its stages and its own larger steps, in s by name.
+
+    So stages are timed in their place, on what they get there. The larger steps contain stages:
+    the times are not to be added up.
+    """
+    seconds: defaultdict[str, float] = defaultdict(float)
+
+    def clocked(name: str, call: Callable[..., Any]) -> Callable[..., Any]:
+        def timed(*args: Any, **options: Any) -> Any:
+            started_s = time.perf_counter()
+            result = call(*args, **options)
+            seconds[name] += time.perf_counter() - started_s
+            return result
+
+        return timed
+
+    steps: list[tuple[Any, str, str]] = [
+        (pipeline.Memory, "see", "Memory.see"),
+        (pipeline, "match", "match"),
+        (Tracker, "follow", "Tracker.follow"),
+        (Guide, "steer", "Guide.steer"),
+    ]
+    stages = "motionstereo_cli.stages."
+    for name, member in vars(pipeline).items():
+        module = getattr(member, "__module__", None) or ""
+        if module.startswith(stages) and callable(member) and not isinstance(member, type):
+            steps.append((pipeline, name, f"{module.removeprefix(stages)}.{name}"))
+    calls = [getattr(owner, name) for owner, name, _ in steps]
+    try:
+        for (owner, name, shown), call in zip(steps, calls, strict=True):
+            setattr(owner, name, clocked(shown, call))
+        yield seconds
+    finally:
+        for (owner, name, _), call in zip(steps, calls, strict=True):
+            setattr(owner, name, call)
+
+
+def processing_s(frames: Sequence[StereoFrame], settings: Settings, rig: Rig) -> dict[str, float]:
+    """Return the s per frame of processing, after the run-in: all of it, then by step."""
+    with stage_clock() as clock:
+        results = pipeline.process(frames, settings, rig)
+        for _ in islice(results, RUN_IN):
+            pass
+        clock.clear()
+        started_s = time.perf_counter()
+        count = sum(1 for _ in results)
+        total_s = time.perf_counter() - started_s
+    return {name: s / count for name, s in {"processing": total_s, **clock}.items()}
+
+
+def bench_stages(bench: Bench) -> None:
+    """Time each stage in the processing of a frame, both views together."""
+    cases = {
+        name: (clip.frames(FRAMES), Settings(), clip.rig)
+        for name, clip in (("corridor", bench.corridor), ("cards panning", bench.cards))
+    }
+    for case in cases.values():
+        processing_s(*case)  # warm-up
+    for cores in bench.turns():
+        for name, case in cases.items():
+            for stage, seconds in processing_s(*case).items():
+                bench.samples.add("stages", name, stage, cores, Cost(seconds))
+
+
+@dataclass(frozen=True, slots=True)
+class Look:
+    """One moment, ready to be matched.
+
+    Attributes:
+        right, left: our memories.
+        mirrored: right and left view mirrored, by which cv2 matches the right one.
+    """
+
+    right: pipeline.Memory
+    left: pipeline.Memory
+    mirrored: tuple[Grey, Grey]
+
+
+def looks(frames: Sequence[StereoFrame], settings: Settings) -> list[Look]:
+    """Return the moments after the run-in."""
+    right, left = pipeline.Memory(settings), pipeline.Memory(settings)
+    found = []
+    for number, frame in enumerate(frames):
+        right.see(frame.right)
+        left.see(frame.left)
+        if number >= RUN_IN:
+            mirrored = _mirrored(frame.right), _mirrored(frame.left)
+            found.append(Look(copy.deepcopy(right), copy.deepcopy(left), mirrored))
+    return found
+
+
+def _mirrored(view: Grey) -> Grey:
+    return np.ascontiguousarray(view[:, ::-1])
+
+
+def matching_s(seen: Sequence[Look], settings: Settings) -> dict[str, float]:
+    """Return the s per frame of matching by each contestant.
+
+    Of cv2 ``compute`` alone is timed. Making the matcher, mirroring the views, mirroring the
+    disparities back and turning them into px are not, nor does cv2 clean its result: all in its
+    favour.
+    """
+    found = {}
+    peers = {"StereoBM": bm_matcher, "StereoSGBM": sgbm_matcher}
+    for name, make in peers.items():
+        matcher = make(settings.max_disparity)
+        started_s = time.perf_counter()
+        for look in seen:
+            matcher.compute(*look.mirrored)
+        found[name] = time.perf_counter() - started_s
+    with stage_clock() as clock:
+        for look in seen:
+            pipeline.match(look.right, look.left, settings)
+    found["motionstereo"] = clock["match"]
+    found["motionstereo, match_trails alone"] = clock["trails.match_trails"]
+    return {name: seconds / len(seen) for name, seconds in found.items()}
+
+
+def bench_matching(bench: Bench) -> None:
+    """Time matching alone, a frame, from what is prepared to a disparity image."""
+    recordings = [
+        (f"corridor, {px} px", bench.corridor.frames(FRAMES), px) for px in bench.plan.ranges[0]
+    ]
+    recordings.append(("cards panning, 64 px", bench.cards.frames(FRAMES), 64))
+    if bench.recording:
+        recordings.append(("recording given, 64 px", first_frames(*bench.recording, FRAMES), 64))
+    cases = {}
+    for name, frames, px in recordings:
+        settings = Settings(max_disparity=px)
+        cases[name] = looks(frames, settings), settings
+        if not cases[name][0]:
+            raise RuntimeError(f"the {name} needs more than {RUN_IN} frames: give a longer one")
+        matching_s(*cases[name])  # warm-up
+    for cores in bench.turns():
+        for name, case in cases.items():
+            for contestant, seconds in matching_s(*case).items():
+                bench.samples.add("matching", name, contestant, cores, Cost(seconds))
+
+
+def run_command(clip: Clip, out: Path, *options: str | Path) -> list[str | Path]:
+    """Return the arguments that make Python run motionstereo on a recording."""
+    given = (*clip.paths, "--rig", clip.rig_file, "--out", out, "--overwrite", *options)
+    return ["-m", "motionstereo_cli", "run", *given]
+
+
+def bench_run(bench: Bench) -> None:
+    """Time the whole run, from two files to the results, start-up and all."""
+    clip, out = bench.long, bench.folder / "run_out"
+    rig = [str(clip.rig.focal_px), str(clip.rig.baseline_m)]
+    plain: list[str | Path] = [script.__file__, *clip.paths, bench.folder / "script_out", *rig]
+    contestants: dict[str, list[str | Path]] = {
+        "script, StereoBM": plain,
+        "script, StereoSGBM": [*plain, "--sgbm"],
+        "decoding alone": [decode.__file__, *clip.paths],
+        "motionstereo, default outputs": run_command(clip, out),
+        "motionstereo, the script's outputs": run_command(clip, out, "--save", "steering,depth"),
+        "motionstereo, steering": run_command(clip, out, "--save", "steering"),
+    }
+    python(*contestants["motionstereo, default outputs"])  # warm-up
+    for _ in range(bench.rounds):
+        for name, arguments in contestants.items():
+            cost = python(*arguments)
+            bench.samples.add("run", f"{clip.count} frames", name, bench.all_cores, cost)
+
+
+def bench_jobs(bench: Bench) -> None:
+    """Time the run of a longer video with --jobs 1 and 2, and compare the bytes."""
+    clip = bench.long
+    outs = {jobs: bench.folder / f"jobs_{jobs}" for jobs in (1, 2)}
+    for _ in range(bench.rounds):
+        for jobs, out in outs.items():
+            cost = python(*run_command(clip, out, "--jobs", str(jobs)))
+            case = f"{clip.count} frames"
+            bench.samples.add("jobs", case, f"--jobs {jobs}", bench.all_cores, cost)
+    if contents(outs[1]) != contents(outs[2]):
+        raise RuntimeError("--jobs 2 gives other bytes than --jobs 1")
+
+
+def contents(out: Path) -> dict[Path, bytes]:
+    """Return the bytes of all results of a run but run.json, by their names."""
+    files = (path for path in out.rglob("*") if path.is_file() and path.name != "run.json")
+    return {path.relative_to(out): path.read_bytes() for path in files}
+
+
+def bench_growth(bench: Bench) -> None:
+    """Measure how time and memory grow with pixels, disparities and frames."""
+    plan, out = bench.plan, bench.folder / "growth_out"
+    cases = {}
+    for width, height in plan.sizes:
+        # The baseline shrinks as the images grow, so that disparities in px stay the same.
+        clip = bench.clip(
+            f"{width}x{height}",
+            width=width,
+            height=height,
+            baseline_m=BASELINE_M * plan.width / width,
+            frames=f"250:{250 + FRAMES}",
+        )
+        cases[f"{width}x{height}"] = clip, Settings()
+    sizes = list(cases.items())
+    for px in plan.ranges[1]:
+        cases[f"{px} px"] = bench.corridor, Settings(max_disparity=px)
+    for _ in range(bench.rounds):
+        with on_cores(1):
+            for name, (clip, settings) in cases.items():
+                seconds = processing_s(clip.frames(FRAMES), settings, clip.rig)["processing"]
+                bench.samples.add("growth", name, "processing a frame", 1, Cost(seconds))
+    for name, (clip, _) in sizes:
+        cost = python(*run_command(clip, out, "--no-check"))
+        bench.samples.add("growth", name, f"run of {FRAMES} frames", bench.all_cores, cost)
+
+    times = -(-max(plan.lengths) // bench.corridor.count)
+    longest = repeated(bench.corridor, bench.folder / "longest", times)
+    for count in plan.lengths:
+        options = "--save", "steering,charge", "--end", str(count)
+        cost = python(*run_command(longest, out, *options))
+        bench.samples.add("growth", f"{count} frames", "run", bench.all_cores, cost)
+
+
+def bench_startup(bench: Bench) -> None:
+    """Time what it takes to begin."""
+    two = run_command(bench.corridor, bench.folder / "two_out", "--end", "2")
+    contestants: dict[str, list[str | Path]] = {
+        "python -c pass": ["-c", "pass"],
+        "motionstereo --help": ["-m", "motionstereo_cli", "--help"],
+        "motionstereo run, 2 frames": two,
+    }
+    for arguments in contestants.values():
+        python(*arguments)  # warm-up
+    for _ in range(3 * bench.rounds):
+        for name, arguments in contestants.items():
+            bench.samples.add("startup", "start to exit", name, bench.all_cores, python(*arguments))
+
+
+PARTS: dict[str, Callable[[Bench], None]] = {
+    "stages": bench_stages,
+    "matching": bench_matching,
+    "run": bench_run,
+    "jobs": bench_jobs,
+    "growth": bench_growth,
+    "startup": bench_startup,
+}
+
+
+def machine() -> dict[str, Any]:
+    """Return what the figures depend on besides the code."""
+    return {
+        "cores": core_count(),
+        "processor": platform.processor() or platform.machine(),
+        "load_at_start": os.getloadavg()[0] if hasattr(os, "getloadavg") else None,
+        "versions": versions(),
+    }
+
+
+def main(args: Sequence[str] | None = None) -> None:
+    """Measure, print the tables as Markdown on standard output, and write the JSON."""
+    parser = argparse.ArgumentParser(prog="python -m bench speed")
+    parser.add_argument(
+        "--parts", default=",".join(PARTS), help="comma list of what to measure [%(default)s]"
+    )
+    parser.add_argument("--rounds", type=int, default=3, help="how often [%(default)s]")
+    parser.add_argument("--left", type=Path, help="left video of one more recording to match")
+    parser.add_argument("--right", type=Path, help="its right video")
+    parser.add_argument("--json", type=Path, default=Path("out/bench.json"), help="[%(default)s]")
+    parser.add_argument("--quick", action="store_true", help="tiny and once: does it run?")
+    given = parser.parse_args(args)
+    parts = given.parts.split(",")
+    if unknown := set(parts) - set(PARTS):
+        parser.error(f"--parts: no {', '.join(sorted(unknown))}: choose from {', '.join(PARTS)}")
+    if given.rounds < 1:
+        parser.error("--rounds: give at least 1")
+    if (given.left is None) != (given.right is None):
+        parser.error("--left and --right: give both")
+
+    recording = (given.left, given.right) if given.left else None
+    plan, rounds = (QUICK, 1) if given.quick else (Plan(), given.rounds)
+    report: dict[str, Any] = {"machine": machine(), "rounds": rounds}
+    failure = None
+    with tempfile.TemporaryDirectory() as folder, tqdm(parts, unit="part", disable=None) as bar:
+        bench = Bench(Path(folder), plan, rounds, recording)
+        for part in bar:
+            bar.set_description(part)
+            try:
+                PARTS[part](bench)
+            except (MotionStereoError, RuntimeError) as error:
+                failure = f"error: {part}: {error}"  # what the others gave is still worth showing
+            except KeyboardInterrupt:
+                failure = f"error: {part}: interrupted"
+                break
+    medians = bench.samples.medians()
+    reached = goals(medians, plan.sizes, bench.all_cores)
+    print(format_markdown(medians, {part: PARTS[part].__doc__ or "" for part in parts}, reached))
+    report["rows"] = [
+        {**key._asdict(), **asdict(cost), "samples_s": bench.samples.seconds(key)}
+        for key, cost in medians.items()
+    ]
+    report["goals"] = [{**asdict(goal), "reached": goal.reached} for goal in reached]
+    given.json.parent.mkdir(parents=True, exist_ok=True)
+    given.json.write_text(json.dumps(report, indent=2) + "\n", encoding="utf-8")
+    if failure is not None:
+        sys.exit(failure)
