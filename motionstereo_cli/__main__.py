@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from types import FrameType
 
 import click
+from click.shell_completion import shell_complete
 
 from motionstereo_cli.commands import cli
 from motionstereo_cli.commands.messages import say
@@ -30,6 +31,8 @@ def main(args: Sequence[str] | None = None) -> int:
     """
     signal.signal(signal.SIGTERM, _interrupt)
     given = list(sys.argv[1:] if args is None else args)
+    if instruction := os.environ.get("_MOTIONSTEREO_COMPLETE"):
+        return shell_complete(cli, {}, "motionstereo", "_MOTIONSTEREO_COMPLETE", instruction)
     try:
         # Not cli(), which has exit codes of its own for Ctrl-C and closed pipes.
         with cli.make_context("motionstereo", given or ["--help"]) as context:
@@ -49,6 +52,10 @@ def _fail(error: BaseException) -> int:
     match error:
         case KeyboardInterrupt() | click.Abort():
             message, exit_code = "interrupted", INTERRUPTED_EXIT_CODE
+        case click.MissingParameter(ctx=click.Context() as context):
+            message, exit_code = error.format_message(), error.exit_code
+            usage = " ".join(context.get_usage().split()).removeprefix("Usage: ")
+            error.add_note(f"usage: {usage}; {context.command_path} --help shows the options")
         case click.ClickException():
             message, exit_code = error.format_message(), error.exit_code
         case MotionStereoError():

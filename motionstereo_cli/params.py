@@ -21,11 +21,13 @@ class Param:
     Attributes:
         name: field name, as in the configuration file and run.json.
         kind: ``bool``, ``int``, ``float`` or ``str``.
-        default: its value where nobody sets it.
+        default: its value where it is not set.
         help: one sentence for users.
         unit: unit of the number, empty where it is a plain number or a choice.
         low, high: inclusive range of a number, None where open.
         choices: allowed strings, empty where any.
+        group: heading that it stands under in the help, empty for that of its dataclass.
+        common: whether the short help shows it.
     """
 
     name: str
@@ -36,6 +38,8 @@ class Param:
     low: float | None
     high: float | None
     choices: tuple[str, ...]
+    group: str
+    common: bool
 
     @property
     def flag(self) -> str:
@@ -93,10 +97,12 @@ def param(
     low: float | None = None,
     high: float | None = None,
     choices: tuple[str, ...] = (),
+    group: str = "",
+    common: bool = False,
 ) -> Any:
     """Declare a dataclass field that :func:`params` describes and :func:`checked` verifies."""
     meta = {"help": help, "unit": unit, "low": low, "high": high, "choices": choices}
-    return field(default=default, metadata=meta)
+    return field(default=default, metadata=meta | {"group": group, "common": common})
 
 
 def params(settings: type) -> Iterator[Param]:

@@ -39,7 +39,7 @@ class Settings:
     # Equation (3): motion.
     least_jump: int = param(
         6,
-        "Least change of grey from frame to frame for a change of band to count as motion.",
+        "Minimum grey-level change between frames to count as motion.",
         unit="grey levels",
         low=0,
         high=255,
@@ -47,76 +47,86 @@ class Settings:
     # Equations (1) and (2): charge.
     charge_mode: str = param(
         "permanency",
-        "permanency: motion charges fully (eq. 2); general: it adds --charge-gain (eq. 1).",
+        "What motion does to the charge. permanency: it charges fully (eq. 2); general: it adds "
+        "--charge-gain (eq. 1).",
         choices=("permanency", "general"),
     )
     charge_max: int = param(255, "Charge at saturation, Chmax.", low=1, high=255)
-    charge_min: int = param(0, "Charge at rest, Chmin; it never matches.", low=0, high=254)
-    charge_gain: int = param(255, "Charge C added by motion (general mode alone).", low=1, high=255)
+    charge_min: int = param(
+        0, "Charge at rest, Chmin. Pixels at rest never match.", low=0, high=254
+    )
+    charge_gain: int = param(
+        255, "Charge C added by motion. Only with --charge-mode general.", low=1, high=255
+    )
     charge_leak: int = param(
-        16, "Charge D lost in a frame without motion.", unit="charge per frame", low=1, high=255
+        16, "Charge D lost in each frame without motion.", unit="charge per frame", low=1, high=255
     )
     # Disparity.
     matcher: str = param(
         "trails",
-        "trails: pair runs of equal charge by their ends; "
+        "How the two memories are matched. trails: pair runs of equal charge by their ends; "
         "regions: largest connected region of equal charge at each displacement.",
         choices=("trails", "regions"),
     )
     match_on: str = param(
         "charge-band",
-        "What makes two pixels equal: their charge, or their charge and their band.",
+        "What two pixels must have in common to match: the charge, or the charge and the band.",
         choices=("charge", "charge-band"),
     )
     max_disparity: int = param(
         64,
-        "Largest disparity looked for; the nearest depth found follows.",
+        "Maximum disparity. A larger one finds nearer objects and takes longer.",
         unit="px",
         low=1,
         high=2048,
+        common=True,
     )
     reference: str = param(
         "right",
-        "Camera whose view all results are in: right, as in the paper; left, as KITTI, Middlebury "
-        "and ROS have it.",
+        "Camera whose view all results are in. right as in the paper; left as in KITTI, "
+        "Middlebury and ROS.",
         choices=("right", "left"),
+        group="Output",
+        common=True,
     )
 
     # Disparity by trails.
     vote_rows: int = param(
         8, "Height of the blocks in which trails vote together.", unit="px", low=1, high=256
     )
-    vote_columns: int = param(8, "Width of these blocks.", unit="px", low=1, high=256)
+    vote_columns: int = param(
+        8, "Width of the blocks in which trails vote together.", unit="px", low=1, high=256
+    )
     max_ratio: float = param(
         0.9,
-        "Largest support of a trail's second best partner, as a share of the best one's.",
+        "Maximum support of a trail's second best partner, as a share of that of the best.",
         low=0,
         high=1,
     )
     least_votes: int = param(
         16,
-        "Votes that have to agree on a disparity, within about a block around it.",
+        "Minimum number of votes for a disparity, within about a block around it.",
         low=1,
         high=100_000,
     )
     max_residual: float = param(
         15.0,
-        "Largest difference of grey between corresponding pixels (255 = any); "
-        "a difference in brightness between the cameras is allowed for.",
+        "Maximum grey-level difference between corresponding pixels (255 = any). A constant "
+        "difference in brightness between the cameras does not count.",
         unit="grey levels",
         low=0,
         high=255,
     )
     speckle_px: int = param(
         100,
-        "Connected patches of disparity of fewer pixels are dropped (0 = none).",
+        "Minimum size of a connected patch of disparity; smaller ones are dropped (0 = none are).",
         unit="px",
         low=0,
         high=1_000_000,
     )
     gap_px: int = param(
         16,
-        "Widest gap in a row, between matched trails of like disparity, that is filled.",
+        "Maximum width of a gap that is filled, between matched trails of like disparity in a row.",
         unit="px",
         low=0,
         high=1024,
@@ -124,46 +134,61 @@ class Settings:
     # Which of the disparities to give.
     max_age: int = param(
         FOREVER,
-        "Oldest motion that still gives a disparity (0 = of this frame alone; "
-        "permanency mode alone).",
+        "Maximum age of the motion that gives a disparity (0 = only motion of this frame). Needs "
+        "--charge-mode permanency.",
         unit="frames",
         low=0,
         high=FOREVER,
+        common=True,
     )
     min_confidence: float = param(
         0.0,
-        "Least chance of being right within 1 px that a disparity needs (trails alone).",
+        "Minimum chance that a disparity is right within 1 px. Needs --matcher trails.",
         low=0,
         high=1,
+        common=True,
     )
     # Guidance.
     steer_strips: int = param(
-        16, "Number of vertical strips the heading chooses among.", low=1, high=256
+        16,
+        "Number of vertical strips that the heading is chosen from.",
+        low=1,
+        high=256,
+        group="Guidance",
     )
     steer_gain: float = param(
         0.3,
-        "Share of the way from the last heading to the new one taken in a frame (1 = at once).",
+        "Share of the turn from the last heading to the new one that is made in a frame (1 = all).",
         low=0.01,
         high=1,
+        group="Guidance",
     )
     # Guidance of a robot whose own motion is known.
     robot_radius_m: float = param(
-        0.25, "Radius of the robot that is steered (with poses).", unit="m", low=0.05, high=5
+        0.25,
+        "Radius of the robot that is steered. Only with --poses.",
+        unit="m",
+        low=0.05,
+        high=5,
+        group="Guidance",
     )
     robot_below_m: float = param(
         1.1,
-        "How far below the cameras things are in the robot's way: less than down to the floor "
-        "(with poses).",
+        "How far below the cameras an object is in the robot's way; less than the height of the "
+        "cameras over the floor. Only with --poses and in the map.",
         unit="m",
         low=0,
         high=10,
+        group="Guidance",
     )
     robot_above_m: float = param(
         0.6,
-        "How far above the cameras things are in the robot's way (with poses).",
+        "How far above the cameras an object is in the robot's way. Only with --poses and in the "
+        "map.",
         unit="m",
         low=0,
         high=10,
+        group="Guidance",
     )
 
     def __post_init__(self) -> None:

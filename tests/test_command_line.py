@@ -539,8 +539,8 @@ def test_settings_options_pass_on_what_was_given_alone(args, expected):
     texts = [option.help for option in command.params if isinstance(option, click.Option)]
     assert texts[1:] == [
         "Rain.  [default on]",
-        "Speed.  [m/s; at least 0; default 1.5]",
-        "Steps.  [-2,000,000,000 to 1,000,000; default 3]",
+        "Speed.  [m/s; at least 0; default: 1.5]",
+        "Steps.  [-2,000,000,000 to 1,000,000; default: 3]",
     ]
 
 

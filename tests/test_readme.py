@@ -1,7 +1,4 @@
-"""The documentation says what the program does: its tables are the live commands' own.
-
-Options that several commands share have one table; those of a command are the rest.
-"""
+"""The documentation says what the program does: its tables are the live commands' own."""
 
 import re
 from pathlib import Path
@@ -12,22 +9,15 @@ import pytest
 import motionstereo_cli
 from motionstereo_cli.__main__ import main
 from motionstereo_cli.commands import cli
+from motionstereo_cli.commands.grouped import grouped
 from motionstereo_cli.commands.help import pages, subject
-from motionstereo_cli.params import params
-from motionstereo_cli.settings import Settings
 from motionstereo_cli.sinks import DEFAULT_OUTPUTS, OUTPUTS
 from motionstereo_cli.sinks.steering import HEADER
-from motionstereo_cli.sources.settings import InputSettings
 
 ROOT = Path(__file__).parent.parent
 README = ROOT / "README.md"
 DOCS = Path(motionstereo_cli.__file__).parent / "docs"
 PAGES = [README, *sorted(DOCS.glob("*.md")), ROOT / ".github/CONTRIBUTING.md"]
-
-SHARED = {
-    "input": {item.name for item in params(InputSettings)},
-    "processing": {"preset", *(item.name for item in params(Settings))},
-}
 
 
 def table(head, rows):
@@ -35,34 +25,36 @@ def table(head, rows):
     return "\n".join(lines)
 
 
-def options(command, names):
-    rows = []
-    for option in command.params:
-        if isinstance(option, click.Option) and option.name in names:
-            flags = ", ".join(option.opts + option.secondary_opts)
-            text = " ".join(option.get_help_record(click.Context(command))[1].split())
-            rows.append([f"`{flags}`", text.replace("|", "or")])
-    return table(["option", "what it does"], rows)
+def record(command, option):
+    """An option's names, and its help as one line of a table."""
+    names = ", ".join(option.opts + option.secondary_opts)
+    shown, text = option.get_help_record(click.Context(command))
+    choices = re.search(r"\[(.*)\]$", shown)
+    text = f"{' '.join(text.split())}{f' [{choices[1]}]' if choices else ''}"
+    return f"`{names}`", text.replace(" | ", ", ").replace("|", ", ")
 
 
 def all_options():
     """The whole page of options."""
+    run = cli.commands["run"]
+    of_run = {record(run, each) for each in run.params if isinstance(each, click.Option)}
     parts = ["# Options: every option of every command"]
     for name, command in cli.commands.items():
         context = click.Context(command, info_name=f"motionstereo {name}")
         usage = " ".join(command.collect_usage_pieces(context)).replace("[OPTIONS] ", "")
-        known = {o.name for o in command.params if isinstance(o, click.Option)}
-        shared = {group: names for group, names in SHARED.items() if names <= known}
-        own = known.difference(*shared.values())
         parts.append(f"## motionstereo {name} {usage}".rstrip())
-        parts.append("\n".join(line.strip() for line in command.help.splitlines()))
-        parts.extend([options(command, own)] if own else [])
+        parts.append("\n".join(line.strip() for line in command.help.strip().splitlines()))
+        shared = []
+        for heading, options in grouped(command.params).items():
+            rows = [record(command, each) for each in options]
+            if command is run:
+                parts.append(f"### {heading}")
+            else:
+                shared += [flags for flags, text in rows if (flags, text) in of_run]
+                rows = [row for row in rows if row not in of_run]
+            parts.extend([table(["option", "what it does"], rows)] if rows else [])
         if shared:
-            links = " and ".join(f"[{group}](#options-of-the-{group})" for group in shared)
-            parts.append(f"and the options of the {links}.")
-    for group, names in SHARED.items():
-        parts.append(f"## Options of the {group}")
-        parts.append(options(cli.commands["run"], names))
+            parts.append(f"As [run](#motionstereo-run-left-right) has them: {', '.join(shared)}.")
     return "\n\n".join(parts) + "\n"
 
 
@@ -172,3 +164,51 @@ def test_help_prints_every_page_and_every_commands_help(capsys):
 def test_a_mistyped_topic_is_named_with_what_it_may_be(capsys):
     assert main(["help", "ouputs"]) == 2
     assert "did you mean outputs?" in capsys.readouterr().err
+
+
+def test_the_short_help_of_run_fits_a_screen_and_the_full_one_has_all(capsys):
+    run = cli.commands["run"]
+    assert main(["run", "--help"]) == 0
+    short = capsys.readouterr().out
+    assert len(short.splitlines()) <= 45
+    assert main(["run", "--help-all"]) == 0
+    full = capsys.readouterr().out
+    for option in run.params:
+        if isinstance(option, click.Option):
+            assert option.opts[-1] in full, option.name
+    assert [line for line in full.splitlines() if line.endswith(" options:")] == [
+        f"{heading} options:" for heading in grouped(run.params)
+    ]
+    assert main(["help", "run"]) == 0
+    assert capsys.readouterr().out == full
+
+
+@pytest.mark.parametrize("name", cli.commands)
+def test_a_command_without_its_arguments_shows_how_it_is_used(name, capsys):
+    if any(each.required for each in cli.commands[name].params):
+        assert main([name]) == 2
+        error, note = capsys.readouterr().err.splitlines()
+        assert error.startswith("error: Missing ")
+        assert f"usage: motionstereo {name} [OPTIONS]" in note
+        assert f"motionstereo {name} --help" in note
+
+
+@pytest.mark.parametrize(
+    ("line", "last", "wanted"),
+    [
+        ("motionstereo", "simu", {"simulate"}),
+        ("motionstereo run", "--max-d", {"--max-disparity"}),
+        ("motionstereo run --reference", "l", {"left"}),
+        ("motionstereo run --save", "depth,stee", {"depth,steering", "depth,steering-jsonl"}),
+        ("motionstereo help", "out", {"outputs"}),
+        ("motionstereo run", "sample", {"sample"}),
+    ],
+)
+def test_the_shell_completes(line, last, wanted, monkeypatch, capsys):
+    words = [*line.split(), last]
+    monkeypatch.setenv("_MOTIONSTEREO_COMPLETE", "bash_complete")
+    monkeypatch.setenv("COMP_WORDS", " ".join(words))
+    monkeypatch.setenv("COMP_CWORD", str(len(words) - 1))
+    assert main([]) == 0
+    found = {each.partition(",")[2] for each in capsys.readouterr().out.splitlines()}
+    assert found == wanted

@@ -17,7 +17,7 @@ from motionstereo_cli.commands.run import run
 from motionstereo_cli.commands.simulate import simulate
 
 
-@click.group(context_settings={"help_option_names": ["-h", "--help"]})
+@click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
 @click.version_option(__version__, message="motionstereo %(version)s")
 def cli() -> None:
     """Depth and steering from what moves in two stereo videos."""

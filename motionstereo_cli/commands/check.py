@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from motionstereo_cli.commands.grouped import GroupedCommand
 from motionstereo_cli.commands.messages import say
 from motionstereo_cli.commands.options import config_option, input_options, rig_options
 from motionstereo_cli.settings import Settings
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
     from motionstereo_cli.analysis.check import CheckReport
 
 
-@click.command()
+@click.command(cls=GroupedCommand)
 @input_options
 @rig_options
 @click.option(

@@ -8,13 +8,14 @@ from typing import Any
 
 import click
 
+from motionstereo_cli.commands.grouped import GroupedCommand
 from motionstereo_cli.commands.messages import announce_compiling, say
 from motionstereo_cli.commands.options import processing_options, world_options
 from motionstereo_cli.settings import Settings
 from motionstereo_cli.simulate.settings import DriveSettings
 
 
-@click.command()
+@click.command(cls=GroupedCommand)
 @click.argument("out", type=click.Path(path_type=Path))
 @click.option("--view", is_flag=True, help="Write drive.mp4: right image, memory, depth, plan.")
 @click.option("--overwrite", is_flag=True, help="Replace a former drive in OUT.")

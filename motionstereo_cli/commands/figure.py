@@ -6,6 +6,7 @@ from pathlib import Path
 
 import click
 
+from motionstereo_cli.commands.grouped import GroupedCommand
 from motionstereo_cli.commands.messages import announce_compiling, say
 from motionstereo_cli.commands.options import input_options, processing_options
 from motionstereo_cli.errors import DAMAGED_EXIT_CODE
@@ -22,7 +23,7 @@ def _numbers(ctx: click.Context, _: click.Parameter, text: str) -> list[int]:
     return numbers
 
 
-@click.command()
+@click.command(cls=GroupedCommand)
 @click.option(
     "--frames",
     "numbers",

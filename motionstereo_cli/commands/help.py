@@ -5,9 +5,12 @@ from __future__ import annotations
 import difflib
 import re
 import sys
+from collections.abc import Mapping
 from importlib import resources
 
 import click
+
+from motionstereo_cli.commands.grouped import FULL
 
 # Comments mark the generated parts of a page.
 _COMMENT = re.compile(r"<!--.*?-->\n")
@@ -29,26 +32,33 @@ def subject(page: str) -> str:
     return page.partition("\n")[0].partition(": ")[2]
 
 
+def _complete_topics(context: click.Context, _: click.Parameter, begun: str) -> list[str]:
+    return [name for name in [*pages(), *_commands(context)] if name.startswith(begun)]
+
+
+def _commands(context: click.Context) -> Mapping[str, click.Command]:
+    group = context.find_root().command
+    return group.commands if isinstance(group, click.Group) else {}
+
+
 @click.command("help")
-@click.argument("topic", required=False)
+@click.argument("topic", required=False, shell_complete=_complete_topics)
 @click.pass_context
 def show_help(context: click.Context, topic: str | None) -> None:
     """Print a page of the documentation, or the help of a command.
 
     Without TOPIC it lists the topics.
     """
-    topics = pages()
-    group = context.parent
-    assert group is not None
-    assert isinstance(group.command, click.Group)
-    commands = group.command.commands
+    topics, commands = pages(), _commands(context)
     if topic is None:
         width = max(map(len, topics))
         lines = [f"  {name:<{width}}  {subject(page)}" for name, page in topics.items()]
         click.echo("\n".join(["Topics (motionstereo help TOPIC):", *lines]))
         click.echo(f"Commands (motionstereo help COMMAND): {', '.join(commands)}")
     elif topic in commands:
-        _show(commands[topic].get_help(click.Context(commands[topic], group, topic)))
+        context = click.Context(commands[topic], context.parent, topic)
+        context.meta[FULL] = True
+        _show(commands[topic].get_help(context))
     elif topic in topics:
         _show(topics[topic])
     else:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from motionstereo_cli.commands.grouped import GroupedCommand
 from motionstereo_cli.commands.messages import printable, say
 from motionstereo_cli.commands.options import config_option, input_options, rig_options
 from motionstereo_cli.sources.settings import InputSettings, adapted_rig
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
     from motionstereo_cli.sources import StereoSource
 
 
-@click.command()
+@click.command(cls=GroupedCommand)
 @input_options
 @rig_options
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")

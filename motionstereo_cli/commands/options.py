@@ -10,7 +10,9 @@ from pathlib import Path
 from typing import Any
 
 import click
+from click.shell_completion import CompletionItem
 
+from motionstereo_cli.commands.grouped import GroupedOption
 from motionstereo_cli.errors import SettingsError
 from motionstereo_cli.params import Param, params
 from motionstereo_cli.settings import PRESETS, Settings
@@ -19,20 +21,26 @@ from motionstereo_cli.sinks.settings import OutputSettings
 from motionstereo_cli.sources.settings import InputSettings
 
 
-def settings_options(settings: type) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+def settings_options(
+    settings: type, group: str
+) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
     """Give a command an option for each parameter of a dataclass, and ``--config``.
+
+    In the help they stand under the heading ``group``, but for those that name another.
 
     The command receives the values that were given, on the command line or in the configuration
     file, as one dict ``chosen``; what is not in it keeps the default of the dataclass or preset.
     """
 
     def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
-        return config_option(_declared(settings, "chosen")(command))
+        return config_option(_declared(settings, "chosen", group)(command))
 
     return decorate
 
 
-def _declared(settings: type, name: str) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+def _declared(
+    settings: type, name: str, group: str
+) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
     """Give a command the options of a dataclass; it receives what was given as a dict ``name``."""
     declared = list(params(settings))
 
@@ -44,7 +52,7 @@ def _declared(settings: type, name: str) -> Callable[[Callable[..., Any]], Calla
 
         collected: Callable[..., Any] = functools.update_wrapper(collect, command)
         for item in reversed(declared):
-            collected = _option(item)(collected)
+            collected = _option(item, group)(collected)
         return collected
 
     return decorate
@@ -57,12 +65,12 @@ def processing_options(command: Callable[..., Any]) -> Callable[..., Any]:
         return command(settings=Settings.preset(preset, **chosen), **values)
 
     collected: Callable[..., Any] = functools.update_wrapper(collect, command)
-    return _preset_option(settings_options(Settings)(collected))
+    return _preset_option(settings_options(Settings, "Method")(collected))
 
 
 def world_options(command: Callable[..., Any]) -> Callable[..., Any]:
     """Give a command the options of a driven world; it receives what was given as ``world``."""
-    return _declared(DriveSettings, "world")(command)
+    return _declared(DriveSettings, "world", "Scene")(command)
 
 
 def input_options(command: Callable[..., Any]) -> Callable[..., Any]:
@@ -75,14 +83,18 @@ def input_options(command: Callable[..., Any]) -> Callable[..., Any]:
         return command(input_settings=InputSettings(**input_chosen), **values)
 
     collected: Callable[..., Any] = functools.update_wrapper(collect, command)
-    collected = _declared(InputSettings, "input_chosen")(collected)
+    collected = _declared(InputSettings, "input_chosen", "Input")(collected)
     # Nothing to see: it catches what a shell makes of patterns that are not in quotes.
     collected = click.argument(
         "more", nargs=-1, metavar="", expose_value=False, callback=_none_more
     )(collected)
     # Text, not paths: a path does not tell standard input, "-", from a file "./-".
-    collected = click.argument("right", required=False)(collected)
-    return click.argument("left")(collected)
+    collected = click.argument("right", required=False, shell_complete=_files)(collected)
+    return click.argument("left", shell_complete=_files)(collected)
+
+
+def _files(_: click.Context, __: click.Parameter, incomplete: str) -> list[CompletionItem]:
+    return [CompletionItem(incomplete, type="file")]
 
 
 def _none_more(ctx: click.Context, _: click.Parameter, more: tuple[str, ...]) -> None:
@@ -101,7 +113,7 @@ def output_options(command: Callable[..., Any]) -> Callable[..., Any]:
         return command(output_settings=OutputSettings(**output_chosen), **values)
 
     collected: Callable[..., Any] = functools.update_wrapper(collect, command)
-    return _declared(OutputSettings, "output_chosen")(collected)
+    return _declared(OutputSettings, "output_chosen", "Output")(collected)
 
 
 def rig_options(command: Callable[..., Any]) -> Callable[..., Any]:
@@ -114,18 +126,19 @@ def rig_options(command: Callable[..., Any]) -> Callable[..., Any]:
         "--rig",
         multiple=True,
         type=click.Path(path_type=Path),
-        help="Calibration of the camera: rig.yaml, OpenCV, KITTI or Middlebury; twice, left first, "
-        "for a pair of files (ROS camera_info, EuRoC sensor.yaml, OpenCV intrinsics and "
-        "extrinsics). Images that are not rectified are, where it says how. Needed for lengths in "
-        "m and angles in rad.",
+        help="Calibration of the camera; needed for m and rad. A rig.yaml, OpenCV, KITTI or "
+        "Middlebury file; given twice, left first, for a pair of files (ROS camera_info, EuRoC "
+        "sensor.yaml, OpenCV intrinsics and extrinsics). Images are rectified if it says how.",
     )
     return files(baseline_unit_option(command))
 
 
 baseline_unit_option = click.option(
     "--baseline-unit",
+    cls=GroupedOption,
+    group="Calibration",
     type=click.Choice(["m", "cm", "mm"]),
-    help="Unit of length in the calibration.  [default: the format's, or a guess]",
+    help="Unit of length in the calibration.  [default: that of the format, or a guess]",
 )
 
 
@@ -134,7 +147,7 @@ _preset_option = click.option(
     type=click.Choice(list(PRESETS)),
     default="default",
     show_default=True,
-    help="Values for the options below where they are not given.",
+    help="Values of the method's options that are not given.",
 )
 
 
@@ -144,20 +157,38 @@ def near_match(name: str, known: Iterable[str]) -> str:
     return f" (did you mean {matches[0]!r}?)" if matches else ""
 
 
-def _option(item: Param) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+def _option(item: Param, group: str) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
     # No default here: only then can a preset tell what was given from what was not.
+    option = functools.partial(
+        click.option,
+        cls=GroupedOption,
+        group=item.group or group,
+        common=item.common,
+        help=_help(item),
+    )
     if item.kind is bool:
-        flags = f"{item.flag}/--no-{item.flag.removeprefix('--')}"
-        return click.option(flags, item.name, default=None, help=_help(item))
+        return option(f"{item.flag}/--no-{item.flag.removeprefix('--')}", item.name, default=None)
     kind = {int: "INTEGER", float: "NUMBER", str: "TEXT"}[item.kind]
-    metavar = f"[{'|'.join(item.choices)}]" if item.choices else kind
-    return click.option(item.flag, item.name, type=item.parse, metavar=metavar, help=_help(item))
+    return option(
+        item.flag,
+        item.name,
+        type=item.parse,
+        metavar=f"[{'|'.join(item.choices)}]" if item.choices and not _many(item) else kind,
+        shell_complete=lambda _, __, begun: [c for c in item.choices if c.startswith(begun)],
+    )
+
+
+def _many(item: Param) -> bool:
+    """Tell whether there are too many choices to stand beside the option's name."""
+    return len("|".join(item.choices)) > 24
 
 
 def _help(item: Param) -> str:
     default = "on" if item.default is True else "off" if item.default is False else item.default
-    default = f"default {default}" if default != "" else ""
-    facts = [item.unit, "" if item.choices else item.range, default]
+    if isinstance(default, (int, float)):
+        default = f"{default:,.10g}"
+    default = f"default: {default}" if default != "" else ""
+    facts = [item.unit, item.range if not item.choices or _many(item) else "", default]
     shown = "; ".join(fact for fact in facts if fact)
     return f"{item.help}  [{shown}]" if shown else item.help
 
@@ -168,7 +199,7 @@ config_option = click.option(
     is_eager=True,
     expose_value=False,
     callback=lambda ctx, _, path: _read_config(ctx, path) if path else None,
-    help="TOML file with a value for any of these options, as NAME = VALUE without the dashes; "
+    help="TOML file with values for any of these options. As NAME = VALUE, without the dashes; "
     "the command line wins.",
 )
 

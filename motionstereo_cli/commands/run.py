@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from motionstereo_cli.commands.grouped import GroupedCommand, GroupedOption
 from motionstereo_cli.commands.messages import announce_compiling
 from motionstereo_cli.commands.messages import say as _say
 from motionstereo_cli.commands.options import (
@@ -36,55 +37,65 @@ def _names(ctx: click.Context, _: click.Parameter, lists: tuple[str, ...]) -> tu
     return tuple(names)
 
 
-@click.command()
+def _complete_names(_: click.Context, __: click.Parameter, incomplete: str) -> list[str]:
+    before, comma, name = incomplete.rpartition(",")
+    return [before + comma + known for known in OUTPUTS if known.startswith(name)]
+
+
+@click.command(cls=GroupedCommand)
 @click.option(
     "-o",
     "--out",
     type=click.Path(allow_dash=True, path_type=Path),
     default="motionstereo_out",
     show_default=True,
-    help="Folder for the results; - writes the steering table to standard output, and no files.",
+    help="Folder for the results. - writes only the steering table, to standard output.",
 )
 @rig_options
 @click.option(
     "--poses",
     type=click.Path(path_type=Path),
-    help="Poses of the rig's middle, TUM format (t x y z qx qy qz qw in s and m; x forward, y "
-    "left, z up), t as in the recordings: guidance then remembers what it has seen. Needs --rig.",
+    help="Poses of the rig, TUM format; guidance then has a memory. Lines t x y z qx qy qz qw of "
+    "the point halfway between the cameras, in s and m; x forward, y left, z up; t as in the "
+    "recordings. Needs --rig.",
 )
 @click.option(
     "--save",
     multiple=True,
     metavar="NAMES",
     callback=_names,
-    help="What to write, as a comma list; may be repeated.  "
-    f"[{', '.join(OUTPUTS)}; default {','.join(DEFAULT_OUTPUTS)}]",
+    shell_complete=_complete_names,
+    help="What to write, as a comma list. May be repeated. Names are "
+    f"{', '.join(OUTPUTS)}; motionstereo help outputs describes them.  "
+    f"[default: {','.join(DEFAULT_OUTPUTS)}]",
 )
 @click.option(
     "--csv",
     type=click.Path(dir_okay=False, allow_dash=True, path_type=Path),
-    help="Write the steering table here as well; - is standard output, row by row.",
+    help="Write the steering table here too. - is standard output, row by row.",
 )
 @output_options
-@click.option("--overwrite", is_flag=True, help="Replace the results of a former run in OUT.")
+@click.option("--overwrite", is_flag=True, help="Replace the results of an earlier run in OUT.")
 @click.option(
     "--resume",
     is_flag=True,
-    help="Go on where the same run into OUT was ended, by whatever; begin if it has not yet.",
+    help="Go on where the same run into OUT was interrupted. Begins if there is none.",
 )
 @click.option(
     "--jobs",
     type=click.IntRange(1, 256),
     metavar="INTEGER",
-    show_default="the number of processor cores; 1 with standard input",
-    help="Frames matched at a time; results do not depend on it, but all come so many frames "
-    "later, less one.",
+    help="Frames matched at the same time. Results do not depend on it, but come that many frames "
+    "later, less one.  [default: number of cores, 1 with standard input]",
 )
 @click.option(
     "--check/--no-check",
     "with_check",
+    cls=GroupedOption,
+    group="Robustness",
     default=True,
-    help="Look for mistakes in the first frames, as the command check does in all, and warn.  "
+    help="Look for mistakes in the first frames, as the command check does in all frames, and "
+    "warn.  "
     "[default: on]",
 )
 @input_options

@@ -7,15 +7,16 @@ from typing import Any
 
 import click
 
+from motionstereo_cli.commands.grouped import GroupedCommand
 from motionstereo_cli.commands.messages import say
 from motionstereo_cli.commands.options import settings_options
 from motionstereo_cli.simulate.settings import SimulateSettings
 
 
-@click.command()
+@click.command(cls=GroupedCommand)
 @click.argument("out", type=click.Path(path_type=Path))
 @click.option("--overwrite", is_flag=True, help="Replace a former simulation in OUT.")
-@settings_options(SimulateSettings)
+@settings_options(SimulateSettings, "Scene")
 def simulate(out: Path, overwrite: bool, chosen: dict[str, Any]) -> None:
     """Render a stereo recording with exact truth into the folder OUT.
 

@@ -37,15 +37,17 @@ class SimulateSettings:
 
     scene: str = param(
         "corridor",
-        "corridor: a robot's way round a square corridor; "
-        "cards: textured cards that cross, approach and recede before a textured wall; "
-        "layers: cards, slanted and thin ones among them, that overlap before a smooth wall.",
+        "What is rendered. corridor: a robot drives round a square corridor; cards: textured cards "
+        "cross, approach and recede before a textured wall; layers: cards, some slanted or thin, "
+        "overlap before a smooth wall.",
         choices=("corridor", "cards", "layers"),
+        common=True,
     )
     frames: str = param(
         "500",
-        "How many frames, or which: 250:350 is 250 to 349. In the corridor a round takes 500, "
-        "of each 125 the last 25 are a turn.",
+        "How many frames, or which: 250:350 is 250 to 349. A round of the corridor takes 500; "
+        "the last 25 of each 125 are a turn.",
+        common=True,
     )
     width: int = param(320, "Width of the images, even.", unit="px", low=16, high=4096)
     height: int = param(240, "Height of the images, even.", unit="px", low=16, high=4096)
@@ -55,18 +57,23 @@ class SimulateSettings:
     baseline_m: float = param(0.12, "Distance between the cameras.", unit="m", low=0.001, high=1)
     frame_rate: float = param(30.0, "Frames per second.", unit="Hz", low=1, high=1000)
     corridor_width_m: float = param(
-        3.0, "From inner to outer wall (corridor only).", unit="m", low=0.5, high=20
+        3.0, "Distance from inner to outer wall. Only in the corridor.", unit="m", low=0.5, high=20
     )
     corridor_length_m: float = param(
         20.0,
-        "Way of the robot along one side and its turn, 125 frames (corridor only).",
+        "Length of one side and its turn, 125 frames. Only in the corridor.",
         unit="m",
         low=5,
         high=100,
     )
-    pan: bool = param(False, "Swing the camera from side to side (cards and layers only).")
+    pan: bool = param(False, "Swing the camera from side to side. Only with cards and layers.")
     noise_sigma: float = param(
-        0.0, "Standard deviation of the sensor noise.", unit="grey levels", low=0, high=100
+        0.0,
+        "Standard deviation of the sensor noise.",
+        unit="grey levels",
+        low=0,
+        high=100,
+        common=True,
     )
     left_gain: float = param(1.0, "Factor of the left camera's grey.", low=0.1, high=10)
     left_offset: float = param(
@@ -89,7 +96,7 @@ class SimulateSettings:
         0, "Compress each image as JPEG before it is written (0 = not).", low=0, high=100
     )
     crf: int = param(18, "H.264 constant rate factor: 0 is best, 35 is poor.", low=0, high=51)
-    seed: int = param(0, "Seed of the paint and of the noise.", low=0)
+    seed: int = param(0, "Seed of the texture and of the noise.", low=0, common=True)
     lossless: bool = param(False, "Write FFV1 in Matroska (.mkv) instead of H.264 (.mp4).")
 
     def __post_init__(self) -> None:
@@ -152,31 +159,42 @@ class DriveSettings:
         SettingsError: a value is out of range, or there is no room for the robot.
     """
 
-    laps: float = param(1.0, "Drive ends after so many rounds.", low=0.01, high=1000)
+    laps: float = param(1.0, "Maximum number of rounds.", low=0.01, high=1000, common=True)
     most_frames: int = param(
-        0, "Drive ends after so many frames (0 = thrice what the laps should take).", low=0
+        0, "Maximum number of frames (0 = three times what the laps should take).", low=0
     )
-    walkers: int = param(0, "People-sized things that walk along and across.", low=0, high=20)
+    walkers: int = param(
+        0,
+        "Number of people-sized obstacles that walk along and across the corridor.",
+        low=0,
+        high=20,
+        common=True,
+    )
     width: int = param(320, "Width of the images.", unit="px", low=64, high=4096)
     height: int = param(240, "Height of the images.", unit="px", low=48, high=4096)
     noise_sigma: float = param(
         1.5, "Standard deviation of the sensor noise.", unit="grey levels", low=0, high=100
     )
     corridor_width_m: float = param(
-        0.0, "From inner to outer wall (0 = 2 to 3.5 by the seed).", unit="m", low=0, high=20
+        0.0,
+        "Distance from inner to outer wall (0 = 2 to 3.5, by the seed).",
+        unit="m",
+        low=0,
+        high=20,
     )
     corridor_length_m: float = param(
         0.0,
-        "Side of the square that the corridor's middle line makes (0 = 12 to 18 by the seed).",
+        "Side of the square that the corridor's middle line makes (0 = 12 to 18, by the seed).",
         unit="m",
         low=0,
         high=100,
     )
     seed: int = param(
         0,
-        "Decides on the corridor's size, doors, windows and light, the sense of the round, the "
-        "walkers and the noise.",
+        "Seed of the world. It decides on the corridor's size, doors, windows and light, the sense "
+        "of the round, the walkers and the noise.",
         low=0,
+        common=True,
     )
 
     def __post_init__(self) -> None:

@@ -18,38 +18,38 @@ class OutputSettings:
 
     depth_scale: int = param(
         1000,
-        "Unit of depth in 16-bit images and video: 1000 = mm; 5000 as TUM has it, 256 as KITTI.",
+        "Units per m of depth in 16-bit images and video. 1000 = mm; TUM has 5000, KITTI 256.",
         unit="per m",
         low=1,
         high=65535,
     )
     steering_format: str = param(
         "csv",
-        "Format of the steering table: CSV, or JSON lines, one object a frame.",
+        "Format of the steering table. jsonl: JSON lines, one object for each frame.",
         choices=("csv", "jsonl"),
     )
     colours: str = param(
         "turbo",
-        "Colour map of depth-video; in turbo and jet red is near.",
+        "Colour map of depth-video. In turbo and jet red is near.",
         choices=("turbo", "viridis", "cividis", "magma", "inferno", "plasma", "jet", "bone"),
     )
     near_m: float = param(
         0.0,
-        "Depth that has the nearest colour of depth-video (0 = that of --max-disparity).",
+        "Depth with the nearest colour of depth-video (0 = the depth of --max-disparity).",
         unit="m",
         low=0,
         high=1_000_000,
     )
     far_m: float = param(
         0.0,
-        "Depth that has the farthest colour of depth-video (0 = that of a disparity of 1 px).",
+        "Depth with the farthest colour of depth-video (0 = the depth of a disparity of 1 px).",
         unit="m",
         low=0,
         high=1_000_000,
     )
     map_cell_m: float = param(
         0.05,
-        "Side of the cells of map.png, and of the voxels of which map.ply has a point each.",
+        "Side of the cells of map.png and of the voxels; map.ply has one point for each voxel.",
         unit="m",
         low=0.005,
         high=10,
@@ -57,11 +57,12 @@ class OutputSettings:
 
     checkpoint_frames: int = param(
         250,
-        "After so many frames each, a run leaves what --resume goes on from; videos have a key "
-        "frame there.",
+        "Number of frames between checkpoints, from which --resume goes on. Videos have a key "
+        "frame at each.",
         unit="frames",
         low=1,
         high=1_000_000,
+        group="Robustness",
     )
 
     def __post_init__(self) -> None:

@@ -38,73 +38,79 @@ class InputSettings:
 
     layout: str = param(
         "two",
-        "two: LEFT and RIGHT, or a KITTI or EuRoC folder; otherwise one recording holds both "
-        "views, the left one at the left or on top; -half: each squeezed to half its width or "
-        "height, and stretched back when read.",
+        "Where the two views are. two: in LEFT and RIGHT, or in a KITTI or EuRoC folder; in all "
+        "others one recording holds both, the left view at the left or on top; -half: each view "
+        "was squeezed to half its width or height, and is stretched back.",
         choices=("two", "side-by-side", "side-by-side-half", "top-bottom", "top-bottom-half"),
+        common=True,
     )
-    swap: bool = param(
-        False, "Exchange the left and the right view, as cross-eyed recordings need it."
-    )
+    swap: bool = param(False, "Exchange the left and the right view, for cross-eyed recordings.")
     sync_offset: int = param(
         0,
-        "Pair left image n with right image n + N: N > 0 where the right recording began "
-        "N images earlier.",
+        "Pair left image n with right image n + N. N > 0 if the right recording began N images "
+        "earlier.",
         unit="images",
         low=-1_000_000_000,
         high=1_000_000_000,
     )
     sync_tolerance: float = param(
         0.0,
-        "Pair images by their time stamps, the nearest, at most this far apart (0 = pair by "
-        "number; images with EuRoC time stamps within half a frame).",
+        "Pair each image with the nearest by time stamp, at most this far apart (0 = pair by "
+        "number, EuRoC folders by time within half a frame).",
         unit="s",
         low=0,
         high=3600,
     )
     frame_rate: float = param(
         0.0,
-        "Rate of image folders, which have no time of their own (0 = unknown).",
+        "Frame rate of image folders, which have no times (0 = unknown).",
         unit="frames per second",
         low=0,
         high=100_000,
     )
     start: str = param(
         "",
-        "First frame used: its number from 0 (100) or the time since the first (12.5s, 0:12.5).",
+        "First frame used: its number from 0 (100) or its time since the first (12.5s, 0:12.5).",
+        common=True,
     )
-    end: str = param("", "First frame no longer used, in the same way.")
+    end: str = param("", "First frame that is not used any more, in the same form.", common=True)
     every: int = param(
         1,
-        "Use each N-th frame; motion is what changes between the frames used.",
+        "Use every N-th frame. Motion is what changes between the frames used.",
         unit="frames",
         low=1,
         high=1_000_000,
     )
     crop: str = param(
-        "", "Part of each view to use, as X,Y,WIDTH,HEIGHT from its upper left corner.", unit="px"
+        "",
+        "Part of each view that is used: X,Y,WIDTH,HEIGHT from its upper left corner.",
+        unit="px",
     )
     scale: float = param(
         1.0,
-        "Factor to the size of the views, after --crop; disparity grows with it, depth does not.",
+        "Factor to the size of the views, after --crop. Disparity grows with it, depth does not.",
         low=0.01,
         high=8,
     )
     strict: bool = param(
-        False, "End with an error at the first damage to the input, instead of counting it."
+        False,
+        "End with an error at the first damage in the input, instead of counting it.",
+        group="Robustness",
     )
     max_pixels: int = param(
         MOST_PIXELS,
-        "Larger images than this are refused before they are decoded, for they would fill the "
-        "memory.",
+        "Maximum size of an image. Larger ones are refused before they are decoded, because they "
+        "would fill the memory.",
         unit="px",
         low=1,
         high=MOST_PIXELS_OF_ALL,
+        group="Robustness",
     )
     allow_network: bool = param(
         False,
-        "Read from network addresses as well, given as LEFT or RIGHT or in a playlist; without it "
-        "a recording makes nothing but itself be read.",
+        "Read from network addresses too, given as LEFT or RIGHT or in a playlist. Without it a "
+        "recording cannot make the program read anything else.",
+        group="Robustness",
     )
 
     def __post_init__(self) -> None:
