@@ -538,7 +538,7 @@ def test_settings_options_pass_on_what_was_given_alone(args, expected):
     assert received == expected
     texts = [option.help for option in command.params if isinstance(option, click.Option)]
     assert texts[1:] == [
-        "Rain.  [default on]",
+        "Rain.  [default: on]",
         "Speed.  [m/s; at least 0; default: 1.5]",
         "Steps.  [-2,000,000,000 to 1,000,000; default: 3]",
     ]

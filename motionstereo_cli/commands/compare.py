@@ -55,7 +55,7 @@ def _tolerances(
     help="Write all as JSON; - is standard output.",
 )
 @click.option("--junit", type=_FILE, help="Write a JUnit report, a test case for each output.")
-@settings_options(CompareSettings, "Common")
+@settings_options(CompareSettings)
 def compare(
     *,
     actual: Path,

@@ -12,7 +12,7 @@ from typing import Any
 import click
 from click.shell_completion import CompletionItem
 
-from motionstereo_cli.commands.grouped import GroupedOption
+from motionstereo_cli.commands.grouped import GROUPS, GroupedOption
 from motionstereo_cli.errors import SettingsError
 from motionstereo_cli.params import Param, params
 from motionstereo_cli.settings import PRESETS, Settings
@@ -22,11 +22,11 @@ from motionstereo_cli.sources.settings import InputSettings
 
 
 def settings_options(
-    settings: type, group: str
+    settings: type, group: str = GROUPS[0]
 ) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
     """Give a command an option for each parameter of a dataclass, and ``--config``.
 
-    In the help they stand under the heading ``group``, but for those that name another.
+    Their heading in the help is ``group``, unless a parameter has its own.
 
     The command receives the values that were given, on the command line or in the configuration
     file, as one dict ``chosen``; what is not in it keeps the default of the dataclass or preset.
