@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from motionstereo_cli.errors import SettingsError
+from motionstereo_cli.matchers import MATCHERS
 from motionstereo_cli.params import checked, param
 
 #: The largest age in frames that can be told apart.
@@ -64,9 +65,10 @@ class Settings:
     # Disparity.
     matcher: str = param(
         "trails",
-        "How the two memories are matched. trails: pair runs of equal charge by their ends; "
-        "regions: largest connected region of equal charge at each displacement.",
-        choices=("trails", "regions"),
+        "How the two memories are matched. "
+        + "; ".join(f"{name}: {matcher.what}" for name, matcher in MATCHERS.items())
+        + ".",
+        choices=tuple(MATCHERS),
     )
     match_on: str = param(
         "charge-band",
@@ -203,8 +205,9 @@ class Settings:
             )
         if self.max_age < FOREVER and self.charge_mode == "general":
             raise SettingsError("--max-age needs --charge-mode permanency: else age is not known")
-        if self.min_confidence > 0 and self.matcher == "regions":
-            raise SettingsError("--min-confidence needs --matcher trails")
+        if self.min_confidence > 0 and not MATCHERS[self.matcher].knows_confidence:
+            knowing = " or ".join(name for name in MATCHERS if MATCHERS[name].knows_confidence)
+            raise SettingsError(f"--min-confidence needs --matcher {knowing}")
 
     @classmethod
     def preset(cls, name: str, **overrides: Any) -> Settings:

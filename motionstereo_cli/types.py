@@ -10,6 +10,8 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from motionstereo_cli.pipeline import State
+
     Grey = NDArray[np.uint8]
     MatchKeys = NDArray[np.uint16]
     Real = NDArray[np.float32]
@@ -158,7 +160,9 @@ class FrameResult:
         depth_m: (height, width) float32, NaN = unknown; None without a rig.
         steering: heading for this frame.
         charged, matched: shares of the image, 0..1, that carry charge and have a disparity.
-        pose: where the rig was; None where nobody said.
+        state: what is known after this frame; :func:`~motionstereo_cli.pipeline.process` goes on
+            from it.
+        pose: where the rig was; None where it is not known.
         objects: what moves, as far as it has been followed for a few frames.
     """
 
@@ -173,6 +177,7 @@ class FrameResult:
     steering: Steering
     charged: float
     matched: float
+    state: State | None = None
     pose: Pose | None = None
     objects: tuple[MovingObject, ...] = ()
 

@@ -13,7 +13,7 @@ from bench.speed_report import format_markdown, goals
 from bench.timing import Cost, Key, core_count, on_cores, python
 from motionstereo_cli import pipeline
 from motionstereo_cli.__main__ import main
-from motionstereo_cli.robot.guide import Guide
+from motionstereo_cli.robot.guide import ImageGuide
 from motionstereo_cli.simulate.settings import SimulateSettings
 
 
@@ -41,15 +41,15 @@ def test_a_clip_put_end_to_end_shows_the_same_again(clip, tmp_path):
 
 
 def test_the_clock_sees_the_steps_and_leaves_no_trace(clip):
-    before = dict(vars(pipeline)), pipeline.Memory.see, Guide.steer
+    before = dict(vars(pipeline)), pipeline.see, ImageGuide.steer
     with speed.stage_clock() as seconds:
         assert sum(1 for _ in pipeline.process(clip.frames(100))) == 6
-    assert (dict(vars(pipeline)), pipeline.Memory.see, Guide.steer) == before
+    assert (dict(vars(pipeline)), pipeline.see, ImageGuide.steer) == before
     for step in (
-        "Memory.see",
+        "see",
         "match",
         "Tracker.follow",
-        "Guide.steer",
+        "ImageGuide.steer",
         "bands.blur",
         "trails.match_trails",
     ):

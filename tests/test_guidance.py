@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from motionstereo_cli.robot.guide import Guide
+from motionstereo_cli.robot.guide import MapGuide
 from motionstereo_cli.robot.heading import (
     DIRECTIONS_RAD,
     Course,
@@ -239,11 +239,12 @@ class TestPlan:
         assert travelled(course, 0.0, 0.0).travel_rad == course.travel_rad
 
 
-class TestGuide:
+class TestMapGuide:
     def steered(self, disparities, poses, fresh=True):
-        guide = Guide(Settings(), RIG)
+        guide, state = MapGuide(Settings(), RIG), None
         for disparity, where in zip(disparities, poses, strict=True):
-            steering = guide.steer(disparity, np.full(disparity.shape, fresh), where)
+            seen = guide.profile(disparity, np.full(disparity.shape, fresh))
+            state, steering = guide.steer(state, seen, where)
         return steering
 
     def flat(self, depth_m):

@@ -39,7 +39,7 @@ PURE = [
     if room(path) == "stages" or (room(path) == "robot" and path.name in PURE_ROBOT)
 ]
 #: What each room may import of the package besides itself; "" is the modules at the root.
-GROUND = {"errors", "types", "compiled", "params", "settings"}
+GROUND = {"errors", "types", "compiled", "params", "settings", "matchers"}
 MAY_IMPORT = {
     "files": {"errors", "types"},
     "sources": {"errors", "types", "params", "settings", "files", "rig"},
@@ -66,8 +66,8 @@ def joins(rooms):
     }
 
 
-def test_only_the_pipeline_joins_stages():
-    assert joins(["stages."]) == {"pipeline.py"}
+def test_only_the_pipeline_its_memories_and_matchers_join_stages():
+    assert joins(["stages."]) == {"matchers.py", "memory.py", "pipeline.py"}
 
 
 def test_only_the_files_of_robot_that_keep_state_join_its_pure_ones():

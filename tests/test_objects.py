@@ -15,7 +15,7 @@ from hypothesis.extra.numpy import arrays
 from bench import objects as bench
 from motionstereo_cli.commands import cli
 from motionstereo_cli.robot import objects
-from motionstereo_cli.robot.guide import Guide, nearest_contact
+from motionstereo_cli.robot.guide import MapGuide, nearest_contact
 from motionstereo_cli.robot.objects import (
     Observation,
     Region,
@@ -25,7 +25,7 @@ from motionstereo_cli.robot.objects import (
     regions,
     trust,
 )
-from motionstereo_cli.robot.tracker import Tracker
+from motionstereo_cli.robot.tracker import Tracker, Tracks
 from motionstereo_cli.settings import Settings
 from motionstereo_cli.simulate.settings import SimulateSettings
 from motionstereo_cli.sinks import OUTPUTS, RunContext
@@ -228,20 +228,21 @@ def frame(index, time_s):
 
 def coming(depths_m, *, rig=RIG, poses=None, timed=True, columns=None):
     """Follow a square of 24 px at depths a tenth of a second apart; return its last state."""
-    tracker = Tracker(Settings(), rig)
+    tracker, tracks = Tracker(Settings(), rig), Tracks()
     everywhere = np.full((HEIGHT, WIDTH), True)
     for index, depth_m in enumerate(depths_m):
         x = 68 if columns is None else columns[index]
         near = scene((x, 36, 24, 24, FB / depth_m))
         moment = frame(index, index / 10 if timed else None)
-        seen = tracker.follow(near, everywhere, moment, poses and poses[index])
+        regions = tracker.regions(near, everywhere)
+        tracks, seen = tracker.follow(tracks, regions, moment, poses and poses[index])
     return seen
 
 
 APPROACH_M = [4 - 0.1 * n for n in range(12)]
 
 
-class TestFollower:
+class TestTracker:
     def test_what_comes_closer_has_a_positive_speed_and_a_time(self):
         (thing,) = coming(APPROACH_M)
         assert (thing.id, thing.x, thing.y, thing.width, thing.height) == (1, 68, 36, 24, 24)
@@ -305,10 +306,11 @@ class TestFollower:
         tracker = Tracker(Settings(), RIG)
         everywhere = np.full((HEIGHT, WIDTH), True)
         times_s = [0.0, 0.1, 0.2, 0.1, 0.2, 0.3]
-        ids = [
-            [o.id for o in tracker.follow(scene((68, 36, 24, 24, 9)), everywhere, frame(n, t))]
-            for n, t in enumerate(times_s)
-        ]
+        regions = tracker.regions(scene((68, 36, 24, 24, 9)), everywhere)
+        tracks, ids = Tracks(), []
+        for n, time_s in enumerate(times_s):
+            tracks, seen = tracker.follow(tracks, regions, frame(n, time_s))
+            ids.append([one.id for one in seen])
         assert ids == [[], [], [1], [], [], [2]]
 
 
@@ -337,13 +339,12 @@ class TestNearestContact:
 
     def way(self, *objects):
         """Steer before a wall 6 m away that has been seen for long."""
-        guide = Guide(Settings(), RIG)
+        guide, state = MapGuide(Settings(), RIG), None
         near = np.full((HEIGHT, WIDTH), FB / 6, np.float32)
         fresh, pose = np.full(near.shape, True), Pose(0, 0, 0, 0, 0, 0, 1)
-        for _ in range(15):
-            steering = guide.steer(near, fresh, pose)
-        for _ in range(5):
-            steering = guide.steer(near, fresh, pose, objects)
+        seen = guide.profile(near, fresh)
+        for number in range(20):
+            state, steering = guide.steer(state, seen, pose, objects if number >= 15 else ())
         return steering
 
     def walker(self, **changes):

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from motionstereo_cli.errors import SettingsError
-from motionstereo_cli.pipeline import Memory, process
+from motionstereo_cli.memory import keys_of, see
+from motionstereo_cli.pipeline import process
 from motionstereo_cli.settings import PRESETS, Settings
 from motionstereo_cli.simulate.scenes import render_scene
 from motionstereo_cli.simulate.settings import SimulateSettings
@@ -125,10 +126,10 @@ def test_general_charge_grows_step_by_step():
 
 def test_what_makes_pixels_equal_is_a_setting():
     for match_on, several_units_a_charge in (("charge", False), ("charge-band", True)):
-        memory = Memory(Settings(match_on=match_on))
+        settings, memory = Settings(match_on=match_on), None
         for frame in sliding([8]):
-            memory.see(frame.right)
-        full = memory.match_keys()[memory.charge == 255]
+            memory = see(memory, frame.right, settings)
+        full = keys_of(memory, settings)[memory.charge == 255]
         assert (len(np.unique(full)) > 1) == several_units_a_charge
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from motionstereo_cli.pipeline import process
-from motionstereo_cli.robot.guide import Guide
+from motionstereo_cli.robot.guide import ImageGuide, MapGuide
 from motionstereo_cli.robot.local_map import CELL_M
 from motionstereo_cli.settings import Settings
 from motionstereo_cli.simulate.scenes import render_scene
@@ -75,7 +75,8 @@ def test_angles_and_depth_are_those_of_the_left_camera():
     disparity_px[:, 110:120] = 3
     for reference, cx in (("left", 80), ("right", 87)):
         settings = Settings(reference=reference, steer_gain=1)
-        steering = Guide(settings, rig).steer(disparity_px, disparity_px > 0)
+        guide = ImageGuide(settings, rig)
+        _, steering = guide.steer(None, guide.profile(disparity_px, disparity_px > 0))
         assert steering.steer_rad == pytest.approx(math.atan2(cx - 114.5, 100))
         assert steering.depth_m == pytest.approx(100 * 0.1 / (3 + 7))
 
@@ -88,10 +89,10 @@ def test_the_map_has_things_where_they_are(reference):
     column = round(80 + (aside_px if reference == "left" else -aside_px))
     disparity_px = np.full((96, 161), np.nan, np.float32)
     disparity_px[30:60, column - 1 : column + 2] = 60 * 1 / 3
-    guide = Guide(Settings(reference=reference, max_disparity=32), rig)
+    guide, state = MapGuide(Settings(reference=reference, max_disparity=32), rig), None
+    seen = guide.profile(disparity_px, ~np.isnan(disparity_px))
     for _ in range(6):
-        guide.steer(disparity_px, ~np.isnan(disparity_px), Pose(0, 0, 1, 0, 0, 0, 1))
-    assert guide.map is not None
-    occupied = np.argwhere(guide.map.evidence > 0) + guide.map.corner + 0.5
+        state, _ = guide.steer(state, seen, Pose(0, 0, 1, 0, 0, 0, 1))
+    occupied = np.argwhere(state.map.evidence > 0) + state.map.corner + 0.5
     assert len(occupied)
     assert np.abs(occupied * CELL_M - (3, 0)).max() <= 0.25

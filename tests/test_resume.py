@@ -23,7 +23,7 @@ from motionstereo_cli.batch.interrupts import finishing
 from motionstereo_cli.errors import OutputError
 from motionstereo_cli.files.atomic import part_of
 from motionstereo_cli.files.video import SegmentedVideo, VideoWriter
-from motionstereo_cli.pipeline import State, process
+from motionstereo_cli.pipeline import process
 from motionstereo_cli.settings import Settings
 from motionstereo_cli.sinks import OUTPUTS
 from motionstereo_cli.sinks.writers import TableFile
@@ -286,11 +286,10 @@ def test_the_state_is_all_there_is(mode):
         return Pose(frame.index / 10, 0.0, 0.5, 0.0, 0.0, 0.0, 1.0)
 
     whole = list(process(frames, settings, rig, pose_of))
-    state = State.unknown(settings, rig)
-    for result in process(frames, settings, rig, pose_of, state=state, jobs=3):
+    for result in process(frames, settings, rig, pose_of, jobs=3):
         if result.frame.index == 6:
             break
-    later = loads(pickle.dumps(state))
+    later = loads(pickle.dumps(result.state))
     rest = list(process(frames[7:], settings, rig, pose_of, state=later, jobs=2))
     assert len(rest) == 5
     for one, other in zip(whole[7:], rest, strict=True):

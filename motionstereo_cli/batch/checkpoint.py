@@ -19,6 +19,7 @@ from motionstereo_cli.sinks import Sink
 #: What may stand in a checkpoint besides plain values: of this package what holds state, and
 #: NumPy's arrays. Nothing that could do harm, whoever wrote the file.
 _OUR_MODULES = (
+    "motionstereo_cli.memory",
     "motionstereo_cli.pipeline",
     "motionstereo_cli.batch.run",
     "motionstereo_cli.robot.",

@@ -164,13 +164,13 @@ def run(
                 overwrite = part_of(out / RECORD).exists()
             if since is None:
                 prepare(out, save, overwrite=overwrite, inputs=inputs)
-        since = since or Checkpoint(State.unknown(settings, rig), _Totals(), {})
+        since = since or Checkpoint(State(), _Totals(), {})
         totals: _Totals = since.totals
         resumed = totals.frames
 
-        def checkpoint() -> None:
+        def checkpoint(state: State) -> None:
             if out is not None and source.rereadable:
-                write_checkpoint(out / CHECKPOINT, identity(), since.state, totals, sinks)
+                write_checkpoint(out / CHECKPOINT, identity(), state, totals, sinks)
 
         sinks: dict[str, Sink] = {}
         interrupted = False
@@ -320,7 +320,7 @@ def _write(
     results: Iterable[FrameResult],
     sinks: Mapping[str, Sink],
     totals: _Totals,
-    checkpoint: Callable[[], object],
+    checkpoint: Callable[[State], object],
     checkpoint_frames: int,
     progress: Callable[[], object],
 ) -> None:
@@ -331,7 +331,8 @@ def _write(
                 sink.write(result)
             totals.add(result)
             if totals.frames % checkpoint_frames == 0:
-                checkpoint()
+                assert result.state is not None
+                checkpoint(result.state)
         progress()
     if not totals.frames:
         raise InputError("the recordings have no frame in common: check that they are whole")

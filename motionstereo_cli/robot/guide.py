@@ -1,10 +1,16 @@
-"""The heading of each frame, and the map it is taken from."""
+"""The heading of each frame.
+
+What a guide takes from one frame, its *profile*, is a few numbers that follow from that frame
+only. What it makes of one profile after the other is done in order: a guide's state is a value
+that goes in and comes out.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
 
 import numpy as np
 
@@ -31,13 +37,7 @@ from motionstereo_cli.robot.local_map import (
     seen,
 )
 from motionstereo_cli.settings import Settings
-from motionstereo_cli.types import (
-    MovingObject,
-    Pose,
-    Rig,
-    Steering,
-    camera_place,
-)
+from motionstereo_cli.types import MovingObject, Pose, Rig, Steering, camera_place
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -66,9 +66,43 @@ STEERING_ROWS = 240
 #: Bearings that a robot tells apart: less than a degree each for most lenses.
 BEARINGS = 80
 
+_Profile = TypeVar("_Profile")
+_State = TypeVar("_State")
 
-def _thinned(near: Real) -> Real:
-    return near[:: max(near.shape[0] // STEERING_ROWS, 1)]
+
+class Guide(Protocol, Generic[_Profile, _State]):
+    """Steers frame by frame."""
+
+    def profile(self, disparity_px: Real, fresh: NDArray[np.bool_]) -> _Profile:
+        """Return what is taken from a frame.
+
+        Args:
+            disparity_px: (height, width) float32, NaN = unknown.
+            fresh: where the disparity is of now and not of earlier frames, (height, width) bool.
+        """
+
+    def steer(
+        self,
+        state: _State | None,
+        seen: _Profile,
+        pose: Pose | None = None,
+        objects: Iterable[MovingObject] = (),
+    ) -> tuple[_State, Steering]:
+        """Return what is known after a frame, and its heading.
+
+        Args:
+            state: what was known before; None at the first frame.
+            seen: the profile of the frame.
+            pose: where the rig is.
+            objects: what moves; the first to arrive is kept clear of.
+        """
+
+
+def guide_of(settings: Settings, rig: Rig | None, *, with_poses: bool) -> Guide[Any, Any]:
+    """Return the guide that uses all that is known of the rig."""
+    if rig is None or not with_poses:
+        return ImageGuide(settings, rig)
+    return MapGuide(settings, rig)
 
 
 def nearest_contact(objects: Iterable[MovingObject]) -> MovingObject | None:
@@ -81,136 +115,201 @@ def nearest_contact(objects: Iterable[MovingObject]) -> MovingObject | None:
     return first
 
 
-class Guide:
-    """Steers frame by frame.
+@dataclass(frozen=True, slots=True)
+class ImageProfile:
+    """What :class:`ImageGuide` takes from a frame.
 
-    It remembers the last heading or, where it knows the rig and its poses, a map of its
-    surroundings and a course through them.
+    Attributes:
+        strips_px: nearness of each vertical strip of the image, (strips,) float32, NaN = unknown.
+        nearest_px: nearness of the nearest thing; None where too little is known.
+        width: width of the image in px.
+    """
+
+    strips_px: Real
+    nearest_px: float | None
+    width: int
+
+
+@dataclass(frozen=True, slots=True)
+class ImageHeading:
+    """What :class:`ImageGuide` keeps from frame to frame.
+
+    Attributes:
+        place: the last heading across the image, 0 left .. 1 right; None before the first.
+    """
+
+    place: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class ImageGuide:
+    """Steers by one image at a time, toward where depth is largest.
 
     Args:
         settings: parameters of the guidance.
         rig: the camera, None if unknown.
-
-    Attributes:
-        map: the surroundings, None before the first pose.
     """
 
-    def __init__(self, settings: Settings, rig: Rig | None) -> None:
-        self._settings = settings
-        self._rig = rig
-        self._place: float | None = None  # the last heading across the image, 0 left .. 1 right
-        self._pose: Pose | None = None
-        self._course: Course | None = None
-        self.map: LocalMap | None = None
+    settings: Settings
+    rig: Rig | None
+
+    def profile(self, disparity_px: Real, _: NDArray[np.bool_]) -> ImageProfile:
+        """Return what is taken from a frame, see :meth:`Guide.profile`."""
+        near = _thinned(disparity_px + np.float32(self.rig.doffs if self.rig else 0))
+        width = near.shape[1]
+        strips = strip_nearness(near, min(self.settings.steer_strips, width), LEAST_KNOWN_SHARE)
+        return ImageProfile(strips, nearest(near, LEAST_KNOWN_SHARE), width)
 
     def steer(
         self,
-        disparity_px: Real,
-        fresh: NDArray[np.bool_],
-        pose: Pose | None = None,
-        objects: Iterable[MovingObject] = (),
-    ) -> Steering:
-        """Return the heading for a frame.
-
-        Args:
-            disparity_px: (height, width) float32, NaN = unknown.
-            fresh: where the disparity is of now and not of earlier frames, (height, width) bool.
-            pose: where the rig is; None where nobody knows.
-            objects: what moves; with poses, the first to arrive is kept clear of.
-        """
-        near = disparity_px + np.float32(self._rig.doffs if self._rig else 0)
-        if self._rig is None or pose is None:
-            return self._steer_by_image(near)
-        return self._steer_by_map(self._rig, near, fresh, pose, nearest_contact(objects))
-
-    def _steer_by_image(self, near: Real) -> Steering:
-        s = self._settings
-        near = _thinned(near)
-        strips = strip_nearness(near, min(s.steer_strips, near.shape[1]), LEAST_KNOWN_SHARE)
+        state: ImageHeading | None,
+        seen: ImageProfile,
+        _: Pose | None = None,
+        __: Iterable[MovingObject] = (),
+    ) -> tuple[ImageHeading, Steering]:
+        """Return the last heading and the steering, see :meth:`Guide.steer`."""
+        strips, place = seen.strips_px, None if state is None else state.place
         target = heading(strips)
         if target is not None:
-            self._place = steadied(self._place, target, s.steer_gain)
-        if self._place is None:
-            return Steering("blind", None, None, None, None)
-        ahead = float(strips[min(int(self._place * len(strips)), len(strips) - 1)])
-        return Steering(
+            place = steadied(place, target, self.settings.steer_gain)
+        if place is None:
+            return ImageHeading(None), _BLIND
+        ahead_px = float(strips[min(int(place * len(strips)), len(strips) - 1)])
+        return ImageHeading(place), Steering(
             status="held" if target is None else "ok",
-            steer=1 - 2 * self._place,
-            steer_rad=self._angle_rad(self._place, near.shape[1]),
-            depth_m=self._depth_m(ahead),
-            nearest_m=self._depth_m(nearest(near, LEAST_KNOWN_SHARE)),
+            steer=1 - 2 * place,
+            steer_rad=_angle_rad(place, seen.width, self.rig, self.settings.reference),
+            depth_m=_depth_m(ahead_px, self.rig),
+            nearest_m=_depth_m(seen.nearest_px, self.rig),
         )
 
-    def _steer_by_map(
-        self,
-        rig: Rig,
-        near: Real,
-        fresh: NDArray[np.bool_],
-        pose: Pose,
-        contact: MovingObject | None,
-    ) -> Steering:
-        s, yaw = self._settings, pose.yaw_rad
-        x_m, y_m = camera_place(rig, pose, s.reference)
-        view = View(
-            x_m=x_m,
-            y_m=y_m,
-            yaw_rad=yaw,
-            focal_px=rig.focal_px,
-            cx_px=rig.cx_of(s.reference),
-            cy_px=rig.cy,
-            focal_baseline=rig.focal_px * rig.baseline_m,
-        )
-        near_px = profile(
+
+@dataclass(frozen=True, slots=True)
+class MapProfile:
+    """What :class:`MapGuide` takes from a frame.
+
+    Attributes:
+        bearings_px: nearness of the nearest thing in each bearing, (bearings,) float32, NaN =
+            unknown; see :func:`~motionstereo_cli.robot.local_map.profile`.
+        nearest_px: nearness of the nearest thing; None where too little is known.
+        width: width of the image in px.
+    """
+
+    bearings_px: Real
+    nearest_px: float | None
+    width: int
+
+
+@dataclass(frozen=True, slots=True)
+class MapCourse:
+    """What :class:`MapGuide` keeps from frame to frame.
+
+    Attributes:
+        map: the surroundings.
+        pose: where the rig was in the last frame.
+        course: what the robot intends; None while nothing has been seen.
+        place: the last heading across the image, 0 left .. 1 right; None before the first.
+    """
+
+    map: LocalMap
+    pose: Pose
+    course: Course | None = None
+    place: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class MapGuide:
+    """Steers by a map of what was seen of late, around a rig whose poses are known.
+
+    Args:
+        settings: parameters of the guidance.
+        rig: the camera.
+    """
+
+    settings: Settings
+    rig: Rig
+
+    def profile(self, disparity_px: Real, fresh: NDArray[np.bool_]) -> MapProfile:
+        """Return what is taken from a frame, see :meth:`Guide.profile`."""
+        s, near = self.settings, disparity_px + np.float32(self.rig.doffs)
+        width = near.shape[1]
+        bearings_px = profile(
             near,
             fresh,
-            view,
-            bearings=min(BEARINGS, near.shape[1]),
+            self._view(0.0, 0.0, 0.0),
+            bearings=min(BEARINGS, width),
             below_m=s.robot_below_m,
             above_m=s.robot_above_m,
         )
-        new = bool(np.isfinite(near_px).any())
-        self.map = moved(self.map or LocalMap.unknown(pose.x_m, pose.y_m), pose.x_m, pose.y_m)
-        self.map = seen(self.map, near_px, view, near.shape[1])
-        before = self._pose or pose
-        self._pose = pose
-        if self._course is None and not new:
-            return Steering("blind", None, None, None, None)
-        course = self._course or Course(yaw, yaw)
-        x_m, y_m = pose.x_m - before.x_m, pose.y_m - before.y_m
+        return MapProfile(bearings_px, nearest(_thinned(near), LEAST_KNOWN_SHARE), width)
+
+    def steer(
+        self,
+        state: MapCourse | None,
+        seen_now: MapProfile,
+        pose: Pose | None = None,
+        objects: Iterable[MovingObject] = (),
+    ) -> tuple[MapCourse, Steering]:
+        """Return the map and the course after a frame, and the steering, see :meth:`Guide.steer`.
+
+        ``pose`` has to be known.
+        """
+        assert pose is not None
+        s, yaw = self.settings, pose.yaw_rad
+        view = self._view(*camera_place(self.rig, pose, s.reference), yaw)
+        new = bool(np.isfinite(seen_now.bearings_px).any())
+        before = state or MapCourse(LocalMap.unknown(pose.x_m, pose.y_m), pose)
+        known = seen(
+            moved(before.map, pose.x_m, pose.y_m), seen_now.bearings_px, view, seen_now.width
+        )
+        if before.course is None and not new:
+            return MapCourse(known, pose, None, before.place), _BLIND
+        x_m, y_m = pose.x_m - before.pose.x_m, pose.y_m - before.pose.y_m
+        course = before.course or Course(yaw, yaw)
         course = travelled(course, math.hypot(x_m, y_m), math.atan2(y_m, x_m))
         directions = yaw + DIRECTIONS_RAD
         way_m, possible_m = free_ways(
-            (self.map.evidence > CERTAIN) | self._foreseen(contact, rig, self.map),
-            self.map.evidence < -CERTAIN,
-            (pose.x_m / CELL_M - self.map.corner[0], pose.y_m / CELL_M - self.map.corner[1]),
+            (known.evidence > CERTAIN) | self._foreseen(nearest_contact(objects), known),
+            known.evidence < -CERTAIN,
+            (pose.x_m / CELL_M - known.corner[0], pose.y_m / CELL_M - known.corner[1]),
             directions,
             cell_m=CELL_M,
             radius_m=s.robot_radius_m,
         )
-        turned = math.remainder(yaw - before.yaw_rad, math.tau)
-        self._course, free_m = plan(course, yaw, way_m, possible_m, directions, turned_rad=turned)
-        angle_rad = math.remainder(self._course.heading_rad - yaw, math.tau)
-        self._place = steadied(self._place, self._place_of(angle_rad, near.shape[1]), s.steer_gain)
-        return Steering(
+        turned = math.remainder(yaw - before.pose.yaw_rad, math.tau)
+        course, free_m = plan(course, yaw, way_m, possible_m, directions, turned_rad=turned)
+        angle_rad = math.remainder(course.heading_rad - yaw, math.tau)
+        place = steadied(before.place, self._place_of(angle_rad, seen_now.width), s.steer_gain)
+        return MapCourse(known, pose, course, place), Steering(
             status="ok" if new else "held",
-            steer=1 - 2 * self._place,
-            steer_rad=self._angle_rad(self._place, near.shape[1]),
+            steer=1 - 2 * place,
+            steer_rad=_angle_rad(place, seen_now.width, self.rig, s.reference),
             depth_m=free_m,
-            nearest_m=self._depth_m(nearest(_thinned(near), LEAST_KNOWN_SHARE)),
+            nearest_m=_depth_m(seen_now.nearest_px, self.rig),
         )
 
-    def _foreseen(
-        self, contact: MovingObject | None, rig: Rig, known: LocalMap
-    ) -> NDArray[np.bool_]:
+    def _view(self, x_m: float, y_m: float, yaw_rad: float) -> View:
+        rig = self.rig
+        return View(
+            x_m=x_m,
+            y_m=y_m,
+            yaw_rad=yaw_rad,
+            focal_px=rig.focal_px,
+            cx_px=rig.cx_of(self.settings.reference),
+            cy_px=rig.cy,
+            focal_baseline=rig.focal_px * rig.baseline_m,
+        )
+
+    def _foreseen(self, contact: MovingObject | None, known: LocalMap) -> NDArray[np.bool_]:
         """Return the cells of the map where a contact will be."""
         cells = np.zeros(known.evidence.shape, np.bool_)
         if contact is None or contact.depth_m is None:
             return cells
         if contact.place_m is None or contact.velocity_mps is None:
             return cells
-        m_per_px = contact.depth_m / rig.focal_px
-        up_m = (rig.cy - contact.y - contact.height / 2) * m_per_px
-        in_way = -self._settings.robot_below_m < up_m < self._settings.robot_above_m
+        m_per_px = contact.depth_m / self.rig.focal_px
+        up_m = (self.rig.cy - contact.y - contact.height / 2) * m_per_px
+        in_way = -self.settings.robot_below_m < up_m < self.settings.robot_above_m
         low_mps, high_mps = CONTACT_MPS
         if not (in_way and low_mps <= math.hypot(*contact.velocity_mps) <= high_mps):
             return cells
@@ -223,21 +322,28 @@ class Guide:
 
     def _place_of(self, angle_rad: float, width: int) -> float:
         """Return the place across the image of an angle, cut to what the image sees."""
-        assert self._rig is not None
         if abs(angle_rad) >= math.pi / 2:
             return 0.0 if angle_rad > 0 else 1.0
-        cx_px = self._rig.cx_of(self._settings.reference)
-        column = cx_px - self._rig.focal_px * math.tan(angle_rad)
+        cx_px = self.rig.cx_of(self.settings.reference)
+        column = cx_px - self.rig.focal_px * math.tan(angle_rad)
         return min(max((column + 0.5) / width, 0.0), 1.0)
 
-    def _angle_rad(self, place: float, width: int) -> float | None:
-        if self._rig is None:
-            return None
-        column = place * width - 0.5  # of pixel centres
-        cx_px = self._rig.cx_of(self._settings.reference)
-        return math.atan2(cx_px - column, self._rig.focal_px)
 
-    def _depth_m(self, nearness_px: float | None) -> float | None:
-        if self._rig is None or nearness_px is None or not nearness_px > 0:
-            return None
-        return self._rig.focal_px * self._rig.baseline_m / nearness_px
+_BLIND = Steering("blind", None, None, None, None)
+
+
+def _thinned(near: Real) -> Real:
+    return near[:: max(near.shape[0] // STEERING_ROWS, 1)]
+
+
+def _angle_rad(place: float, width: int, rig: Rig | None, camera: str) -> float | None:
+    if rig is None:
+        return None
+    column = place * width - 0.5  # of pixel centres
+    return math.atan2(rig.cx_of(camera) - column, rig.focal_px)
+
+
+def _depth_m(nearness_px: float | None, rig: Rig | None) -> float | None:
+    if rig is None or nearness_px is None or not nearness_px > 0:
+        return None
+    return rig.focal_px * rig.baseline_m / nearness_px

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -35,70 +37,82 @@ if TYPE_CHECKING:
 LEAST_SEEN = 3
 
 
+@dataclass(frozen=True, slots=True)
+class Tracks:
+    """What is known of moving objects after a frame.
+
+    Attributes:
+        each: what is followed, in the last frame or lately out of sight.
+        last_id: the number of the last new track.
+        time_s: time of the last frame, its number where the source has no time.
+    """
+
+    each: tuple[Track, ...] = ()
+    last_id: int = 0
+    time_s: float = -math.inf
+
+
+@dataclass(frozen=True, slots=True)
 class Tracker:
     """Follows what moves from frame to frame.
 
     Args:
         settings: parameters of the processing.
         rig: the camera, None if unknown; lengths are then 1 / disparity.
-
-    Attributes:
-        tracks: what is followed, in the last frame or lately out of sight.
-        last_id: the number of the last new track.
-        time_s: time of the last frame, its number where the source has no time.
     """
 
-    def __init__(self, settings: Settings, rig: Rig | None) -> None:
-        self._settings = settings
-        self._rig = rig
-        self.tracks: tuple[Track, ...] = ()
-        self.last_id = 0
-        self.time_s = -math.inf
+    settings: Settings
+    rig: Rig | None
 
-    def follow(
-        self,
-        disparity_px: Real,
-        fresh: NDArray[np.bool_],
-        frame: StereoFrame,
-        pose: Pose | None = None,
-    ) -> tuple[MovingObject, ...]:
-        """Return the objects of a frame.
+    def regions(self, disparity_px: Real, fresh: NDArray[np.bool_]) -> tuple[Region, ...]:
+        """Return the regions of a frame that may be objects; they follow from this frame only.
 
         Args:
             disparity_px: (height, width) float32, NaN = unknown.
             fresh: where the disparity shows what is there now, (height, width) bool.
+        """
+        near = disparity_px + np.float32(self.rig.doffs if self.rig else 0)
+        return regions(near, fresh, LEAST_KNOWN_SHARE)
+
+    def follow(
+        self,
+        tracks: Tracks,
+        found: Iterable[Region],
+        frame: StereoFrame,
+        pose: Pose | None = None,
+    ) -> tuple[Tracks, tuple[MovingObject, ...]]:
+        """Return the tracks after a frame, and the objects in it.
+
+        Args:
+            tracks: those before.
+            found: the regions of the frame.
             frame: its number and time.
-            pose: where the rig is; None where nobody knows.
+            pose: where the rig is; None where it is not known.
         """
         time_s = float(frame.index) if frame.time_s is None else frame.time_s
-        if time_s <= self.time_s:
-            self.tracks = ()  # another recording begins
-        self.time_s = time_s
-        near = disparity_px + np.float32(self._rig.doffs if self._rig else 0)
-        observations = [
-            self._observation(region, time_s, pose)
-            for region in regions(near, fresh, LEAST_KNOWN_SHARE)
-        ]
-        self.tracks = follow(self.tracks, observations, time_s, self.last_id + 1)
-        self.last_id = max([self.last_id, *(track.number for track in self.tracks)])
-        return tuple(
+        # Where time goes back, another recording begins.
+        before = tracks.each if time_s > tracks.time_s else ()
+        observations = [self._observation(region, time_s, pose) for region in found]
+        each = follow(before, observations, time_s, tracks.last_id + 1)
+        last_id = max([tracks.last_id, *(track.number for track in each)])
+        return Tracks(each, last_id, time_s), tuple(
             self._object(track, pose, timed=frame.time_s is not None)
-            for track in self.tracks
+            for track in each
             if not track.missed and track.seen >= LEAST_SEEN
         )
 
     def _observation(self, region: Region, time_s: float, pose: Pose | None) -> Observation:
-        if self._rig is None:
+        if self.rig is None:
             ahead = 1 / region.nearness_px
             return Observation(time_s, region, (ahead, 0.0), (ahead, 0.0))
-        ahead_m = self._rig.focal_px * self._rig.baseline_m / region.nearness_px
-        cx_px = self._rig.cx_of(self._settings.reference)
-        left_m = (cx_px - region.middle_x) / self._rig.focal_px * ahead_m
+        ahead_m = self.rig.focal_px * self.rig.baseline_m / region.nearness_px
+        cx_px = self.rig.cx_of(self.settings.reference)
+        left_m = (cx_px - region.middle_x) / self.rig.focal_px * ahead_m
         if pose is None:
             return Observation(time_s, region, (ahead_m, left_m), (ahead_m, left_m))
         cos, sin = math.cos(pose.yaw_rad), math.sin(pose.yaw_rad)
         x_m, y_m = cos * ahead_m - sin * left_m, sin * ahead_m + cos * left_m
-        camera_x_m, camera_y_m = camera_place(self._rig, pose, self._settings.reference)
+        camera_x_m, camera_y_m = camera_place(self.rig, pose, self.settings.reference)
         return Observation(time_s, region, (x_m, y_m), (camera_x_m + x_m, camera_y_m + y_m))
 
     def _object(self, track: Track, pose: Pose | None, *, timed: bool) -> MovingObject:
@@ -108,15 +122,15 @@ class Tracker:
         ahead, closing = cos * last.offset_m[0] + sin * last.offset_m[1], None
         if moves is not None:
             closing = -cos * moves.from_camera_mps[0] - sin * moves.from_camera_mps[1]
-        in_world = self._rig is not None and pose is not None
+        in_world = self.rig is not None and pose is not None
         return MovingObject(
             id=track.number,
             x=last.region.x,
             y=last.region.y,
             width=last.region.width,
             height=last.region.height,
-            depth_m=ahead if self._rig else None,
-            closing_mps=closing if self._rig else None,
+            depth_m=ahead if self.rig else None,
+            closing_mps=closing if self.rig else None,
             time_to_contact_s=ahead / closing if closing is not None and closing > 0 else None,
             confidence=trust(track, moves),
             place_m=last.place_m if in_world else None,

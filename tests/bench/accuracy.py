@@ -21,7 +21,8 @@ from bench.markdown import table
 from bench.peers import stereo_bm, stereo_sgbm
 from motionstereo_cli.analysis.evaluate import FramePair, Score, Tally, tally
 from motionstereo_cli.files.video import VideoWriter
-from motionstereo_cli.pipeline import Memory, match
+from motionstereo_cli.memory import Memory, see
+from motionstereo_cli.pipeline import match
 from motionstereo_cli.settings import Settings
 from motionstereo_cli.simulate.scenes import render_scene
 from motionstereo_cli.simulate.settings import SimulateSettings
@@ -130,20 +131,23 @@ def measure(
     ]
 
 
-def _looks(settings: SimulateSettings, every: int) -> Iterator[tuple[Look, Real]]:
+def _looks(scene: SimulateSettings, every: int) -> Iterator[tuple[Look, Real]]:
     """Yield the frames to score, with the true disparity of the right view."""
-    default = Memory(DEFAULT), Memory(DEFAULT)
-    paper = Memory(PAPER), Memory(PAPER)
+    memories: dict[Settings, tuple[Memory, Memory]] = {}
     with tempfile.TemporaryDirectory() as folder:
         left, right = Path(folder, "left.mp4"), Path(folder, "right.mp4")
-        truth = _record(settings, left, right, every)
+        truth = _record(scene, left, right, every)
         with open_stereo(left, right) as source:
             for frame in source:
-                for memories in (default, paper):
-                    for memory, grey in zip(memories, (frame.right, frame.left), strict=True):
-                        memory.see(grey)
+                for settings in (DEFAULT, PAPER):
+                    before = memories.get(settings, (None, None))
+                    memories[settings] = (
+                        see(before[0], frame.right, settings),
+                        see(before[1], frame.left, settings),
+                    )
                 if frame.index in truth:
-                    yield Look(frame.right, frame.left, default, paper), truth[frame.index]
+                    both = memories[DEFAULT], memories[PAPER]
+                    yield Look(frame.right, frame.left, *both), truth[frame.index]
 
 
 def _record(

@@ -18,7 +18,7 @@ from tqdm import tqdm
 
 from bench.markdown import table
 from bench.peers import stereo_bm, stereo_sgbm
-from motionstereo_cli.robot.guide import Guide
+from motionstereo_cli.robot.guide import MapGuide
 from motionstereo_cli.settings import Settings
 from motionstereo_cli.simulate.drive import driven
 from motionstereo_cli.simulate.drive_world import DriveWorld, Shot
@@ -45,10 +45,12 @@ def _by(disparity: Callable[[Shot], Real]) -> Callable[[DriveWorld], Iterator[St
     """Return a way to steer by a disparity that is all of the moment."""
 
     def steer(world: DriveWorld) -> Iterator[Steering]:
-        guide = Guide(SETTINGS, world.settings.rig)
+        guide, state = MapGuide(SETTINGS, world.settings.rig), None
         for shot in world.shots():
             disparity_px = disparity(shot)
-            yield guide.steer(disparity_px, ~np.isnan(disparity_px), shot.pose)
+            seen = guide.profile(disparity_px, ~np.isnan(disparity_px))
+            state, steering = guide.steer(state, seen, shot.pose)
+            yield steering
 
     return steer
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import copy
 import functools
 import json
 import os
@@ -32,13 +31,14 @@ from bench.clips import Clip, first_frames, rendered, repeated
 from bench.peers import bm_matcher, sgbm_matcher
 from bench.speed_report import format_markdown, goals
 from bench.timing import Cost, Samples, core_count, on_cores, python
-from motionstereo_cli import pipeline
+from motionstereo_cli import memory, pipeline
 from motionstereo_cli.batch.run import versions
 from motionstereo_cli.errors import MotionStereoError
-from motionstereo_cli.robot.guide import Guide
+from motionstereo_cli.robot.guide import ImageGuide
 from motionstereo_cli.robot.tracker import Tracker
 from motionstereo_cli.settings import Settings
 from motionstereo_cli.simulate.settings import SimulateSettings
+from motionstereo_cli.stages import cleaning, confidence, residual, trails
 
 if TYPE_CHECKING:
     from motionstereo_cli.types import Grey, Rig, StereoFrame
@@ -161,16 +161,26 @@ def stage_clock() -> Iterator[dict[str, float]]:
         return timed
 
     steps: list[tuple[Any, str, str]] = [
-        (pipeline.Memory, "see", "Memory.see"),
+        (pipeline, "see", "see"),
         (pipeline, "match", "match"),
+        (Tracker, "regions", "Tracker.regions"),
         (Tracker, "follow", "Tracker.follow"),
-        (Guide, "steer", "Guide.steer"),
+        (ImageGuide, "profile", "ImageGuide.profile"),
+        (ImageGuide, "steer", "ImageGuide.steer"),
     ]
-    stages = "motionstereo_cli.stages."
-    for name, member in vars(pipeline).items():
-        module = getattr(member, "__module__", None) or ""
-        if module.startswith(stages) and callable(member) and not isinstance(member, type):
-            steps.append((pipeline, name, f"{module.removeprefix(stages)}.{name}"))
+    # Where they are looked up: the matchers import their stages when they run.
+    looked_up = {
+        memory: ("blur", "bands", "motion", "permanency", "accumulate", "match_keys"),
+        trails: ("match_trails",),
+        residual: ("residual",),
+        cleaning: ("without_speckles", "filled"),
+        confidence: ("confidence",),
+        pipeline: ("depth",),
+    }
+    for owner, names in looked_up.items():
+        for name in names:
+            module = getattr(owner, name).__module__.rpartition(".")[2]
+            steps.append((owner, name, f"{module}.{name}"))
     calls = [getattr(owner, name) for owner, name, _ in steps]
     try:
         for (owner, name, shown), call in zip(steps, calls, strict=True):
@@ -217,21 +227,21 @@ class Look:
         mirrored: right and left view mirrored, by which cv2 matches the right one.
     """
 
-    right: pipeline.Memory
-    left: pipeline.Memory
+    right: memory.Memory
+    left: memory.Memory
     mirrored: tuple[Grey, Grey]
 
 
 def looks(frames: Sequence[StereoFrame], settings: Settings) -> list[Look]:
     """Return the moments after the run-in."""
-    right, left = pipeline.Memory(settings), pipeline.Memory(settings)
+    right = left = None
     found = []
     for number, frame in enumerate(frames):
-        right.see(frame.right)
-        left.see(frame.left)
+        right = memory.see(right, frame.right, settings)
+        left = memory.see(left, frame.left, settings)
         if number >= RUN_IN:
             mirrored = _mirrored(frame.right), _mirrored(frame.left)
-            found.append(Look(copy.deepcopy(right), copy.deepcopy(left), mirrored))
+            found.append(Look(right, left, mirrored))
     return found
 
 

@@ -1,0 +1,75 @@
+"""The matchers: from two memories to disparity.
+
+A new matcher is a file of ``stages``, and a row in :data:`MATCHERS`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from motionstereo_cli.memory import Memory
+    from motionstereo_cli.settings import Settings
+    from motionstereo_cli.types import Real
+
+
+def _trails(right: Memory, left: Memory, settings: Settings) -> tuple[Real, Real]:
+    from motionstereo_cli.memory import age_of, keys_of
+    from motionstereo_cli.stages.cleaning import filled, without_speckles
+    from motionstereo_cli.stages.confidence import confidence
+    from motionstereo_cli.stages.residual import residual
+    from motionstereo_cli.stages.trails import match_trails
+
+    s, wanted = settings, keys_of(right, settings)
+    disparity, votes = match_trails(
+        wanted,
+        keys_of(left, s),
+        s.max_disparity,
+        block_px=(s.vote_rows, s.vote_columns),
+        max_ratio=s.max_ratio,
+        least_votes=s.least_votes,
+    )
+    differs = residual(disparity, right.grey, left.grey)
+    matched = without_speckles(disparity, differs <= s.max_residual, s.speckle_px)
+    disparity = filled(matched, wanted > 0, s.gap_px)
+    return disparity, confidence(disparity, matched, votes, differs, age_of(right, s))
+
+
+def _regions(right: Memory, left: Memory, settings: Settings) -> tuple[Real, Real]:
+    import numpy as np
+
+    from motionstereo_cli.memory import keys_of
+    from motionstereo_cli.stages.regions import match_regions
+
+    s = settings
+    disparity = match_regions(keys_of(right, s), keys_of(left, s), s.max_disparity)
+    return disparity, np.full_like(disparity, np.nan)
+
+
+@dataclass(frozen=True, slots=True)
+class Matcher:
+    """A way from two memories to disparity.
+
+    Attributes:
+        what: what it does, in a few words for users.
+        match: takes the right and the left memory and the settings; returns the disparity in px
+            of each charged right pixel and its confidence 0..1, both (height, width) float32,
+            NaN = unknown.
+        knows_confidence: whether it gives a confidence; without, all of it is NaN.
+    """
+
+    what: str
+    match: Callable[[Memory, Memory, Settings], tuple[Real, Real]]
+    knows_confidence: bool = True
+
+
+MATCHERS = {
+    "trails": Matcher("pair runs of equal charge by their ends", _trails),
+    "regions": Matcher(
+        "largest connected region of equal charge at each displacement",
+        _regions,
+        knows_confidence=False,
+    ),
+}

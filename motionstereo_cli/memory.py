@@ -1,0 +1,100 @@
+"""What one camera remembers, and how the next image changes it: equations (2) to (4)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+from typing import TYPE_CHECKING, TypeVar
+
+import numpy as np
+
+from motionstereo_cli.settings import Settings
+from motionstereo_cli.stages.bands import band_table, bands, blur
+from motionstereo_cli.stages.charge import accumulate, age, permanency
+from motionstereo_cli.stages.match_keys import match_keys
+from motionstereo_cli.stages.motion import motion
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from motionstereo_cli.types import Grey, MatchKeys
+
+_T = TypeVar("_T", bound=np.generic)
+
+_band_table = cache(band_table)
+
+
+@dataclass(frozen=True, slots=True)
+class Memory:
+    """What one camera knows after an image.
+
+    Attributes:
+        grey: the image, blurred, (height, width) uint8.
+        bands: its grey-level bands 1..n, (height, width) uint8, or uint16 for 256 bands.
+        moved: where the band has just changed, (height, width) bool.
+        charge: charge of each pixel, (height, width) uint8.
+    """
+
+    grey: Grey
+    bands: NDArray[np.uint8 | np.uint16]
+    moved: NDArray[np.bool_]
+    charge: Grey
+
+
+def see(memory: Memory | None, image: Grey, settings: Settings) -> Memory:
+    """Return the memory after the next image; at the first, nothing has moved and all is at rest.
+
+    In permanency mode, what was before is forgotten ceil((Chmax - Chmin) / D) frames later.
+
+    Args:
+        memory: what was known before; None at the first image.
+        image: (height, width) uint8.
+        settings: parameters of bands, motion and charge.
+    """
+    s = settings
+    grey = blur(image, s.blur_px)
+    banded = bands(grey, _band_table(s.bands, s.grey_min, s.grey_max))
+    if memory is None:
+        at_rest = np.full_like(grey, s.charge_min)
+        return Memory(grey, banded, np.zeros(grey.shape, np.bool_), at_rest)
+    moved = motion(banded, memory.bands, grey, memory.grey, s.least_jump)
+    limits = {"charge_max": s.charge_max, "charge_min": s.charge_min}
+    if s.charge_mode == "permanency":
+        charge = permanency(memory.charge, moved, leak=s.charge_leak, **limits)
+    else:
+        gains = {"gain": s.charge_gain, "leak": s.charge_leak}
+        charge = accumulate(memory.charge, moved, **gains, **limits)
+    return Memory(grey, banded, moved, charge)
+
+
+def age_of(memory: Memory, settings: Settings) -> Grey:
+    """Return the frames since something moved, (height, width) uint8, 255 = forgotten.
+
+    All 0 where there is charge of the general mode, which does not know.
+    """
+    s = settings
+    if s.charge_mode == "general":
+        return np.where(memory.charge > s.charge_min, np.uint8(0), np.uint8(255))
+    limits = {"charge_max": s.charge_max, "charge_min": s.charge_min}
+    return age(memory.charge, leak=s.charge_leak, **limits)
+
+
+def keys_of(memory: Memory, settings: Settings) -> MatchKeys:
+    """Return what has to be equal for pixels to correspond, (height, width) uint16; 0 = rest."""
+    by_band = settings.match_on == "charge-band"
+    return match_keys(memory.charge, settings.charge_min, memory.bands if by_band else None)
+
+
+def in_mirror(memory: Memory) -> Memory:
+    """Return what a camera would remember that saw the same in a mirror."""
+    return Memory(
+        mirrored(memory.grey),
+        mirrored(memory.bands),
+        mirrored(memory.moved),
+        mirrored(memory.charge),
+    )
+
+
+def mirrored(image: NDArray[_T]) -> NDArray[_T]:
+    """Return an image with left and right exchanged, (height, width)."""
+    return np.ascontiguousarray(image[:, ::-1])
