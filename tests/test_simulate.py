@@ -23,8 +23,9 @@ from motionstereo_cli.simulate.corridor import HEIGHT_M, Corridor
 from motionstereo_cli.simulate.layers import Layers
 from motionstereo_cli.simulate.scenes import render_scene
 from motionstereo_cli.simulate.settings import SimulateSettings
+from motionstereo_cli.simulate.street import Street
 from motionstereo_cli.simulate.surfaces import rectangle, render
-from motionstereo_cli.simulate.texture import Texture
+from motionstereo_cli.simulate.texture import Texture, mean_grey
 from motionstereo_cli.simulate.write import simulate
 from motionstereo_cli.types import Rig
 
@@ -148,6 +149,7 @@ def test_a_pixel_is_the_mean_of_its_area(frame):
         SimulateSettings(width=480, height=320, frames="40:41", scene="cards"),
         SimulateSettings(width=480, height=320, frames="75:76", scene="cards", pan=True),
         SimulateSettings(width=480, height=320, frames="40:41", scene="layers", pan=True),
+        SimulateSettings(width=320, height=240, frames="9:10", scene="street"),
     ],
 )
 def test_left_image_moved_by_the_true_disparity_is_the_right_image(settings):
@@ -155,7 +157,8 @@ def test_left_image_moved_by_the_true_disparity_is_the_right_image(settings):
     error = np.abs(warped(shot.left, shot.disparity_px) - shot.right)
     assert np.nanmedian(error) < 1
     # The rest is hidden from the left camera.
-    assert (error[np.isfinite(error)] < 8).mean() > (0.92 if settings.scene == "layers" else 0.95)
+    made_of_surfaces = settings.scene in ("layers", "street")
+    assert (error[np.isfinite(error)] < 8).mean() > (0.92 if made_of_surfaces else 0.95)
     for wrong in (-1, 1):
         moved = np.abs(warped(shot.left, shot.disparity_px + wrong) - shot.right)
         assert np.nanmean(moved) > 1.5 * np.nanmean(error)
@@ -353,17 +356,22 @@ def test_holes_of_a_texture_let_what_is_behind_through():
 
 
 def test_a_texture_gives_the_mean_of_any_block():
-    rng = np.random.default_rng(0)
-    picture = rng.uniform(0, 255, (16, 32))
+    picture = np.random.default_rng(0).uniform(0, 255, (16, 32))
     texture = Texture.of(picture)
-    middles, sizes = np.array([6.0, 30.0]), np.array([4.0, 4.0])
-    # Blocks of the ripmap itself: columns 4..7 and 28..31, rows 8..9.
-    found = texture.look_up(middles, np.array([9.0, 9.0]), sizes, np.array([2.0, 2.0]))
-    assert found == pytest.approx([picture[8:10, c : c + 4].mean() for c in (4, 28)], rel=1e-5)
-    whole = texture.look_up(middles, middles, np.array([1e9, 1e9]), np.array([1e9, 1e9]))
-    assert whole == pytest.approx(picture.mean(), rel=1e-5)
-    again = texture.look_up(middles + 32, np.array([9.0, 9.0]) - 16, sizes, np.array([2.0, 2.0]))
-    assert np.array_equal(found, again)
+
+    def mean(*block):
+        return mean_grey(texture.levels, texture.rows, texture.columns, *block)
+
+    # Blocks of the ripmap itself: rows 8 and 9, columns 4..7 and 28..31; a period further.
+    for column in (4, 28):
+        wanted = pytest.approx(picture[8:10, column : column + 4].mean(), rel=1e-5)
+        assert mean((9.0, column + 2.0), (2.0, 4.0)) == wanted
+        assert mean((9.0 - 16, column + 34.0), (2.0, 4.0)) == wanted
+    # Between texels and at the seam; between the sizes of blocks.
+    assert mean((0.0, 3.5), (1.0, 1.0)) == pytest.approx((picture[0, 3] + picture[15, 3]) / 2)
+    sizes = [mean((1.0, 2.0), (2.0, size)) for size in (2.0, 2.0 * math.sqrt(2), 4.0)]
+    assert sizes[1] == pytest.approx((sizes[0] + sizes[2]) / 2)
+    assert mean((5.0, 7.0), (1e9, 1e9)) == pytest.approx(picture.mean(), rel=1e-5)
 
 
 def test_a_pixel_of_surfaces_is_the_mean_of_its_area():
@@ -385,6 +393,41 @@ def test_layers_overlap_at_many_depths_that_a_search_of_64_px_reaches():
         assert 5 < disparity.min() < disparity.max() < 50
         assert len(np.unique((disparity / 3).astype(int))) > 5
     assert not np.array_equal(*disparities)
+
+
+def test_the_street_is_driven_at_its_speed_along_its_way():
+    street = Street(100, speed_m_s=5, winding_rad=0.6, seed=1)
+    poses = [street.path(frame / 10) for frame in range(100)]
+    steps = np.diff([(pose.x_m, pose.y_m) for pose in poses], axis=0)
+    ways = np.hypot(*steps.T)
+    assert ways == pytest.approx(0.5, rel=0.08)  # the lane is outside or inside of a bend
+    yaws = np.array([pose.yaw_rad for pose in poses])
+    assert np.arctan2(steps[:, 1], steps[:, 0]) == pytest.approx(
+        (yaws[1:] + yaws[:-1]) / 2, abs=0.02
+    )
+    assert 0.5 < np.abs(yaws).max() <= 0.6
+    assert np.ptp([Street(100, seed=1).path(t).yaw_rad for t in (0, 5, 10)]) == 0
+
+
+def test_the_road_has_the_depth_of_similar_triangles_and_things_stand_on_it():
+    camera = stereo_cameras(RIG)[1]
+    street = Street(20, seed=3)
+    depth = street.render(street.path(0), camera, 0).depth_m
+    rows = np.arange(180, 240)
+    ground = RIG.focal_px * EYE_HEIGHT_M / (rows - camera.cy)
+    lane = depth[180:, 150:170].min(axis=1)
+    assert lane == pytest.approx(ground, rel=0.02)  # lines and patches lie on it
+    above = depth[:100]
+    assert above.max() > 1000  # sky
+    assert (above < 30).mean() > 0.1  # houses and trees
+    assert (depth[130:] <= 1.03 * (RIG.focal_px * EYE_HEIGHT_M / (rows[0] - 50 - camera.cy))).all()
+
+
+def test_the_scenes_have_their_own_frame_rate_and_baseline():
+    street, cards = SimulateSettings(scene="street"), SimulateSettings(scene="cards")
+    assert (street.frame_rate, street.baseline_m) == (10, 0.4)
+    assert (cards.frame_rate, cards.baseline_m) == (30, 0.12)
+    assert SimulateSettings(scene="street", frame_rate=25).frame_rate == 25
 
 
 # Noise, light and frames.
@@ -446,7 +489,7 @@ def test_noise_has_its_sigma_and_differs_between_cameras_and_frames():
     assert np.abs(correlation - np.eye(4)).max() < 0.03
 
 
-@pytest.mark.parametrize("scene", ["corridor", "cards", "layers"])
+@pytest.mark.parametrize("scene", ["corridor", "cards", "layers", "street"])
 def test_a_frame_is_the_same_alone_and_in_a_run(scene):
     run = list(render_scene(small(scene=scene, frames="98:103", noise_sigma=2, pan=True)))
     alone = next(render_scene(small(scene=scene, frames="101:102", noise_sigma=2, pan=True)))
@@ -467,7 +510,7 @@ def test_nonsense_is_refused_in_one_line():
         ({"height": 241}, "--height"),
         ({"focal_px": 10}, "--focal-px"),
         ({"focal_px": math.nan}, "--focal-px"),
-        ({"baseline_m": 0}, "--baseline-m"),
+        ({"baseline_m": -1}, "--baseline-m"),
         ({"corridor_width_m": 1.0}, "--corridor-width-m"),
         ({"corridor_width_m": 12.0}, "--corridor-width-m"),
         ({"scene": "beach"}, "--scene"),

@@ -14,6 +14,7 @@ from motionstereo_cli.simulate.cards import Cards, pan_pose
 from motionstereo_cli.simulate.corridor import Corridor
 from motionstereo_cli.simulate.layers import Layers
 from motionstereo_cli.simulate.settings import SimulateSettings
+from motionstereo_cli.simulate.street import Street
 
 if TYPE_CHECKING:
     from motionstereo_cli.types import Grey, Real
@@ -64,10 +65,22 @@ def _layers(settings: SimulateSettings) -> _Scene:
     return _standing(Layers(stereo_cameras(settings.rig)[1], settings.seed), settings)
 
 
+def _street(settings: SimulateSettings) -> _Scene:
+    length_m = settings.frame_range.stop / settings.frame_rate * settings.street_speed_m_s
+    street = Street(
+        length_m,
+        settings.street_speed_m_s,
+        math.radians(settings.street_winding_deg),
+        settings.seed,
+    )
+    return _Scene(street, lambda frame, frame_s: street.path(frame * frame_s))
+
+
 _SCENES: dict[str, Callable[[SimulateSettings], _Scene]] = {
     "corridor": _corridor,
     "cards": _cards,
     "layers": _layers,
+    "street": _street,
 }
 
 #: Moments of an open shutter that are averaged.

@@ -14,6 +14,9 @@ from motionstereo_cli.types import Rig
 STRAIGHT_SHARE = 0.8
 TURN_SHARE = 0.2
 
+#: Frame rate in Hz and baseline in m of all scenes but the street, and of the street.
+_SCENE_DEFAULTS = (30.0, 0.12), (10.0, 0.4)
+
 #: Frames are numbered with six digits.
 _MOST_FRAMES = 1_000_000
 
@@ -39,8 +42,9 @@ class SimulateSettings:
         "corridor",
         "What is rendered. corridor: a robot drives round a square corridor; cards: textured cards "
         "cross, approach and recede before a textured wall; layers: cards, some slanted or thin, "
-        "overlap before a smooth wall.",
-        choices=("corridor", "cards", "layers"),
+        "overlap before a smooth wall; street: a car drives along a street with houses, "
+        "trees, parked and moving cars.",
+        choices=("corridor", "cards", "layers", "street"),
         common=True,
     )
     frames: str = param(
@@ -54,8 +58,12 @@ class SimulateSettings:
     focal_px: float = param(
         0.0, "Focal length (0 = 0.87 of the width).", unit="px", low=0, high=100_000
     )
-    baseline_m: float = param(0.12, "Distance between the cameras.", unit="m", low=0.001, high=1)
-    frame_rate: float = param(30.0, "Frames per second.", unit="Hz", low=1, high=1000)
+    baseline_m: float = param(
+        0.0, "Distance between the cameras (0 = 0.12, in the street 0.4).", unit="m", low=0, high=1
+    )
+    frame_rate: float = param(
+        0.0, "Frames per second (0 = 30, in the street 10).", unit="Hz", low=0, high=1000
+    )
     corridor_width_m: float = param(
         3.0, "Distance from inner to outer wall. Only in the corridor.", unit="m", low=0.5, high=20
     )
@@ -65,6 +73,16 @@ class SimulateSettings:
         unit="m",
         low=5,
         high=100,
+    )
+    street_speed_m_s: float = param(
+        8.0, "Speed of the car. Only in the street.", unit="m/s", low=0.1, high=50
+    )
+    street_winding_deg: float = param(
+        0.0,
+        "How far the street turns to either side of its first direction. Only in the street.",
+        unit="degrees",
+        low=0,
+        high=60,
     )
     pan: bool = param(False, "Swing the camera from side to side. Only with cards and layers.")
     noise_sigma: float = param(
@@ -101,6 +119,9 @@ class SimulateSettings:
 
     def __post_init__(self) -> None:
         checked(self)
+        frame_rate, baseline_m = _SCENE_DEFAULTS[self.scene == "street"]
+        object.__setattr__(self, "frame_rate", self.frame_rate or frame_rate)
+        object.__setattr__(self, "baseline_m", self.baseline_m or baseline_m)
         if self.width % 2 or self.height % 2:
             raise SettingsError(
                 f"--width {self.width} --height {self.height}: give even numbers, for H.264"

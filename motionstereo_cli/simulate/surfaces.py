@@ -8,6 +8,7 @@ edge on which a ray passes are all linear: see :class:`_Seen`.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -15,8 +16,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from motionstereo_cli.compiled import kernel
 from motionstereo_cli.simulate.camera import EYE_HEIGHT_M, Camera, FloorPose, View
-from motionstereo_cli.simulate.texture import Texture
+from motionstereo_cli.simulate.texture import Texture, mean_grey
 
 if TYPE_CHECKING:
     Vector = NDArray[np.float64]
@@ -24,14 +26,16 @@ if TYPE_CHECKING:
 _SAMPLES = 3
 #: What is nearer along the optical axis is not seen.
 _NEAR_M = 0.05
+#: A plane that passes the camera so closely is seen edge-on.
+_EDGE_ON_M = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
 class Surface:
-    """A convex flat polygon with a texture.
+    """A convex flat quadrangle with a texture.
 
     Attributes:
-        corners_m: (n, 3) corners in order, in the world, in m.
+        corners_m: (4, 3) corners in order, in the world, in m.
         origin_m: (3,) where the texture's upper left corner is.
         right_m, down_m: (3,) from one texel to the next; at right angles.
         texture: its picture.
@@ -76,15 +80,15 @@ def rectangle(
 
 def render(surfaces: Sequence[Surface], pose: FloorPose, camera: Camera) -> View:
     """Return what a camera sees of surfaces; black and endlessly far where there is none."""
-    seen = [one for one in (_see(item, pose, camera) for item in surfaces) if one]
+    seen = _see(surfaces, pose, camera)
     height, width = camera.height, camera.width
     nearness = np.zeros((height * _SAMPLES, width * _SAMPLES))
     owner = np.full(nearness.shape, -1, np.int32)
     for number, one in enumerate(seen):
         one.enter(nearness, owner, number)
     grey = np.zeros((height, width), np.float32)
-    for number in np.unique(owner):
-        if number >= 0:
+    for number, samples in enumerate(np.bincount(owner.ravel() + 1, minlength=1)[1:]):
+        if samples:
             seen[number].paint(grey, owner, number)
     middle = slice(_SAMPLES // 2, None, _SAMPLES)
     with np.errstate(divide="ignore"):
@@ -101,7 +105,7 @@ class _Seen:
         nearness: reciprocal of its plane's depth.
         right, down: its texture's coordinates, in texels, times ``nearness``.
         edges: one for each edge, positive on the polygon's side.
-        rows, columns: pixels outside of which nothing of it is seen.
+        bounds: first row and column in which it may be seen, and those after the last, in px.
     """
 
     surface: Surface
@@ -109,112 +113,153 @@ class _Seen:
     right: Vector
     down: Vector
     edges: Vector
-    rows: slice
-    columns: slice
+    bounds: NDArray[np.intp]
 
     def enter(self, nearness: NDArray[np.float64], owner: NDArray[np.int32], number: int) -> None:
         """Enter its samples that nothing nearer hides, in place."""
-        u, v = (
-            (np.arange(span.start * _SAMPLES, span.stop * _SAMPLES) + 0.5) / _SAMPLES - 0.5
-            for span in (self.columns, self.rows)
-        )
-        area = _samples(self.rows), _samples(self.columns)
-        near = _value(self.nearness, u, v)
-        wins = near > nearness[area]
-        for edge in self.edges:
-            wins &= _value(edge, u, v) >= 0
-        if self.surface.texture.solid is not None:
-            row, column = np.nonzero(wins)
-            there = near[row, column]
-            right, down = (
-                (form[0] + form[1] * u[column] + form[2] * v[row]) / there
-                for form in (self.right, self.down)
-            )
-            wins[row, column] = self.surface.texture.is_solid(right, down)
-        nearness[area][wins] = near[wins]
-        owner[area][wins] = number
+        forms = self.nearness, self.right, self.down
+        _enter(nearness, owner, number, self.bounds, *forms, self.edges, self.surface.texture.holes)
 
     def paint(self, grey: NDArray[np.float32], owner: NDArray[np.int32], number: int) -> None:
         """Add its share of each pixel's grey, in place."""
-        mine = owner[_samples(self.rows), _samples(self.columns)] == number
-        rows, columns = (side // _SAMPLES for side in mine.shape)
-        share = mine.reshape(rows, _SAMPLES, columns, _SAMPLES).mean(axis=(1, 3))
-        row, column = np.nonzero(share)
-        u, v = column + self.columns.start, row + self.rows.start
+        texture = self.surface.texture
+        picture = texture.levels, texture.rows, texture.columns
+        forms = self.nearness, self.right, self.down
+        _paint(grey, owner, number, self.bounds, *forms, *picture, self.surface.gain)
 
-        def at(form: Vector) -> NDArray[np.float64]:
-            value: NDArray[np.float64] = form[0] + form[1] * u + form[2] * v
-            return value
 
-        near = np.maximum(at(self.nearness), 1e-6)
-        places, sizes = [], []
-        for form in (self.right, self.down):
-            place = at(form) / near
+@kernel
+def _enter(
+    nearness: NDArray[np.float64],
+    owner: NDArray[np.int32],
+    number: int,
+    bounds: NDArray[np.intp],
+    near: Vector,
+    right: Vector,
+    down: Vector,
+    edges: Vector,
+    holes: NDArray[np.bool_],
+) -> None:
+    """See :meth:`_Seen.enter`."""
+    high, wide = holes.shape
+    for row in range(bounds[0] * _SAMPLES, bounds[2] * _SAMPLES):
+        v = (row + 0.5) / _SAMPLES - 0.5
+        for column in range(bounds[1] * _SAMPLES, bounds[3] * _SAMPLES):
+            u = (column + 0.5) / _SAMPLES - 0.5
+            here = near[0] + near[1] * u + near[2] * v
+            if here <= nearness[row, column]:
+                continue
+            inside = True
+            for edge in range(len(edges)):
+                if edges[edge, 0] + edges[edge, 1] * u + edges[edge, 2] * v < 0:
+                    inside = False
+                    break
+            if inside and high:
+                x = math.floor((right[0] + right[1] * u + right[2] * v) / here)
+                y = math.floor((down[0] + down[1] * u + down[2] * v) / here)
+                inside = not holes[y % high, x % wide]
+            if inside:
+                nearness[row, column] = here
+                owner[row, column] = number
+
+
+@kernel
+def _paint(
+    grey: NDArray[np.float32],
+    owner: NDArray[np.int32],
+    number: int,
+    bounds: NDArray[np.intp],
+    near: Vector,
+    right: Vector,
+    down: Vector,
+    levels: NDArray[np.float32],
+    level_rows: NDArray[np.intp],
+    level_columns: NDArray[np.intp],
+    gain: float,
+) -> None:
+    """See :meth:`_Seen.paint`."""
+    for v in range(bounds[0], bounds[2]):
+        for u in range(bounds[1], bounds[3]):
+            mine = 0
+            for row in range(v * _SAMPLES, (v + 1) * _SAMPLES):
+                for column in range(u * _SAMPLES, (u + 1) * _SAMPLES):
+                    mine += owner[row, column] == number
+            if not mine:
+                continue
+            here = max(near[0] + near[1] * u + near[2] * v, 1e-6)
+            x = (right[0] + right[1] * u + right[2] * v) / here
+            y = (down[0] + down[1] * u + down[2] * v) / here
             # The derivative of a ratio of linear forms.
-            change = (form[i] - place * self.nearness[i] for i in (1, 2))
-            places.append(place)
-            sizes.append(np.hypot(*change) / near)
-        seen = self.surface.texture.look_up(*places, *sizes)
-        grey[v, u] += (self.surface.gain * share[row, column] * seen).astype(np.float32)
+            wide = math.hypot(right[1] - x * near[1], right[2] - x * near[2]) / here
+            high = math.hypot(down[1] - y * near[1], down[2] - y * near[2]) / here
+            seen = mean_grey(levels, level_rows, level_columns, (y, x), (high, wide))
+            grey[v, u] += np.float32(gain * seen * mine / _SAMPLES**2)
 
 
-def _see(surface: Surface, pose: FloorPose, camera: Camera) -> _Seen | None:
-    """Return a surface as a camera sees it; None if it does not."""
+def _see(surfaces: Sequence[Surface], pose: FloorPose, camera: Camera) -> list[_Seen]:
+    """Return the surfaces of which a camera may see something, as it sees them."""
     eye = np.array([*camera.eye(pose), EYE_HEIGHT_M])
     axes = np.array([[*pose.forward, 0], [*pose.left, 0], [0, 0, 1]])
-    corners = (surface.corners_m - eye) @ axes.T
-    spans = _spans(corners, camera)
-    if spans is None:
-        return None
-    right, down = axes @ surface.right_m, axes @ surface.down_m
-    origin = axes @ (surface.origin_m - eye)
+    corners = (np.array([item.corners_m for item in surfaces]) - eye) @ axes.T
+    origin = (np.array([item.origin_m for item in surfaces]) - eye) @ axes.T
+    right = np.array([item.right_m for item in surfaces]) @ axes.T
+    down = np.array([item.down_m for item in surfaces]) @ axes.T
     normal = np.cross(right, down)
-    distance = normal @ origin
-    if abs(distance) < 1e-9 * np.linalg.norm(normal):
-        return None  # edge-on
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    distance = (normal * origin).sum(axis=1, keepdims=True)
+    bounds = _bounds(corners, camera)
+    faces = np.flatnonzero(
+        (bounds[:, :2] < bounds[:, 2:]).all(axis=1) & (np.abs(distance[:, 0]) > _EDGE_ON_M)
+    )
+
     # A pixel's ray, one metre ahead long, is linear in u and v.
     f = camera.focal_px
     ray = np.array([[1, 0, 0], [camera.cx / f, -1 / f, 0], [camera.cy / f, 0, -1 / f]])
-    nearness = normal @ ray / distance
+    nearness = normal[faces] @ ray / distance[faces]
 
     def texels(axis: Vector) -> Vector:
-        form: Vector = (axis @ ray - nearness * (origin @ axis)) / (axis @ axis)
+        axis = axis[faces] / (axis[faces] ** 2).sum(axis=1, keepdims=True)
+        form: Vector = axis @ ray - nearness * (axis * origin[faces]).sum(axis=1, keepdims=True)
         return form
 
-    sides = np.cross(corners, np.roll(corners, -1, axis=0))
-    sides *= np.sign(sides @ corners.mean(axis=0))[:, None]
-    return _Seen(surface, nearness, texels(right), texels(down), sides @ ray, *spans)
+    across, along = texels(right), texels(down)
+    corners = corners[faces]
+    sides = np.cross(corners, np.roll(corners, -1, axis=1))
+    inward = np.sign(sides @ corners.mean(axis=1)[:, :, None])
+    edges = (sides * inward) @ ray
+    return [
+        _Seen(
+            surfaces[int(face)],
+            nearness[number],
+            across[number],
+            along[number],
+            edges[number],
+            bounds[face],
+        )
+        for number, face in enumerate(faces)
+    ]
 
 
-def _spans(corners: Vector, camera: Camera) -> tuple[slice, slice] | None:
-    """Return the rows and columns that a polygon may cover; None if none.
+def _bounds(corners: Vector, camera: Camera) -> NDArray[np.intp]:
+    """Return (n, 4) first row and column that quadrangles may cover, and those after the last.
 
     Args:
-        corners: (n, 3) in the camera's frame: ahead, left, up.
+        corners: (n, 4, 3) in the camera's frame: ahead, left, up.
         camera: the camera.
     """
-    following = np.roll(corners, -1, axis=0)
-    ahead, after = corners[:, 0], following[:, 0]
-    crosses = (ahead < _NEAR_M) != (after < _NEAR_M)
-    share = ((_NEAR_M - ahead[crosses]) / (after - ahead)[crosses])[:, None]
-    cut = corners[crosses] + share * (following - corners)[crosses]
-    kept = np.vstack([corners[ahead >= _NEAR_M], cut])
-    if not len(kept):
-        return None
-    spans = []
-    for axis, centre, size in ((2, camera.cy, camera.height), (1, camera.cx, camera.width)):
-        place = (centre - camera.focal_px * kept[:, axis] / kept[:, 0]).clip(-1, size)
-        low, high = max(int(place.min()), 0), min(int(place.max()) + 2, size)
-        if low >= high:
-            return None
-        spans.append(slice(low, high))
-    return spans[0], spans[1]
-
-
-def _samples(pixels: slice) -> slice:
-    return slice(pixels.start * _SAMPLES, pixels.stop * _SAMPLES)
-
-
-def _value(form: Vector, u: Vector, v: Vector) -> NDArray[np.float64]:
-    value: NDArray[np.float64] = (form[0] + form[1] * u) + (form[2] * v)[:, None]
-    return value
+    following = np.roll(corners, -1, axis=1)
+    ahead, after = corners[..., :1], following[..., :1]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        # Where an edge comes from behind the camera it is cut.
+        cut = corners + (_NEAR_M - ahead) / (after - ahead) * (following - corners)
+        crosses = (ahead < _NEAR_M) != (after < _NEAR_M)
+        points = np.concatenate([corners, cut], axis=1)
+        kept = np.concatenate([ahead >= _NEAR_M, crosses], axis=1)
+        size = np.array([camera.height, camera.width])
+        places = (
+            np.array([camera.cy, camera.cx])
+            - camera.focal_px * points[..., :0:-1] / points[..., :1]
+        )
+    low = np.where(kept, places, np.inf).min(axis=1).clip(0, size)
+    high = (np.where(kept, places, -np.inf).max(axis=1) + 2).clip(0, size)
+    return np.concatenate([low, high], axis=1).astype(np.intp)

@@ -6,16 +6,16 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
+
+from motionstereo_cli.compiled import kernel
 
 if TYPE_CHECKING:
     from motionstereo_cli.types import Real
 
 #: Texels of the neighbouring period around each level, for linear interpolation.
 _PAD = 1
-_FOLD = 1024
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,8 +32,8 @@ class Texture:
     """
 
     levels: Real
-    rows: NDArray[np.float64]
-    columns: NDArray[np.float64]
+    rows: NDArray[np.intp]
+    columns: NDArray[np.intp]
     height: int
     width: int
     solid: NDArray[np.bool_] | None = None
@@ -52,70 +52,51 @@ class Texture:
         levels = np.vstack([np.pad(level, ((_PAD, _PAD), (0, 0)), mode="wrap") for level in down])
         return cls(levels, _begins(height), _begins(width), height, width, solid)
 
-    def look_up(
-        self,
-        right: NDArray[np.float64],
-        down: NDArray[np.float64],
-        right_size: NDArray[np.float64],
-        down_size: NDArray[np.float64],
-    ) -> Real:
-        """Return the mean grey (n,) of blocks.
-
-        Args, each (n,):
-            right, down: middles of the blocks in texels.
-            right_size, down_size: their sizes in texels.
-        """
-        total = np.zeros(right.shape, np.float32)
-        for column, across, share_across in self._neighbours(right, right_size, self.columns):
-            for row, along, share_along in self._neighbours(down, down_size, self.rows):
-                seen = _sampled(self.levels, across + column, along + row)
-                total += share_across * share_along * seen
-        return total
-
-    @staticmethod
-    def _neighbours(
-        place: NDArray[np.float64], size: NDArray[np.float64], begins: NDArray[np.float64]
-    ) -> list[tuple[Real, Real, Real]]:
-        """Return beginning, place in it and share of the two levels next to a size."""
-        last = len(begins) - 1
-        level = np.log2(size.clip(1, 2.0**last))
-        lower = np.minimum(level.astype(np.intp), max(last - 1, 0))
-        share = (level - lower).astype(np.float32)
-        wrapped = place % 2.0**last
-        return [
-            (
-                begins[index].astype(np.float32),
-                (wrapped / 2.0**index - 0.5).astype(np.float32),
-                weight,
-            )
-            for index, weight in (
-                (lower, 1 - share),
-                (np.minimum(lower + 1, last), share),
-            )
-        ]
-
-    def is_solid(self, right: NDArray[np.float64], down: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Return where places in texels are not in a hole."""
-        if self.solid is None:
-            return np.ones(right.shape, bool)
-        row = np.floor(down % self.height).astype(np.intp) % self.height
-        column = np.floor(right % self.width).astype(np.intp) % self.width
-        found: NDArray[np.bool_] = self.solid[row, column]
-        return found
+    @property
+    def holes(self) -> NDArray[np.bool_]:
+        """(height, width), True where there is a hole; (0, 0) where there is none."""
+        return np.zeros((0, 0), bool) if self.solid is None else ~self.solid
 
 
-def _sampled(picture: Real, x: Real, y: Real) -> Real:
-    """Return a picture (n,) at places (n,), interpolated linearly."""
-    # cv2 takes no more than 32766 places in a row.
-    folded = -(-len(x) // _FOLD), _FOLD
-    seen = cv2.remap(picture, np.resize(x, folded), np.resize(y, folded), cv2.INTER_LINEAR)
-    return seen.ravel()[: len(x)]  # type: ignore[return-value]
+@kernel
+def mean_grey(
+    levels: Real,
+    rows: NDArray[np.intp],
+    columns: NDArray[np.intp],
+    place: tuple[float, float],
+    size: tuple[float, float],
+) -> float:
+    """Return the mean grey of a block of a texture.
+
+    Args:
+        levels, rows, columns: as :class:`Texture` has them.
+        place: row and column of the block's middle, in texels.
+        size: its sides.
+    """
+    total = 0.0
+    high, wide = len(rows) - 1, len(columns) - 1
+    level_down = min(max(math.log2(max(size[0], 1e-9)), 0.0), float(high))
+    level_across = min(max(math.log2(max(size[1], 1e-9)), 0.0), float(wide))
+    # Between the levels below and above, and between texels, it is interpolated linearly.
+    for down in range(int(level_down), min(int(level_down) + 2, high + 1)):
+        y = (place[0] % 2.0**high) / 2.0**down - 0.5
+        top = math.floor(y)
+        for across in range(int(level_across), min(int(level_across) + 2, wide + 1)):
+            x = (place[1] % 2.0**wide) / 2.0**across - 0.5
+            left = math.floor(x)
+            share = (1 - abs(level_down - down)) * (1 - abs(level_across - across))
+            row, column = rows[down] + int(top), columns[across] + int(left)
+            upper = levels[row, column] * (left + 1 - x) + levels[row, column + 1] * (x - left)
+            row += 1
+            lower = levels[row, column] * (left + 1 - x) + levels[row, column + 1] * (x - left)
+            total += share * (upper * (top + 1 - y) + lower * (y - top))
+    return total
 
 
-def _begins(size: int) -> NDArray[np.float64]:
+def _begins(size: int) -> NDArray[np.intp]:
     """Return where the levels of a side begin, their own first texel."""
     sizes = [2 * _PAD + (size >> level) for level in range(size.bit_length())]
-    return np.cumsum([0, *sizes[:-1]]).astype(np.float64) + _PAD
+    return np.cumsum([0, *sizes[:-1]]).astype(np.intp) + _PAD
 
 
 def noise(
