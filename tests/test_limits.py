@@ -248,11 +248,15 @@ def test_the_size_in_a_calibration(tmp_path: Path) -> None:
     assert read_calibration([path], max_pixels=8001 * 8000).rig.width == 8001
 
 
-def test_files_without_an_end() -> None:
-    with pytest.raises(InputError, match=r"/dev/zero is larger than 16000000 bytes"):
-        read_calibration([Path("/dev/zero")])
-    with pytest.raises(InputError, match=r"/dev/zero is larger than 256000000 bytes"):
-        read_poses("/dev/zero")
+def test_files_without_an_end(tmp_path: Path) -> None:
+    for read in (read_calibration, read_poses):
+        given = [Path("/dev/zero")] if read is read_calibration else "/dev/zero"
+        with pytest.raises(InputError, match=r"/dev/zero: it is a FIFO, a socket or a device"):
+            read(given)
+    with (tmp_path / "long.yaml").open("wb") as file:
+        file.truncate(16_000_001)
+    with pytest.raises(InputError, match=r"long\.yaml is larger than 16000000 bytes"):
+        read_calibration([tmp_path / "long.yaml"])
 
 
 # --- Other files, and the network -------------------------------------------------------------

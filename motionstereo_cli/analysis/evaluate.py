@@ -14,12 +14,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import cv2
-import imageio.v3 as iio
 import numpy as np
 from numpy.typing import NDArray
 
 from motionstereo_cli.errors import InputError
 from motionstereo_cli.rig import read_rig
+from motionstereo_cli.sources.stills import DamagedImageError, read_still, shown
 from motionstereo_cli.types import Rig
 
 if TYPE_CHECKING:
@@ -478,7 +478,7 @@ def _kind_by_name(folder: Path) -> str | None:
 
 def _numbered(folder: Path, suffixes: tuple[str, ...]) -> dict[int, Path]:
     try:
-        files = [file for file in folder.iterdir() if file.suffix.lower() in suffixes]
+        files = shown(folder.iterdir(), suffixes)
     except OSError as error:
         raise InputError(f"cannot read the folder {folder}: {error.strerror}") from error
     if not files:
@@ -516,12 +516,10 @@ def _said_in(folder: Path) -> tuple[Rig | None, str | None, int]:
 
 
 def _read(path: Path) -> NDArray[Any]:
-    # Pillow by name: it refuses files that are cut off, says nothing on its own, and takes PFM
-    # values as they are, where cv2 multiplies them by a scale that Middlebury's files misuse.
     try:
-        return iio.imread(path, plugin="pillow")
-    except (OSError, ValueError, SyntaxError) as error:
-        raise InputError(f"{path} cannot be read as an image: write it again") from error
+        return read_still(path).pixels
+    except DamagedImageError as error:
+        raise InputError(f"{path} cannot be read as an image ({error}): write it again") from error
 
 
 def _read_mask(path: Path) -> NDArray[np.bool_]:

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import errno
 import hashlib
+import os
+import stat
+from io import BufferedReader
 from pathlib import Path
 
 from motionstereo_cli.errors import InputError
@@ -12,8 +16,35 @@ MOST_CALIBRATION_BYTES = 16_000_000
 MOST_TABLE_BYTES = 256_000_000
 
 
-def read_text(path: str | Path, what: str, most_bytes: int) -> str:
-    """Return the text of a file; what is no UTF-8 in it becomes a replacement character.
+def open_regular(path: str | Path) -> BufferedReader:
+    """Open a regular file for reading bytes; links are followed.
+
+    A FIFO, a socket or a device would make the program wait, or do something when it is opened.
+
+    Raises:
+        OSError: it cannot be opened, or is no regular file.
+    """
+    _check_regular(os.stat(path), path)
+    # Without waiting: it may have been exchanged for a FIFO since.
+    flags = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
+    file = os.fdopen(os.open(path, flags), "rb")
+    try:
+        _check_regular(os.fstat(file.fileno()), path)
+    except OSError:
+        file.close()
+        raise
+    return file
+
+
+def _check_regular(status: os.stat_result, path: str | Path) -> None:
+    if stat.S_ISDIR(status.st_mode):
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
+    if not stat.S_ISREG(status.st_mode):
+        raise OSError(errno.EINVAL, "it is a FIFO, a socket or a device, not a file", str(path))
+
+
+def read_bytes(path: str | Path, what: str, most_bytes: int) -> bytes:
+    """Return the content of a file.
 
     Args:
         path: the file.
@@ -24,12 +55,22 @@ def read_text(path: str | Path, what: str, most_bytes: int) -> str:
         InputError: the file cannot be read or is larger.
     """
     try:
-        with Path(path).open("rb") as file:
+        with open_regular(path) as file:
             content = file.read(most_bytes + 1)
     except OSError as error:
         raise InputError(f"cannot read {what} {path}: {error.strerror}") from error
     if len(content) > most_bytes:
         raise InputError(f"{path} is larger than {most_bytes} bytes: check that it is {what}")
+    return content
+
+
+def read_text(path: str | Path, what: str, most_bytes: int) -> str:
+    """Return the text of a file, as :func:`read_bytes` reads it."""
+    return as_text(read_bytes(path, what, most_bytes))
+
+
+def as_text(content: bytes) -> str:
+    """Return UTF-8 as text; what is none in it becomes a replacement character."""
     text = content.decode("utf-8-sig", errors="replace")
     return text.replace("\r\n", "\n").replace("\r", "\n")
 
@@ -40,5 +81,5 @@ def sha256_of(path: Path) -> str:
     Raises:
         OSError: it cannot be read.
     """
-    with path.open("rb") as file:
+    with open_regular(path) as file:
         return hashlib.file_digest(file, "sha256").hexdigest()

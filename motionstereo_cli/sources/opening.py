@@ -26,6 +26,7 @@ PAIRS = (
     ("image_00/data", "image_01/data"),  # KITTI raw
     ("image_2", "image_3"),
     ("image_02/data", "image_03/data"),
+    ("image_00/data_rect", "image_01/data_rect"),  # KITTI-360
     ("cam0/data", "cam1/data"),  # EuRoC
     ("mav0/cam0/data", "mav0/cam1/data"),
 )
@@ -80,7 +81,7 @@ def open_recording(name: str, settings: InputSettings) -> Recording:
             path, max_pixels=settings.max_pixels, allow_network=settings.allow_network
         )
     files = None if path.is_dir() else _files(name)
-    return FolderRecording(path, files, settings.frame_rate, max_pixels=settings.max_pixels)
+    return FolderRecording(path, files, settings.rate, max_pixels=settings.max_pixels)
 
 
 def is_address(name: str) -> bool:

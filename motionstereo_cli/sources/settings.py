@@ -16,6 +16,9 @@ from motionstereo_cli.types import Rig
 #: A place in the stream: an int is the number of a frame, a Fraction a time in s.
 Place = int | Fraction
 
+#: One image in a quarter of an hour, in frames per second.
+_LEAST_RATE = 0.001
+
 _TIME = re.compile(r"(?:(?:(\d+):)?(\d+):)?(\d+(?:\.\d*)?)(s?)", re.ASCII)
 
 
@@ -115,7 +118,7 @@ class InputSettings:
 
     def __post_init__(self) -> None:
         checked(self)
-        _ = self.crop_box
+        _ = self.crop_box, self.rate
         first, stop = self.first, self.stop
         comparable = type(stop) is type(first) or not self.start
         if stop is not None and comparable and stop <= first:
@@ -124,6 +127,19 @@ class InputSettings:
             raise SettingsError(
                 "--sync-offset pairs by number and --sync-tolerance by time: give one of them"
             )
+
+    @property
+    def rate(self) -> Fraction | None:
+        """The rate that was given, None if none was; FFmpeg's numbers hold it and its inverse."""
+        if not self.frame_rate:
+            return None
+        if self.frame_rate < _LEAST_RATE:
+            raise SettingsError(
+                f"--frame-rate cannot be {self.frame_rate:g}: give {_LEAST_RATE} to 100,000 frames "
+                "per second, or 0 where it is unknown"
+            )
+        # 29.97002997 is 30000/1001.
+        return Fraction(str(self.frame_rate)).limit_denominator(10_000)
 
     @property
     def first(self) -> Place:

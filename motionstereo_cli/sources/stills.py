@@ -1,0 +1,207 @@
+"""Reading still images: the one place that opens and decodes them."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import re
+import warnings
+from collections.abc import Collection, Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import cv2
+import numpy as np
+from PIL import Image as Pillow
+from PIL import ImageOps
+
+from motionstereo_cli.errors import InputError
+from motionstereo_cli.files.reading import open_regular
+from motionstereo_cli.settings import MOST_PIXELS
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from motionstereo_cli.types import Grey
+
+#: Files with these suffixes are images; all others are passed over.
+SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm", ".webp"})
+
+#: What an image may hold, whatever its name. Pillow decodes these itself; it would start a
+#: program for others, such as EPS.
+_FORMATS = ("PNG", "JPEG", "TIFF", "BMP", "PPM", "WEBP")
+
+#: Modes of Pillow that are arrays as they are, and those that it makes RGB of.
+_PLAIN_MODES = {"1", "L", "LA", "RGB", "RGBA", "I", "F", "I;16", "I;16B", "I;16L", "I;16N"}
+_RGB_MODES = {"P", "PA", "La", "RGBa", "RGBX", "CMYK", "YCbCr"}
+
+#: What Pillow raises on damaged images.
+_DAMAGE = (OSError, ValueError, SyntaxError, EOFError, OverflowError, Pillow.DecompressionBombError)
+
+#: No image takes more bytes in a file: 16 bits of four colours twice over, and its notes.
+_MOST_BYTES_PER_PIXEL, _NOTES_BYTES = 16, 16_000_000
+
+#: Magic, width, height and scale of a PFM, and the one white space behind them, which is two
+#: characters where a program wrote the head as text on Windows.
+_PFM_HEAD = re.compile(rb"(P[fF])\s+(\d{1,9})\s+(\d{1,9})\s+([-+.\deE]{1,32})(\r\n|\s)")
+
+# Pillow warns of large images, which are refused here, and of notes in images that do not matter.
+warnings.filterwarnings("ignore", module=r"PIL\.")
+
+
+class DamagedImageError(Exception):
+    """An image that cannot be read; the text says why."""
+
+
+class Still(NamedTuple):
+    """A decoded image.
+
+    Attributes:
+        pixels: (height, width) or (height, width, channels: grey+alpha, RGB or RGBA); bool,
+            uint8, uint16, or float32 with NaN and inf as they are. The orientation that a camera
+            noted is obeyed.
+        pages: images in the file, where it is a TIFF; the first is read.
+        size_bytes, sha256: size and SHA-256 of the file as it was read.
+    """
+
+    pixels: NDArray[Any]
+    pages: int
+    size_bytes: int
+    sha256: bytes
+
+
+def images_in(folder: Path) -> list[Path]:
+    """Return a folder's images, in no order.
+
+    Raises:
+        OSError: the folder cannot be read.
+    """
+    return shown(folder.iterdir(), SUFFIXES)
+
+
+def shown(files: Iterable[Path], suffixes: Collection[str]) -> list[Path]:
+    """Return those of some files that have one of some suffixes, and are not hidden.
+
+    macOS leaves a ``._frame0.png`` beside each ``frame0.png``, which is no image.
+    """
+    return [
+        file for file in files if file.suffix.lower() in suffixes and not file.name.startswith(".")
+    ]
+
+
+def read_still(path: Path, max_pixels: int = MOST_PIXELS) -> Still:
+    """Read an image from a regular file: PNG, JPEG, TIFF, BMP, PPM, WebP, or PFM by its name.
+
+    Raises:
+        DamagedImageError: it cannot be read, or is of another format.
+        InputError: it is too large, or has pixels of a kind that says nothing of grey levels.
+    """
+    most_bytes = _MOST_BYTES_PER_PIXEL * max_pixels + _NOTES_BYTES
+    try:
+        with open_regular(path) as file:
+            content = file.read(most_bytes + 1)
+    except OSError as error:
+        raise DamagedImageError(error.strerror or str(error)) from error
+    if len(content) > most_bytes:
+        raise _too_large(path, f" ({len(content)} bytes or more)", max_pixels)
+    if path.suffix.lower() == ".pfm":
+        pixels, pages = _pfm(content, path, max_pixels), 1
+    else:
+        pixels, pages = _decoded(content, path, max_pixels)
+    return Still(pixels, pages, len(content), hashlib.sha256(content).digest())
+
+
+def grey_of(pixels: NDArray[Any], path: Path) -> Grey:
+    """Return the grey levels of a decoded image, (height, width) uint8: BT.601 luma of colour.
+
+    Raises:
+        InputError: its pixels are floating-point numbers.
+    """
+    if pixels.dtype == np.bool_:
+        pixels = pixels * np.uint8(255)
+    elif pixels.dtype == np.uint16:
+        pixels = ((pixels.astype(np.uint32) + 128) // 257).astype(np.uint8)
+    elif pixels.dtype != np.uint8:
+        raise InputError(f"{path} has {pixels.dtype} pixels: give 8-bit or 16-bit images")
+    if pixels.ndim == 2:
+        return pixels
+    if pixels.shape[2] < 3:  # grey with alpha
+        return np.ascontiguousarray(pixels[:, :, 0])
+    rgb = np.ascontiguousarray(pixels[:, :, :3])
+    return np.asarray(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY), np.uint8)
+
+
+def pixel_format(pixels: NDArray[Any]) -> str:
+    """Return the kind of pixels in words: ``grey 8 bit``."""
+    channels = {1: "grey", 2: "grey+alpha", 3: "rgb", 4: "rgba"}
+    count = 1 if pixels.ndim == 2 else pixels.shape[2]
+    bits = {"bool": 1, "uint8": 8}.get(pixels.dtype.name, 16)
+    return f"{channels[count]} {bits} bit"
+
+
+def _decoded(content: bytes, path: Path, max_pixels: int) -> tuple[NDArray[Any], int]:
+    try:
+        with Pillow.open(io.BytesIO(content), formats=_FORMATS) as image:
+            if image.width * image.height > max_pixels:
+                raise _too_large(path, f" ({image.width}x{image.height} px)", max_pixels)
+            pages = getattr(image, "n_frames", 1) if image.format == "TIFF" else 1
+            if image.mode not in _PLAIN_MODES | _RGB_MODES:
+                raise InputError(
+                    f"{path} has {image.mode} pixels: convert it to grey or RGB, 8 or 16 bits"
+                )
+            turned = ImageOps.exif_transpose(image)
+            pixels = np.asarray(turned.convert("RGB") if image.mode in _RGB_MODES else turned)
+    except Pillow.DecompressionBombError:
+        raise _too_large(path, "", max_pixels) from None
+    except _DAMAGE as error:
+        raise DamagedImageError(str(error)) from error
+    return _native(pixels, path), pages
+
+
+def _native(pixels: NDArray[Any], path: Path) -> NDArray[Any]:
+    """Return pixels in the byte order of this machine; whole numbers as 16 bits."""
+    if pixels.dtype.kind == "i":  # Pillow reads 16-bit PGM as int32
+        if pixels.min(initial=0) < 0 or pixels.max(initial=0) > 65535:
+            raise InputError(f"{path} has 32-bit pixels: convert it to 8 or 16 bits")
+        return pixels.astype(np.uint16)
+    return pixels.astype(pixels.dtype.newbyteorder("="), copy=False)
+
+
+def _pfm(content: bytes, path: Path, max_pixels: int) -> NDArray[np.float32]:
+    """Return the values of a PFM as they are, from the top row down.
+
+    Of the scale, the sign alone counts, which tells the byte order: Middlebury's files have
+    others than 1 and mean the values as they stand, as do its own programs.
+    """
+    head = _PFM_HEAD.match(content[:256])
+    scale = _number(head[4]) if head else 0
+    if head is None or not scale:
+        raise DamagedImageError("its head is not that of a PFM")
+    channels, width, height = 3 if head[1] == b"PF" else 1, int(head[2]), int(head[3])
+    if not 0 < width * height <= max_pixels:
+        raise _too_large(path, f" ({width}x{height} px)", max_pixels)
+    wanted = 4 * channels * width * height
+    starts = {head.end(), head.end() - len(head[5]) + 1}  # the first value may begin with \n
+    starts = {start for start in starts if len(content) - start == wanted}
+    if not starts:
+        raise DamagedImageError(
+            f"{len(content) - head.end()} bytes of values, where {width}x{height} px need {wanted}"
+        )
+    order = "<f4" if scale < 0 else ">f4"
+    values = np.frombuffer(content, order, offset=starts.pop()).astype(np.float32)
+    shape = (height, width) if channels == 1 else (height, width, channels)
+    return np.ascontiguousarray(values.reshape(shape)[::-1])
+
+
+def _number(text: bytes) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        return 0.0
+
+
+def _too_large(path: Path, size: str, max_pixels: int) -> InputError:
+    return InputError(
+        f"{path} is larger than --max-pixels {max_pixels}{size}: "
+        "raise it if the image is to be trusted"
+    )
