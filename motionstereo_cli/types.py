@@ -28,6 +28,8 @@ class Rig:
         cx, cy: principal point of the left camera in px; the right one's is (cx + doffs, cy).
         doffs: x of the right principal point minus x of the left one in px, so that
             depth = focal_px * baseline_m / (disparity + doffs), as Middlebury has it.
+        focal_y_px: focal length along y, where it is another (pixels that are not square); None
+            where it is not.
     """
 
     width: int
@@ -37,6 +39,12 @@ class Rig:
     cx: float
     cy: float
     doffs: float = 0.0
+    focal_y_px: float | None = None
+
+    @property
+    def fy_px(self) -> float:
+        """Focal length along y in px."""
+        return self.focal_px if self.focal_y_px is None else self.focal_y_px
 
     def cx_of(self, camera: str) -> float:
         """Return the x of the principal point of the ``left`` or ``right`` camera in px."""

@@ -41,6 +41,7 @@ from motionstereo_cli.errors import InputError, OutputError
 from motionstereo_cli.files.atomic import part_of
 from motionstereo_cli.files.reading import sha256_of
 from motionstereo_cli.pipeline import State, process
+from motionstereo_cli.rig import rig_values
 from motionstereo_cli.rig.poses import Trajectory
 from motionstereo_cli.settings import Settings
 from motionstereo_cli.sinks import DEFAULT_OUTPUTS, OUTPUTS, RunContext, Sink, available
@@ -367,7 +368,7 @@ def _identity(
         "output_settings": dataclasses.asdict(stream.output),
         "inputs": source.describe(),
         "files": [{"path": str(path), "sha256": sha256_of(path)} for path in files],
-        "rig": None if stream.rig is None else dataclasses.asdict(stream.rig),
+        "rig": None if stream.rig is None else rig_values(stream.rig),
         "time_base": None if source.time_base is None else str(source.time_base),
         "grey": GREY,
     }

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -37,6 +36,7 @@ def info(
     With the options that run would get. Reads the first image of each side alone, so the numbers
     of images are those that the files state: a damaged one has fewer.
     """
+    from motionstereo_cli.rig import rig_values
     from motionstereo_cli.rig.calibration import rectify_source
     from motionstereo_cli.sources import open_stereo
 
@@ -44,7 +44,7 @@ def info(
         facts = _facts(source)
         calibration = rectify_source(source, rig, baseline_unit)
         if calibration is not None:
-            facts["rig"] = asdict(adapted_rig(calibration.rig, input_settings))
+            facts["rig"] = rig_values(adapted_rig(calibration.rig, input_settings))
     click.echo(json.dumps(facts, indent=2) if as_json else _table(facts))
     for line in (*source.warnings, *(calibration.warnings if calibration else ())):
         say("warning", line)

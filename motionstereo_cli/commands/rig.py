@@ -59,9 +59,9 @@ def rig(
 ) -> None:
     """Convert a calibration to rig.yaml, and say how it is understood.
 
-    FILE is an OpenCV (YAML, XML, JSON), KITTI or Middlebury file, or rig.yaml; two files, the left
-    camera's first, are a ROS camera_info or EuRoC sensor.yaml pair, or OpenCV's intrinsics and
-    extrinsics. rig.yaml stands for rectified images: give FILE itself to run --rig where they are
+    FILE is an OpenCV (YAML, XML, JSON, npz), KITTI, Middlebury, kalibr, ORB-SLAM, DepthAI or ZED
+    file, or rig.yaml; two files, the left camera's first, are a ROS camera_info or EuRoC
+    sensor.yaml pair, or OpenCV's intrinsics and extrinsics. rig.yaml stands for rectified images: give FILE itself to run --rig where they are
     not.
     """
     from motionstereo_cli.rig import format_rig, write_rig

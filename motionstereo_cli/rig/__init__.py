@@ -3,6 +3,6 @@
 Heavy modules load with :mod:`~motionstereo_cli.rig.calibration` alone; rig files need none.
 """
 
-from motionstereo_cli.rig.rig_file import format_rig, read_rig, write_rig
+from motionstereo_cli.rig.rig_file import format_rig, read_rig, rig_values, write_rig
 
-__all__ = ["format_rig", "read_rig", "write_rig"]
+__all__ = ["format_rig", "read_rig", "rig_values", "write_rig"]

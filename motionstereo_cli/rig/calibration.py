@@ -15,14 +15,15 @@ import cv2
 import numpy as np
 
 from motionstereo_cli.errors import InputError
-from motionstereo_cli.rig.formats import Pair, checked_intrinsics, read_files
+from motionstereo_cli.rig.cameras import Pair, checked_intrinsics
+from motionstereo_cli.rig.formats import read_files
 from motionstereo_cli.settings import MOST_PIXELS
 from motionstereo_cli.types import Rig
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from motionstereo_cli.rig.formats import Camera, Matrix
+    from motionstereo_cli.rig.cameras import Camera, Matrix, Rectified
     from motionstereo_cli.sources import StereoSource
     from motionstereo_cli.types import Grey, Real
 
@@ -40,6 +41,11 @@ _NEGLIGIBLE_PX = 0.05
 
 #: Rectified images that keep less than this share of the recorded ones come from a wrong file.
 _LEAST_COVERAGE = 0.3
+
+#: A principal point lies about in the middle. One that lies, in both axes and both images, as if
+#: the size were this many times another is of a calibration for that other size; both axes agree
+#: within this share.
+_OTHER_SIZE, _SIZES_AGREE = 1.3, 0.15
 
 #: Focal lengths, as shares, and rows of the principal points, in px, that rectified cameras share.
 _FOCAL_TOLERANCE = 0.005
@@ -126,26 +132,26 @@ def read_calibration(
         InputError: a file cannot be read, lacks or spoils a value, is for another size, or does not
             say the size and neither does the caller.
     """
-    read = read_files(paths, pair)
     name = " and ".join(str(path) for path in paths)
-    if isinstance(read.content, Rig):
-        return _of_rig(read.content, name, size, baseline_unit, max_pixels)
-    size = _agreed_size(name, read.size, size, max_pixels)
-    if isinstance(read.content, Pair):
-        for camera, side in zip(read.content.cameras, ("left", "right"), strict=True):
-            _check_centre(name, side, camera.matrix, size)
-        rotations_and_projections = read.content.rectified or _rectified(name, read.content, size)
-        (_, first), (_, second) = rotations_and_projections
-    else:
-        first, second = read.content
+    read = read_files(paths, size, pair)
+    if isinstance(read, Rig):
+        return _of_rig(read, name, size, baseline_unit, max_pixels)
+    stated, size = read.size, _agreed_size(name, read.size, size, max_pixels)
+    cameras = read.cameras
+    if cameras is not None:
+        _check_centres(name, [camera.matrix for camera in cameras], size, stated=bool(stated))
+    elif read.rectified is not None:
+        matrices = [projection for _, projection in read.rectified]
+        _check_centres(name, matrices, size, stated=bool(stated), outside=True)
+    transforms = read.rectified or _rectified(name, read, cameras, size)
+    (_, first), (_, second) = transforms
     rig, warnings = _rig_of(name, (first, second), size, read.unit, baseline_unit)
     calibration = Calibration(rig, read.kind, "rectified images", warnings=read.notes + warnings)
-    if not isinstance(read.content, Pair):
+    if cameras is None:
         return calibration
-    cameras = read.content.cameras
     left, right = (
         _maps(camera, rotation, projection, size)
-        for camera, (rotation, projection) in zip(cameras, rotations_and_projections, strict=True)
+        for camera, (rotation, projection) in zip(cameras, transforms, strict=True)
     )
     coverage = float((_inside(left, size) & _inside(right, size)).mean())
     if coverage < _LEAST_COVERAGE:
@@ -232,55 +238,114 @@ def _agreed_size(
     return size
 
 
-def _check_centre(name: str, side: str, matrix: Matrix, size: tuple[int, int]) -> None:
-    cx, cy = matrix[0, 2], matrix[1, 2]
-    if not (0 < cx < size[0] and 0 < cy < size[1]):
+def _check_centres(
+    name: str,
+    matrices: Sequence[Matrix],
+    size: tuple[int, int],
+    *,
+    stated: bool,
+    outside: bool = False,
+) -> None:
+    """Make sure that principal points are those of images of a size.
+
+    Args:
+        name: for messages.
+        matrices: intrinsic matrices or projections, left and right.
+        size: of the images.
+        stated: the file says the size itself, so that a point out of the middle is meant.
+        outside: a principal point may lie outside the image, as those of rectified ones do.
+    """
+    # The size that has these points in its middle.
+    likely = [[2 * matrix[axis, 2] + 1 for axis in (0, 1)] for matrix in matrices]
+    shares = np.array(likely) / size
+    mean = float(shares.mean())
+    elsewhere = (
+        (shares > 0).all()
+        and max(mean, 1 / mean) > _OTHER_SIZE
+        and np.abs(shares / mean - 1).max() < _SIZES_AGREE
+    )
+    inside = all(0 < point[axis] < 2 * size[axis] for point in likely for axis in (0, 1))
+    if (elsewhere and not stated) or not (inside or outside):
+        side, matrix = next(
+            (
+                (side, matrix)
+                for side, matrix, point in zip(("left", "right"), matrices, likely, strict=True)
+                if not (0 < point[0] < 2 * size[0] and 0 < point[1] < 2 * size[1])
+            ),
+            ("left", matrices[0]),
+        )
+        width, height = (round(float(number)) for number in np.mean(likely, axis=0))
+        of = f"is that of images of about {width}x{height} px" if elsewhere else "lies outside them"
         raise InputError(
-            f"{name}: the {side} principal point {cx:.0f}, {cy:.0f} lies outside the "
-            f"{size[0]}x{size[1]} px of the images: give the calibration for their size"
+            f"{name}: the images have {size[0]}x{size[1]} px, but the {side} principal point "
+            f"{matrix[0, 2]:.0f}, {matrix[1, 2]:.0f} {of}: give the calibration for their size"
+            + ("" if stated else " (if it is, state the size in the file: image_size)")
         )
 
 
 def _rectified(
-    name: str, pair: Pair, size: tuple[int, int]
-) -> tuple[tuple[Matrix, Matrix], tuple[Matrix, Matrix]]:
+    name: str, pair: Pair, cameras: tuple[Camera, Camera] | None, size: tuple[int, int]
+) -> tuple[Rectified, Rectified]:
     """Return rotations and projections into the rectified images, left and right."""
+    assert cameras is not None
     assert pair.rotation is not None
     assert pair.translation is not None
-    left, right = pair.cameras
-    translation = pair.translation.reshape(3, 1)  # as OpenCV wants it
-    tx, ty, tz = pair.translation
+    left, right = cameras
+    if left.fisheye != right.fisheye:
+        raise InputError(
+            f"{name}: one lens is a fisheye and the other is not: give both the same lens model"
+        )
     if not np.linalg.norm(pair.translation) > 0:
         raise InputError(f"{name}: T is zero, so the baseline is: check the file")
-    if abs(tx) < max(abs(ty), abs(tz)):
+    _check_direction(name, pair.translation)
+    if pair.translation[0] > 0:
         raise InputError(
-            f"{name}: the cameras do not stand side by side (T is {tx:g}, {ty:g}, {tz:g}): "
-            "check the file"
+            f"{name}: T says that the second camera stands left of the first "
+            f"(T[0] is {pair.translation[0]:g}; OpenCV's T[0] is negative for a right camera). "
+            "Either the cameras are in the wrong order: exchange both cameras, and the recordings "
+            "stay; or R and T are given the other way round, as the right camera's place in the "
+            "left one's frame: give R transposed and -R^T T"
         )
-    if tx > 0:
-        raise _wrong_order(name)
-    lenses = (left.matrix, left.distortion, right.matrix, right.distortion)
+    # OpenCV wants them whole in memory, and T as a column.
+    whole = np.ascontiguousarray
+    lenses = (
+        *(whole(left.matrix), whole(left.distortion)),
+        *(whole(right.matrix), whole(right.distortion)),
+    )
+    rotation = whole(pair.rotation)
+    translation = whole(pair.translation).reshape(3, 1)
     try:
         if left.fisheye:
             r1, r2, p1, p2, _ = cv2.fisheye.stereoRectify(
-                *lenses, size, pair.rotation, translation, cv2.CALIB_ZERO_DISPARITY
+                *lenses, size, rotation, translation, cv2.CALIB_ZERO_DISPARITY
             )
         else:
             r1, r2, p1, p2, *_ = cv2.stereoRectify(
-                *lenses,
-                size,
-                pair.rotation,
-                translation,
-                flags=cv2.CALIB_ZERO_DISPARITY,
-                alpha=0,
+                *lenses, size, rotation, translation, flags=cv2.CALIB_ZERO_DISPARITY, alpha=0
             )
     except cv2.error as error:
         raise InputError(f"{name} cannot be rectified by: {error.err}: check its values") from None
     left_matrices, right_matrices = (
-        (np.asarray(rotation, np.float64), np.asarray(projection, np.float64))
-        for rotation, projection in ((r1, p1), (r2, p2))
+        (np.asarray(turn, np.float64), np.asarray(projection, np.float64))
+        for turn, projection in ((r1, p1), (r2, p2))
     )
     return left_matrices, right_matrices
+
+
+def _check_direction(name: str, translation: Matrix) -> None:
+    tx, ty, tz = (float(each) for each in np.abs(translation))
+    if tx >= max(ty, tz):
+        return
+    x, y, z = (float(each) for each in translation)
+    stand = (
+        "one above the other: turn both recordings by 90 degrees (the upper camera's is then the "
+        "left or right one) and calibrate the turned images"
+        if ty >= tz
+        else "one behind the other, where stereo finds no depth: check the file"
+    )
+    raise InputError(
+        f"{name}: the cameras do not stand side by side (T is {x:g}, {y:g}, {z:g}) but {stand}"
+    )
 
 
 def _wrong_order(name: str) -> InputError:
@@ -301,9 +366,9 @@ def _rig_of(
     left, right = projections
     for side, projection in (("left", left), ("right", right)):
         checked_intrinsics(name, f"the {side} projection", projection)
-    focal_px = left[0, 0]
+    (focal_px, focal_y_px), others = (left[0, 0], left[1, 1]), (right[0, 0], right[1, 1])
     if (
-        abs(right[0, 0] - focal_px) > _FOCAL_TOLERANCE * focal_px
+        max(abs(others[0] - focal_px), abs(others[1] - focal_y_px)) > _FOCAL_TOLERANCE * focal_px
         or abs(right[1, 2] - left[1, 2]) > _ROW_TOLERANCE_PX
     ):
         raise InputError(
@@ -311,12 +376,23 @@ def _rig_of(
             f"{right[0, 0]:g} px, {left[1, 2]:g} and {right[1, 2]:g} px), "
             "so they are of no rectified pair: check the file"
         )
-    baseline = left[0, 3] / focal_px - right[0, 3] / right[0, 0]
-    if baseline == 0:
+    across = left[0, 3] / focal_px - right[0, 3] / right[0, 0]
+    down = left[1, 3] / focal_y_px - right[1, 3] / right[1, 1]
+    if abs(down) > abs(across):
+        _check_direction(name, np.array([-across, -down, 0.0]))
+    if across == 0:
         raise InputError(f"{name}: the baseline is 0: check the file")
-    if not baseline > 0:
-        raise _wrong_order(name)
-    baseline_m, warnings = _in_metres(name, float(baseline), unit, chosen_unit)
+    reversed_sign: tuple[str, ...] = ()
+    if across < 0:
+        # The left camera is the one that the other is measured from: its P[0,3] is 0.
+        if left[0, 3] or not right[0, 3]:
+            raise _wrong_order(name)
+        reversed_sign = (
+            f"{name}: P[0,3] of the right camera is {right[0, 3]:g}, but -fx * baseline is "
+            "negative: its sign is taken to be the other way round. Should the check find left "
+            "and right swapped, the files are in the wrong order instead",
+        )
+    baseline_m, warnings = _in_metres(name, abs(float(across)), unit, chosen_unit)
     rig = Rig(
         *size,
         focal_px=float(focal_px),
@@ -324,8 +400,9 @@ def _rig_of(
         cx=float(left[0, 2]),
         cy=float(left[1, 2]),
         doffs=float(right[0, 2] - left[0, 2]),
+        focal_y_px=None if np.isclose(focal_y_px, focal_px, rtol=1e-6) else float(focal_y_px),
     )
-    return rig, warnings
+    return rig, reversed_sign + warnings
 
 
 def _in_metres(

@@ -1,9 +1,8 @@
 """Rig files, motionstereo's own.
 
 A rig file holds one ``key: value`` line for each attribute of :class:`~motionstereo_cli.types.Rig`
-(``doffs`` may be left out) and ``#`` comments. That is a subset of YAML, and of what OpenCV
-writes. It is read here line by line because OpenCV's reader cannot name the line at fault and
-keeps the first of two equal keys without a word.
+(``doffs`` and ``focal_y_px`` may be left out) and ``#`` comments. That is a subset of YAML, and
+of what OpenCV writes. It is read here line by line, so that errors name the line.
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ from motionstereo_cli.files.reading import MOST_CALIBRATION_BYTES, read_text
 from motionstereo_cli.types import Rig
 
 _WHOLE = frozenset({"width", "height"})
-_POSITIVE = frozenset({"width", "height", "focal_px", "baseline_m"})
+_POSITIVE = frozenset({"width", "height", "focal_px", "baseline_m", "focal_y_px"})
 
 
 def read_rig(path: str | Path) -> Rig:
@@ -28,7 +27,11 @@ def read_rig(path: str | Path) -> Rig:
         InputError: the file cannot be read, or a value is missing, unknown, given twice, not a
             finite number, or not positive where it must be.
     """
-    text = read_text(path, "the rig", MOST_CALIBRATION_BYTES)
+    return parse_rig(path, read_text(path, "the rig", MOST_CALIBRATION_BYTES))
+
+
+def parse_rig(path: str | Path, text: str) -> Rig:
+    """Return the rig of a rig file's text, as :func:`read_rig` does; the path is for messages."""
     keys = [item.name for item in fields(Rig)]
     values: dict[str, float] = {}
     for line in text.splitlines():
@@ -49,9 +52,15 @@ def read_rig(path: str | Path) -> Rig:
     return Rig(**{key: int(n) if key in _WHOLE else n for key, n in values.items()})  # type: ignore[arg-type]
 
 
+def rig_values(rig: Rig) -> dict[str, float]:
+    """Return the values of a rig by their keys, those that are None left out."""
+    values = {item.name: getattr(rig, item.name) for item in fields(Rig)}
+    return {key: value for key, value in values.items() if value is not None}
+
+
 def format_rig(rig: Rig) -> str:
     """Return a rig as the text of a rig file; reading it gives the same rig exactly."""
-    return "".join(f"{item.name}: {getattr(rig, item.name)!r}\n" for item in fields(Rig))
+    return "".join(f"{key}: {value!r}\n" for key, value in rig_values(rig).items())
 
 
 def write_rig(path: Path, rig: Rig) -> None:

@@ -201,6 +201,7 @@ def adapted_rig(rig: Rig, settings: InputSettings) -> Rig:
         cx=(rig.cx - box.x + 0.5) * across - 0.5,
         cy=(rig.cy - box.y + 0.5) * down - 0.5,
         doffs=rig.doffs * across,
+        focal_y_px=None if rig.focal_y_px is None else rig.focal_y_px * down,
     )
 
 

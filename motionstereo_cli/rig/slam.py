@@ -1,0 +1,212 @@
+"""Calibrations as programs for SLAM and drivers keep them, one file a camera or one for both."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from motionstereo_cli.errors import InputError
+from motionstereo_cli.rig.cameras import Pair, checked_intrinsics, rectified_pair
+from motionstereo_cli.rig.values import Source, coefficients, flattened, intrinsic_matrix
+
+if TYPE_CHECKING:
+    from motionstereo_cli.rig.cameras import Camera, Matrix
+    from motionstereo_cli.rig.structure import Values
+
+    Files = Sequence[tuple[Path, Values]]
+
+#: Where ROS and its relatives keep distortion coefficients.
+_D = ("distortioncoefficients", "distortioncoeffs", "d")
+
+
+def read_ros(files: Files) -> Pair:
+    """Return the pair of two ROS camera_info files, or of two messages as ``ros2 topic`` prints."""
+    cameras, rectified, sizes = [], [], []
+    notes: list[str] = []
+    for path, values in files:
+        source = Source(path, values)
+        matrix = source.intrinsics(("cameramatrix", "k"), "camera_matrix")
+        camera, assumed = source.camera(matrix, _D, "distortion_coefficients")
+        cameras.append(camera)
+        notes += assumed
+        rotation = source.rotation(("rectificationmatrix", "r"), "rectification_matrix")
+        projection = source.matrix(("projectionmatrix", "p"), "projection_matrix", (3, 4))
+        rectified.append((rotation, projection))
+        sizes.append(source.size("imagewidth", "imageheight") or source.size("width", "height"))
+    size = _common_size(files, sizes)
+    (_, first), (_, second) = rectified
+    if first[0, 3] and not second[0, 3]:
+        raise InputError(
+            f"{files[0][0]}: P[0,3] is {first[0, 3]:g} and that of {files[1][0]} is 0, which is "
+            "the left camera's in ROS: give that file first"
+        )
+    return Pair(
+        "ROS camera_info",
+        (cameras[0], cameras[1]),
+        rectified=(rectified[0], rectified[1]),
+        size=size,
+        unit="m",
+        notes=tuple(notes),
+    )
+
+
+def read_euroc(files: Files) -> Pair:
+    """Return the pair of two EuRoC sensor.yaml; T_BS takes points to the body's frame."""
+    cameras, poses, sizes = [], [], []
+    notes: list[str] = []
+    for path, values in files:
+        source = Source(path, values)
+        source.lenses()  # other models have other intrinsics
+        matrix = source.intrinsics(("intrinsics",), "intrinsics")
+        camera, assumed = source.camera(matrix, _D, "distortion_coefficients")
+        cameras.append(camera)
+        notes += assumed
+        poses.append(source.transform(("tbs",), "T_BS"))
+        sizes.append(source.size("resolution"))
+    right_from_left = _inverse(poses[1]) @ poses[0]
+    return _by_transform(
+        "EuRoC",
+        (cameras[0], cameras[1]),
+        right_from_left,
+        size=_common_size(files, sizes),
+        notes=tuple(notes),
+        body_from_left=poses[0],
+    )
+
+
+def read_kalibr(path: Path, values: Values) -> Pair:
+    """Return the pair of kalibr's camchain: cam0 and cam1, whose T_cn_cnm1 leads from cam0."""
+    cameras, sizes = [], []
+    notes: list[str] = []
+    parts = [Source(f"{path}: {name}", values[name]) for name in ("cam0", "cam1")]
+    for source in parts:
+        source.lenses()  # other models have other intrinsics
+        matrix = source.intrinsics(("intrinsics",), "intrinsics (fx fy cx cy)")
+        camera, assumed = source.camera(matrix, _D, "distortion_coeffs")
+        cameras.append(camera)
+        notes += assumed
+        sizes.append(source.size("resolution"))
+    if "cam2" in values:
+        notes.append(f"{path} has more than two cameras: cam0 and cam1 are taken")
+    left_from_body = right_from_body = None
+    if all(source.find(("tcamimu",)) for source in parts):
+        left_from_body, right_from_body = (
+            source.transform(("tcamimu",), "T_cam_imu") for source in parts
+        )
+    if right_from_body is None or left_from_body is None or parts[1].find(("tcncnm1",)):
+        right_from_left = parts[1].transform(("tcncnm1",), "T_cn_cnm1")
+    else:
+        right_from_left = right_from_body @ _inverse(left_from_body)
+    return _by_transform(
+        "kalibr camchain",
+        (cameras[0], cameras[1]),
+        right_from_left,
+        size=_common_size([(path, values)] * 2, sizes),
+        notes=tuple(notes),
+        body_from_left=None if left_from_body is None else _inverse(left_from_body),
+    )
+
+
+def read_orb_slam(path: Path, values: Values) -> Pair:
+    """Return the pair of ORB-SLAM2's or ORB-SLAM3's settings.
+
+    LEFT.K ... RIGHT.P, or Camera1.fx ... and Stereo.T_c1_c2, or, for rectified images, Camera.fx
+    ... and Camera.bf or Stereo.b.
+    """
+    source = Source(path, flattened(values))
+    size = source.size("camerawidth", "cameraheight")
+    if source.find(("leftk",)):
+        return _orb_slam_maps(source, size)
+    left = "camera1" if source.find(("camera1fx",)) else "camera"
+    first, notes = _orb_slam_camera(source, left)
+    in_left = next((n for n in ("stereotc1c2", "tlr") if source.find((n,))), None)
+    if in_left is None:
+        fx = first.matrix[0, 0]
+        if source.find(("stereob",)):
+            baseline = source.number(("stereob",), "Stereo.b")
+        else:
+            baseline = source.number(("camerabf",), "Camera.bf (or Stereo.b)") / fx
+        if first.distortion.any():
+            raise InputError(
+                f"{path}: Camera has distortion and there is no second camera: give LEFT.K ... "
+                "RIGHT.P, or Camera2.fx ... and Stereo.T_c1_c2"
+            )
+        projection = np.column_stack([first.matrix, np.zeros(3)])
+        second_projection = projection.copy()
+        second_projection[0, 3] = -fx * baseline
+        return rectified_pair("ORB-SLAM", (projection, second_projection), size, "m", notes)
+    second, more = _orb_slam_camera(source, "camera2")
+    left_from_right = source.transform((in_left,), "Stereo.T_c1_c2 (or Tlr)")
+    right_from_left = _inverse(left_from_right)
+    notes += more
+    return _by_transform("ORB-SLAM", (first, second), right_from_left, size=size, notes=notes)
+
+
+def _orb_slam_camera(source: Source, prefix: str) -> tuple[Camera, tuple[str, ...]]:
+    label = prefix.capitalize()
+    numbers = [
+        source.number((prefix + part,), f"{label}.{part}") for part in ("fx", "fy", "cx", "cy")
+    ]
+    matrix = checked_intrinsics(source.name, label, intrinsic_matrix(*numbers))
+    found = coefficients(source, (prefix,)) or []
+    given = Source(source.name, {**source.values, "d": found})
+    return given.camera(matrix, ("d",), f"{label}.k1 ...", ("cameratype",))
+
+
+def _orb_slam_maps(source: Source, size: tuple[int, int] | None) -> Pair:
+    cameras, rectified = [], []
+    notes: list[str] = []
+    for side in ("left", "right"):
+        label = side.upper()
+        matrix = source.intrinsics((f"{side}k",), f"{label}.K")
+        camera, assumed = source.camera(matrix, (f"{side}d",), f"{label}.D", ("cameratype",))
+        cameras.append(camera)
+        notes += assumed
+        rotation = source.rotation((f"{side}r",), f"{label}.R")
+        rectified.append((rotation, source.matrix((f"{side}p",), f"{label}.P", (3, 4))))
+    return Pair(
+        "ORB-SLAM",
+        (cameras[0], cameras[1]),
+        rectified=(rectified[0], rectified[1]),
+        size=source.size("leftwidth", "leftheight") or size,
+        unit="m",
+        notes=tuple(notes),
+    )
+
+
+def _by_transform(
+    kind: str,
+    cameras: tuple[Camera, Camera],
+    right_from_left: Matrix,
+    *,
+    size: tuple[int, int] | None,
+    notes: tuple[str, ...],
+    body_from_left: Matrix | None = None,
+) -> Pair:
+    return Pair(
+        kind,
+        cameras,
+        right_from_left[:3, :3],
+        right_from_left[:3, 3],
+        size=size,
+        unit="m",
+        notes=notes,
+        body_from_left=body_from_left,
+    )
+
+
+def _inverse(transform: Matrix) -> Matrix:
+    return np.asarray(np.linalg.inv(transform), np.float64)
+
+
+def _common_size(files: Files, sizes: Sequence[tuple[int, int] | None]) -> tuple[int, int] | None:
+    left, right = sizes
+    if left is not None and right is not None and left != right:
+        raise InputError(
+            f"{files[0][0]} is for {left[0]}x{left[1]} but {files[1][0]} is for "
+            f"{right[0]}x{right[1]}: give the calibration of one rig"
+        )
+    return left or right

@@ -1,0 +1,227 @@
+"""Values of a calibration file by name, checked: errors name the file and the value."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import cv2
+import numpy as np
+
+from motionstereo_cli.errors import InputError
+from motionstereo_cli.rig.cameras import checked_intrinsics, known_lenses, lens_camera
+
+if TYPE_CHECKING:
+    from motionstereo_cli.rig.cameras import Camera, Matrix
+    from motionstereo_cli.rig.structure import Values
+
+#: No length, angle or coefficient is as large.
+_LARGEST = 1e12
+
+#: A rotation matrix times its transpose may differ from one by this: files hold few digits.
+_ROTATION_TOLERANCE = 1e-2
+
+#: What may say which model a lens has.
+_MODELS = ("distortionmodel", "cameramodel", "lensmodel", "model", "distortiontype", "cameratype")
+
+#: Parts of nested names that say nothing, and those that say which camera is meant.
+_WRAPPERS = re.compile(
+    "(stereo|calibration|cameras?|intrinsics?|extrinsics?|distortion|parameters|params|rig)"
+    "(calibration|parameters|params)?"
+)
+_SIDE = re.compile("(?:cam(?:era)?)?(left|right|l|r|[012])(?:cam(?:era)?|eye|lens)?")
+_MAX_DEPTH = 8
+
+
+class Source:
+    """Values of one file by name, with errors that name file and value.
+
+    Args:
+        name: the file, for messages.
+        values: as :mod:`~motionstereo_cli.rig.structure` reads them.
+    """
+
+    def __init__(self, name: object, values: Values) -> None:
+        self.name = name
+        self.values = values
+
+    def find(self, names: Sequence[str]) -> str | None:
+        """Return the first of the names that has a value."""
+        return next((name for name in names if self.values.get(name) is not None), None)
+
+    def array(self, names: Sequence[str], label: str) -> Matrix:
+        """Return the value under any of the names as a finite array of at most two dimensions.
+
+        Raises:
+            InputError: it is missing, or not numbers, or not finite.
+        """
+        found = self.find(names)
+        if found is None:
+            raise InputError(f"{self.name}: {label} is missing: add it, or give another file")
+        try:
+            array = np.asarray(self.values[found], np.float64)
+        except (TypeError, ValueError):
+            raise InputError(f"{self.name}: {label} is not numbers: check the file") from None
+        if array.ndim > 2:
+            raise InputError(f"{self.name}: {label} is no matrix: check the file")
+        if not (np.abs(array) < _LARGEST).all():
+            raise InputError(
+                f"{self.name}: {label} has values that are not finite or far too large: "
+                "check the file"
+            )
+        return array
+
+    def matrix(self, names: Sequence[str], label: str, *shapes: tuple[int, ...]) -> Matrix:
+        """Return the value under any of the names as a finite array of the first shape that fits.
+
+        Raises:
+            InputError: it is missing, or not of that shape, or not finite.
+        """
+        size = " or ".join("x".join(str(n) for n in shape) for shape in shapes)
+        found = self.find(names)
+        try:
+            numbers = found is None or np.asarray(self.values[found], np.float64).ndim <= 2
+        except (TypeError, ValueError):
+            numbers = False
+        array = self.array(names, label) if numbers else np.empty(0)
+        for shape in shapes:
+            if array.size == math.prod(shape):
+                return np.ascontiguousarray(array.reshape(shape))
+        raise InputError(f"{self.name}: {label} is not {size} numbers: check the file")
+
+    def number(self, names: Sequence[str], label: str) -> float:
+        """Return the value under any of the names as one finite number."""
+        return float(self.matrix(names, label, (1,))[0])
+
+    def intrinsics(self, names: Sequence[str], label: str) -> Matrix:
+        """Return an intrinsic matrix (3, 3), also from fx fy cx cy in a row."""
+        found = self.find(names)
+        if found is not None and np.asarray(self.values[found], object).shape == (4,):
+            matrix = intrinsic_matrix(*self.matrix(names, label, (4,)))
+        else:
+            matrix = self.matrix(names, label, (3, 3))
+        return checked_intrinsics(self.name, label, matrix)
+
+    def rotation(self, names: Sequence[str], label: str) -> Matrix:
+        """Return a rotation matrix (3, 3), also from a rotation vector."""
+        return self.checked_rotation(self.matrix(names, label, (3, 3), (3,)), label)
+
+    def checked_rotation(self, matrix: Matrix, label: str) -> Matrix:
+        """Return a rotation matrix (3, 3) of a matrix or vector that has to be one."""
+        if matrix.shape == (3,):
+            matrix = np.asarray(cv2.Rodrigues(matrix)[0], np.float64)
+        off = np.abs(matrix @ matrix.T - np.eye(3)).max()
+        if off > _ROTATION_TOLERANCE or np.linalg.det(matrix) < 0:
+            raise InputError(f"{self.name}: {label} is not a rotation: check the file")
+        return matrix
+
+    def transform(self, names: Sequence[str], label: str) -> Matrix:
+        """Return a rigid transform (4, 4), also from its first three rows."""
+        matrix = self.matrix(names, label, (4, 4), (3, 4))
+        if matrix.shape == (3, 4):
+            matrix = np.vstack([matrix, [0, 0, 0, 1]])
+        if not np.allclose(matrix[3], [0, 0, 0, 1]):
+            raise InputError(f"{self.name}: the last row of {label} is not 0 0 0 1: check the file")
+        self.checked_rotation(matrix[:3, :3], f"the rotation in {label}")
+        return matrix
+
+    def camera(
+        self,
+        matrix: Matrix,
+        names: Sequence[str],
+        label: str,
+        models: Sequence[str] = _MODELS,
+    ) -> tuple[Camera, tuple[str, ...]]:
+        """Return a camera with the distortion under any of the names, and notes on its lens."""
+        distortion = self.array(names, label)
+        return lens_camera(self.name, label, matrix, distortion, self.lenses(models))
+
+    def lenses(self, models: Sequence[str] = _MODELS) -> list[str]:
+        """Return the names of lens models that the file gives, which are known ones."""
+        said = [self.text(name) for name in models]
+        if self.number_or_none("fisheyemodel") or self.text("fisheye") in ("true", "1.0"):
+            said.append("fisheye")
+        known_lenses(self.name, said)
+        return said
+
+    def number_or_none(self, name: str) -> float | None:
+        """Return a number; None where it is missing."""
+        return self.number((name,), name) if self.find((name,)) else None
+
+    def text(self, *names: str) -> str:
+        """Return the text under any of the names in lower case, empty where it is missing."""
+        found = self.find(names)
+        return str(self.values[found]).lower() if found else ""
+
+    def size(self, *names: str) -> tuple[int, int] | None:
+        """Return width and height, from one list or two numbers; None where they are missing."""
+        found = [self.values[name] for name in names if self.values.get(name) is not None]
+        if not found:
+            return None
+        numbers = found[:2] if len(found) > 1 else found[0]
+        try:
+            width, height = (float(value) for value in np.ravel(np.asarray(numbers, np.float64)))
+            whole = width.is_integer() and height.is_integer() and min(width, height) > 0
+        except (TypeError, ValueError):
+            whole = False
+        if not whole:
+            raise InputError(f"{self.name}: the image size is not two positive whole numbers")
+        return int(width), int(height)
+
+
+def intrinsic_matrix(fx: float, fy: float, cx: float, cy: float) -> Matrix:
+    """Return the intrinsic matrix (3, 3) of focal lengths and a principal point in px."""
+    return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]])
+
+
+def coefficients(source: Source, prefixes: Sequence[str]) -> list[float] | None:
+    """Return distortion coefficients that have a name each, k1 k2 p1 p2 k3; None without k1.
+
+    Those that are left out are 0; k1 to k4 without p1 and p2 are a fisheye's.
+    """
+    given: dict[str, float] = {}
+    for name in ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"):
+        found = source.find(
+            [each for prefix in prefixes for each in (prefix + name, name + prefix)]
+        )
+        if found is not None:
+            given[name] = source.number((found,), found)
+    if "k1" not in given:
+        return None
+    if "k4" in given and not given.keys() & {"p1", "p2", "k5", "k6"}:
+        return [given.get(f"k{n}", 0.0) for n in (1, 2, 3, 4)]
+    ordered = ["k1", "k2", "p1", "p2", "k3"]
+    ordered += ["k4", "k5", "k6"] if given.keys() & {"k4", "k5", "k6"} else []
+    return [given.get(name, 0.0) for name in ordered]
+
+
+def flattened(values: Values) -> dict[str, Any]:
+    """Return nested values by one name each: ``{"left": {"K": ...}}`` as ``leftk``.
+
+    Names that only wrap (stereo, extrinsics ...) are left out, and a side comes first.
+    """
+    flat: dict[str, Any] = {}
+
+    def add(part: Values, side: str, path: str, depth: int) -> None:
+        for name, value in part.items():
+            if not isinstance(value, dict):
+                flat.setdefault(side + path + name, value)
+            elif depth < _MAX_DEPTH:
+                found = _SIDE.fullmatch(name)
+                if found is not None and not side:
+                    add(value, _side(found[1], part), path, depth + 1)
+                else:
+                    wraps = _WRAPPERS.fullmatch(name) is not None
+                    add(value, side, path if wraps else path + name, depth + 1)
+
+    add(values, "", "", 0)
+    return flat
+
+
+def _side(name: str, beside: Values) -> str:
+    if name == "1":
+        # cam0 and cam1, or cam1 and cam2.
+        name = "2" if any(re.fullmatch("(cam(era)?)?0", other) for other in beside) else "0"
+    return {"l": "left", "0": "left", "r": "right", "2": "right"}.get(name, name)
