@@ -126,10 +126,10 @@ def rig_options(command: Callable[..., Any]) -> Callable[..., Any]:
         "--rig",
         multiple=True,
         type=click.Path(path_type=Path),
-        help="Calibration of the camera; needed for m and rad. A rig.yaml, OpenCV, KITTI, Middlebury, "
-        "kalibr, ORB-SLAM, DepthAI or ZED file; given twice, left first, for a pair of files (ROS "
-        "camera_info, EuRoC sensor.yaml, OpenCV intrinsics and extrinsics). Images are rectified "
-        "if it says how.",
+        help="Calibration of the camera; needed for m and rad. A rig.yaml, OpenCV, KITTI, "
+        "Middlebury, kalibr, ORB-SLAM, DepthAI or ZED file; given twice, left first, for a pair of "
+        "files (ROS camera_info, EuRoC sensor.yaml, OpenCV intrinsics and extrinsics). Images are "
+        "rectified if it says how.",
     )
     return files(baseline_unit_option(command))
 

@@ -61,8 +61,8 @@ def rig(
 
     FILE is an OpenCV (YAML, XML, JSON, npz), KITTI, Middlebury, kalibr, ORB-SLAM, DepthAI or ZED
     file, or rig.yaml; two files, the left camera's first, are a ROS camera_info or EuRoC
-    sensor.yaml pair, or OpenCV's intrinsics and extrinsics. rig.yaml stands for rectified images: give FILE itself to run --rig where they are
-    not.
+    sensor.yaml pair, or OpenCV's intrinsics and extrinsics. rig.yaml
+    stands for rectified images: give FILE itself to run --rig where they are not.
     """
     from motionstereo_cli.rig import format_rig, write_rig
     from motionstereo_cli.rig.calibration import read_calibration
