@@ -539,7 +539,7 @@ def opened() -> Any:
     wanted = ("open", "os.system", "subprocess.Popen", "socket.connect", "os.posix_spawn")
 
     def hook(event: str, given: tuple[Any, ...]) -> None:
-        if taking and event in wanted:
+        if taking and event in wanted and not isinstance(given[0], int):
             seen.append((event, str(given[0])))
 
     sys.addaudithook(hook)
