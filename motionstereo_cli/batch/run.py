@@ -104,6 +104,7 @@ def run(
     overwrite: bool = False,
     resume: bool = False,
     inputs: Iterable[Path] = (),
+    options: Sequence[str] = (),
     progress: Callable[[], object] = lambda: None,
     warn: Callable[[Finding], object] | None = None,
 ) -> RunReport:
@@ -130,6 +131,8 @@ def run(
         resume: go on where the same run was ended in ``out``, or begin if it has not yet.
         inputs: files and folders that must not be written to. The content of those that are not
             the source's own, such as calibration and poses, is part of what the run is.
+        options: what the command line has besides the input and the parameters, such as
+            ``--rig rig.yaml``: recorded, so that it can be given again.
         progress: called after each frame.
         warn: called with each mistake found in the first frames; they are not checked if None.
 
@@ -211,7 +214,7 @@ def run(
             interrupted=interrupted,
         )
         if out is not None and not interrupted:
-            complete(out, identity() | _results(source, report))
+            complete(out, identity() | {"options": list(options)} | _results(source, report))
     return report
 
 

@@ -12,6 +12,7 @@ from motionstereo_cli.commands.evaluate import evaluate
 from motionstereo_cli.commands.figure import figure
 from motionstereo_cli.commands.help import show_help
 from motionstereo_cli.commands.info import info
+from motionstereo_cli.commands.report import report
 from motionstereo_cli.commands.rig import rig
 from motionstereo_cli.commands.run import run
 from motionstereo_cli.commands.simulate import simulate
@@ -24,6 +25,7 @@ def cli() -> None:
 
 
 cli.add_command(run)
+cli.add_command(report)
 cli.add_command(info)
 cli.add_command(check)
 cli.add_command(rig)

@@ -184,6 +184,7 @@ def run(
             resume=resume,
             poses=trajectory,
             inputs=[*source.paths, *rig, *([poses] if poses else [])],
+            options=_again(rig, baseline_unit, poses),
             warn=(lambda finding: say("warning", finding.text)) if with_check else None,
             progress=bar.update,
         )
@@ -208,6 +209,13 @@ def run(
     if not table_alone:
         _say("note", f"results in {out}: {', '.join((*report.outputs, 'run.json'))}")
     return DAMAGED_EXIT_CODE if report.damage else 0
+
+
+def _again(rig: tuple[Path, ...], baseline_unit: str | None, poses: Path | None) -> list[str]:
+    """Return the options that are neither parameters nor outputs, as they were given."""
+    units = ["--baseline-unit", baseline_unit] if baseline_unit else []
+    files = [("--rig", path) for path in rig] + ([("--poses", poses)] if poses else [])
+    return [word for flag, path in files for word in (flag, str(path))] + units
 
 
 def _quiet(to_stdout: bool) -> bool | None:

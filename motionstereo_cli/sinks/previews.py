@@ -13,6 +13,7 @@ import numpy as np
 
 from motionstereo_cli.files.video import SegmentedVideo
 from motionstereo_cli.sinks.images import depth_png, known_depth_m, motion_png
+from motionstereo_cli.sinks.scale import FARTHEST, DepthScale, palette
 from motionstereo_cli.types import FrameResult
 
 if TYPE_CHECKING:
@@ -20,10 +21,6 @@ if TYPE_CHECKING:
 
     from motionstereo_cli.sinks import RunContext
     from motionstereo_cli.types import Real
-
-#: The darkest colour of the map is left out, for it is hard to tell from black.
-_FARTHEST = 32
-
 
 #: Time stamps that begin beyond this count from an epoch; no player waits for that long.
 _EPOCH_S = 86_400
@@ -97,19 +94,9 @@ def depth_colours(
     """
     scale = math.log(max(near_px / far_px, 2))
     nearness = cv2.log(np.fmax(disparity_px * np.float32(1 / far_px), 1))  # not of NaN
-    steps = np.minimum(_FARTHEST + nearness * np.float32((255 - _FARTHEST) / scale), 255)
+    steps = np.minimum(FARTHEST + nearness * np.float32((255 - FARTHEST) / scale), 255)
     levels = steps.astype(np.uint8) * ~np.isnan(disparity_px)
-    return cv2.applyColorMap(levels, _palette(colours)).astype(np.uint8, copy=False)
-
-
-@functools.cache
-def _palette(colours: str) -> NDArray[np.uint8]:
-    """Return the (256, 1, 3) RGB table of a colour map, with black at 0."""
-    colour_map = getattr(cv2, f"COLORMAP_{colours.upper()}")
-    bgr = cv2.applyColorMap(np.arange(256, dtype=np.uint8)[:, np.newaxis], colour_map)
-    rgb = np.ascontiguousarray(bgr[..., ::-1], np.uint8)
-    rgb[0] = 0
-    return rgb
+    return cv2.applyColorMap(levels, palette(colours)).astype(np.uint8, copy=False)
 
 
 def _bands(result: FrameResult, stream: RunContext) -> NDArray[np.uint8]:
@@ -118,14 +105,11 @@ def _bands(result: FrameResult, stream: RunContext) -> NDArray[np.uint8]:
 
 
 def _depth(result: FrameResult, stream: RunContext) -> NDArray[np.uint8]:
-    output, rig = stream.output, stream.rig
-    doffs = rig.doffs if rig else 0.0
-    near_px, far_px = stream.settings.max_disparity + doffs, max(1 + doffs, 1)
-    if rig and output.near_m:
-        near_px = rig.focal_px * rig.baseline_m / output.near_m
-    if rig and output.far_m:
-        far_px = rig.focal_px * rig.baseline_m / output.far_m
-    return depth_colours(result.disparity_px + np.float32(doffs), near_px, far_px, output.colours)
+    scale = DepthScale.of(stream.settings, stream.output, stream.rig)
+    doffs = stream.rig.doffs if stream.rig else 0.0
+    return depth_colours(
+        result.disparity_px + np.float32(doffs), scale.near_px, scale.far_px, scale.colours
+    )
 
 
 # The sinks by their names in OUTPUTS; each takes the path and the stream.

@@ -1,0 +1,28 @@
+"""One page that shows a run to people."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from motionstereo_cli.errors import OutputError
+from motionstereo_cli.files.atomic import reported, write_whole
+
+#: What every page has near its begin.
+GENERATOR = '<meta name="generator" content="motionstereo'
+
+
+def write_report(path: Path, html: str) -> None:
+    """Write a page, in the place of an older one if there is one.
+
+    Raises:
+        OutputError: the file is there and is no such page, or cannot be written.
+    """
+    if path.exists() and not is_report(path):
+        raise OutputError(f"{path} is no report of motionstereo: give another name with -o")
+    write_whole(path, html.encode())
+
+
+def is_report(path: Path) -> bool:
+    """Return whether a file is a page that this program made."""
+    with reported(path), path.open("rb") as file:
+        return GENERATOR.encode() in file.read(1000)

@@ -1,0 +1,126 @@
+"""Pictures that a page holds within itself."""
+
+from __future__ import annotations
+
+import base64
+from fractions import Fraction
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import av
+import cv2
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from motionstereo_cli.analysis.evaluate import Maps
+    from motionstereo_cli.sinks.scale import DepthScale
+
+_JPEG_QUALITY = 80
+
+#: A histogram needs no more images than these, and no finer columns.
+_MOST_IMAGES, _COLUMNS = 60, 48
+
+
+class Picture(NamedTuple):
+    """A picture as the page has it.
+
+    Attributes:
+        uri: ``data:`` address of a JPEG or PNG.
+        width, height: size in px.
+    """
+
+    uri: str
+    width: int
+    height: int
+
+
+def poster(
+    video: Path, time_s: float, *, most_width: int, rows: int | None = None
+) -> Picture | None:
+    """Return the frame of a video at a time, None where it cannot be had.
+
+    Args:
+        video: the file.
+        time_s: the time; the last frame stands for all that would come later.
+        most_width: it is made smaller if it is wider, in px.
+        rows: how many rows of pixels to show, from above; all if None.
+    """
+    try:
+        image = _frame_at(video, time_s)
+    except (av.FFmpegError, OSError, ValueError, IndexError):
+        return None
+    return None if image is None else encoded(image[:rows], most_width)
+
+
+def encoded(image: NDArray[np.uint8], most_width: int, suffix: str = ".jpg") -> Picture:
+    """Return an RGB or grey image as the page has it.
+
+    Args:
+        image: (height, width, 3) or (height, width) uint8.
+        most_width: it is made smaller if it is wider, in px.
+        suffix: .jpg or .png.
+    """
+    height, width = image.shape[:2]
+    if width > most_width:
+        size = most_width, max(1, round(height * most_width / width))
+        image = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
+    bgr = image[..., ::-1] if image.ndim == 3 else image
+    quality = [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY] if suffix == ".jpg" else []
+    _, content = cv2.imencode(suffix, np.ascontiguousarray(bgr), quality)
+    kind = {".jpg": "jpeg", ".png": "png"}[suffix]
+    text = base64.b64encode(content.tobytes()).decode()
+    return Picture(f"data:image/{kind};base64,{text}", image.shape[1], image.shape[0])
+
+
+def _frame_at(video: Path, time_s: float) -> NDArray[np.uint8] | None:
+    with av.open(str(video)) as container:
+        stream = container.streams.video[0]
+        base = stream.time_base or Fraction(1, 1)
+        wanted = round(Fraction(time_s) / base)
+        container.seek(max(wanted, 0), stream=stream)
+        last = None
+        for frame in container.decode(stream):
+            last = frame
+            if frame.pts is not None and frame.pts >= wanted:
+                break
+        return None if last is None else np.asarray(last.to_ndarray(format="rgb24"), np.uint8)
+
+
+def histogram(maps: Maps, scale: DepthScale, doffs: float) -> dict[str, Any] | None:
+    """Return how often each depth was found, or each disparity where the scale has no m.
+
+    Args:
+        maps: the images; of many, some, evenly spread, are counted.
+        scale: the columns are of equal width on it.
+        doffs: to add to disparities, in px.
+
+    Returns:
+        ``shares`` of the known pixels, 0..1, nearest first, ``images`` that were counted, and the
+        ``median``; None where no pixel is known.
+    """
+    numbers = sorted(maps.files)
+    some = numbers[:: max(1, -(-len(numbers) // _MOST_IMAGES))]
+    near, far = scale.ends
+    edges = np.geomspace(near, far, _COLUMNS + 1)
+    counts = np.zeros(_COLUMNS, np.int64)
+    for number in some:
+        values = maps.read(number)
+        values = values[np.isfinite(values)]
+        if maps.kind == "disparity":
+            values = values + np.float32(doffs)
+            if scale.px_m:
+                values = np.float32(scale.px_m) / values
+        inside = np.clip(values, min(near, far), max(near, far))
+        found = np.histogram(inside, np.sort(edges))[0]
+        counts += found if near < far else found[::-1]
+    total = int(counts.sum())
+    if not total:
+        return None
+    middle = int(np.searchsorted(np.cumsum(counts), total / 2))
+    return {
+        "shares": (counts / total).tolist(),
+        "images": len(some),
+        "median": float(np.sqrt(edges[middle] * edges[middle + 1])),
+    }

@@ -1,0 +1,321 @@
+"""The page of a run."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import os
+from collections import Counter
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+from urllib.parse import quote
+
+import cv2
+import numpy as np
+
+from motionstereo_cli.analysis.evaluate import Maps
+from motionstereo_cli.errors import InputError
+from motionstereo_cli.report.folder import RunFolder, Steering, read_run
+from motionstereo_cli.report.pictures import Picture, encoded, histogram, poster
+from motionstereo_cli.report.render import render
+from motionstereo_cli.report.series import LATER_S, SOON_S, plotted, tracks
+from motionstereo_cli.report.words import changed, command, troubles
+from motionstereo_cli.settings import Settings
+from motionstereo_cli.sinks import OUTPUTS
+from motionstereo_cli.sinks.scale import DepthScale
+from motionstereo_cli.sinks.settings import OutputSettings
+from motionstereo_cli.types import Rig
+
+#: Widths of pictures within the page in px.
+_POSTER_PX, _MAP_PX = 640, 1000
+
+#: Time stamps that begin beyond this count from an epoch; the videos then begin at 0.
+_EPOCH_S = 86_400
+
+#: Time from frame to frame in the videos where the source has no time, in s.
+_FRAME_S = 1 / 25
+
+
+def run_page(out: Path, page: Path, record: Mapping[str, Any] | None = None) -> str:
+    """Return the page of a run, HTML that needs nothing but, if they are there, the run's videos.
+
+    Args:
+        out: the run's folder.
+        page: where the page will be: the addresses of the videos are relative to it.
+        record: what ``run.json`` is going to say, where the run is about to write it.
+
+    Raises:
+        InputError: no run wrote the folder, or a table in it is damaged.
+    """
+    run = RunFolder(out, record, complete=True) if record else read_run(out)
+    said = run.record
+    steering = run.steering()
+    scale, doffs = _scale(said)
+    data: dict[str, Any] = {}
+    facts: list[Fact] = []
+    shares: dict[str, float] = {}
+    objects = None
+    if steering and len(steering):
+        data = plotted(steering, _FRAME_S)
+        begin = data["x"][0] if data["x"][0] > _EPOCH_S else 0.0
+        data["videoBegin"] = begin
+        shares = {name: n / len(steering) for name, n in Counter(steering.status).items()}
+        facts = _facts(steering, data)
+        objects = _objects(run, steering, data)
+    reference = said.get("settings", {}).get("reference", "right")
+    return render(
+        "run.html",
+        data=data,
+        name=out.resolve().name,
+        run=run,
+        reference=reference,
+        about=_about(said),
+        panels=_panels(run, page, steering, data, reference),
+        scale=_drawn(scale),
+        facts=facts,
+        shares=shares,
+        objects=objects,
+        soon_s=SOON_S,
+        later_s=LATER_S,
+        histogram=_histogram(run, scale, doffs),
+        map=_map(run),
+        troubles=troubles(said, shares),
+        changed=list(changed(said)),
+        command=command(said, out),
+        outputs=_outputs(run),
+    )
+
+
+def _scale(record: Mapping[str, Any]) -> tuple[DepthScale, float]:
+    """Return the scale of depth, and the rig's doffs in px."""
+    try:
+        rig = Rig(**record["rig"]) if record.get("rig") else None
+        settings = Settings(max_disparity=record.get("settings", {}).get("max_disparity", 64))
+        known = {item.name for item in dataclasses.fields(OutputSettings)}
+        said = record.get("output_settings", {})
+        output = OutputSettings(**{name: said[name] for name in known & said.keys()})
+    except TypeError as error:
+        raise InputError(f"run.json is damaged: {error}") from error
+    return DepthScale.of(settings, output, rig), rig.doffs if rig else 0.0
+
+
+def _drawn(scale: DepthScale) -> dict[str, Any]:
+    """Return the scale as the page draws it."""
+    places = np.linspace(0, 1, 24)
+    return {
+        "unit": scale.unit,
+        "gradient": ", ".join("rgb({},{},{})".format(*scale.colour(place)) for place in places),
+        "ticks": [(f"{tick:g}", scale.place(tick)) for tick in scale.ticks()],
+        "ends": scale.ends,
+    }
+
+
+def _about(record: Mapping[str, Any]) -> list[str]:
+    """Return what the run was of, in a few words each."""
+    lines = [Path(str(each.get("path", ""))).name for each in record.get("inputs", {}).values()]
+    names = " + ".join(lines)
+    about = [names] if names else []
+    for each in list(record.get("inputs", {}).values())[:1]:
+        about.append(f"{each['width']}x{each['height']} px")
+        if each.get("frame_rate"):
+            top, _, bottom = str(each["frame_rate"]).partition("/")
+            about.append(f"{float(top) / float(bottom or 1):.4g} frames per second")
+    if rig := record.get("rig"):
+        about.append(f"baseline {rig['baseline_m'] * 1000:.4g} mm, focal {rig['focal_px']:.4g} px")
+    elif "rig" in record:
+        about.append("no calibration: nothing is in metres")
+    return about
+
+
+class Fact(NamedTuple):
+    """A figure that the page begins with; ``frame`` is where it can be seen, None if anywhere."""
+
+    label: str
+    value: str
+    note: str
+    frame: int | None = None
+
+
+def _facts(steering: Steering, data: Mapping[str, Any]) -> list[Fact]:
+    count = len(steering)
+    lasts = f"{data['x'][-1] - data['x'][0]:.1f} s" if data["timed"] else ""
+    ok = steering.status.count("ok") / count
+    facts = [
+        Fact("Frames", f"{count:,}", lasts),
+        Fact("Heading known", f"{ok:.0%}", "of the frames"),
+    ]
+    ahead, nearest = steering.series["depth_m"], steering.series["nearest_m"]
+    if not np.isnan(ahead).all():
+        spread = f"{np.nanmin(ahead):.1f} to {np.nanmax(ahead):.1f} m"
+        facts.append(Fact("Depth ahead, median", f"{np.nanmedian(ahead):.1f} m", spread))
+    if not np.isnan(nearest).all():
+        when = int(np.nanargmin(nearest))
+        frame = int(steering.frames[when])
+        facts.append(Fact("Nearest", f"{nearest[when]:.2f} m", f"in frame {frame}", frame))
+    for name in ("charged", "matched"):
+        mean = np.nanmean(steering.series[name])
+        facts.append(Fact(name.capitalize(), f"{mean:.0%}", "of the image"))
+    return facts
+
+
+def _panels(
+    run: RunFolder,
+    page: Path,
+    steering: Steering | None,
+    data: Mapping[str, Any],
+    reference: str,
+) -> list[dict[str, Any]]:
+    """Return the three videos with their posters."""
+    when_s, number = 0.0, 0
+    if steering and len(steering):
+        best = int(np.nan_to_num(steering.series["matched"]).argmax())
+        number = int(steering.frames[best])
+        x = steering.time_s[best] if data["timed"] else number * _FRAME_S
+        when_s = float(x) - data["videoBegin"]
+    view, plays = _view(run, reference)
+    size = _size(run.record)
+    shown = []
+    panels: list[tuple[str, str, str, Path | None, bool]] = [
+        ("view", f"{reference.capitalize()} view", "what the camera saw", view, plays),
+        ("charge", "Charge", "white moved just now, darker longer ago", _own(run, "charge"), True),
+        ("depth", "Depth", "black is unknown", _own(run, "depth"), True),
+    ]
+    for key, title, what, video, played in panels:
+        source = next((each for each in _parts(video) if each.is_file()), None)
+        rows = size and size[1]  # below them there may be a strip
+        address = _address(source, page) if source and played and source == video else None
+        shown.append(
+            {
+                "key": key,
+                "title": title,
+                "what": what,
+                "src": address,
+                "poster": source and poster(source, when_s, most_width=_POSTER_PX, rows=rows),
+                "alt": f"{title} of frame {number}: {what}",
+            }
+        )
+    return shown
+
+
+def _own(run: RunFolder, name: str) -> Path:
+    return run.path / f"{name}.mp4"
+
+
+def _parts(video: Path | None) -> list[Path]:
+    """Return a video, and its first segment, which a run that was ended leaves."""
+    if video is None:
+        return []
+    segments = sorted(video.parent.glob(f"{video.stem}.[0-9]*{video.suffix}.part"))
+    return [video, *segments[:1]]
+
+
+def _view(run: RunFolder, reference: str) -> tuple[Path | None, bool]:
+    """Return a video of the reference view, and whether browsers play it.
+
+    That is the run's own or, if it shows the same, the recording.
+    """
+    if "view-video" in run.record.get("outputs", {}):
+        return _own(run, "view"), True
+    settings = run.record.get("input_settings", {})
+    sides = ["left", "right"]
+    side = sides[(reference == "right") != bool(settings.get("swap"))]
+    said = run.record.get("inputs", {}).get(side, {})
+    whole = not settings.get("crop") and settings.get("scale", 1.0) == 1.0
+    if said.get("kind") != "video" or said.get("rotation_deg") or not whole:
+        return None, False
+    path = Path(str(said["path"]))
+    known = said.get("codec") == "h264" and said.get("pixel_format") in ("yuv420p", "yuvj420p")
+    return path, known and path.suffix.lower() in (".mp4", ".m4v", ".mov")
+
+
+def _address(video: Path, page: Path) -> str:
+    """Return a video's address as seen from the page."""
+    try:
+        relative = os.path.relpath(video, page.parent)
+    except ValueError:  # another drive of Windows
+        return video.resolve().as_uri()
+    return quote(relative.replace(os.sep, "/"))
+
+
+def _size(record: Mapping[str, Any]) -> tuple[int, int] | None:
+    """Return width and height of the images in px: below them a video may have a strip."""
+    source = record.get("rig")
+    settings = record.get("input_settings", {})
+    if not source and not settings.get("crop") and settings.get("scale", 1.0) == 1.0:
+        both = record.get("inputs", {})
+        source = both.get("right") or both.get("left")
+    return (int(source["width"]), int(source["height"])) if source else None
+
+
+def _objects(run: RunFolder, steering: Steering, data: Mapping[str, Any]) -> dict[str, Any] | None:
+    rows = run.objects()
+    if rows is None:
+        return None
+    places = steering.time_s if data["timed"] else steering.frames * _FRAME_S
+    step = float(np.median(np.diff(places))) if len(steering) > 1 else _FRAME_S
+    x_of = dict(zip(steering.frames.tolist(), places.tolist(), strict=True))
+    try:
+        shown, count = tracks(rows, x_of, step)
+    except (KeyError, ValueError) as error:
+        raise InputError(f"{run.path / 'objects.csv'} is damaged: {error}") from error
+    return {"shown": shown, "count": count}
+
+
+def _histogram(run: RunFolder, scale: DepthScale, doffs: float) -> dict[str, Any] | None:
+    """Return the histogram of depth as the page draws it, None where there are no images."""
+    try:
+        found = histogram(Maps(run.path), scale, doffs)
+    except InputError:
+        return None
+    if not found:
+        return None
+    most = max(found["shares"])
+    count = len(found["shares"])
+    bars = []
+    near, far = scale.ends
+    for index, share in enumerate(found["shares"]):
+        low, high = (near * (far / near) ** ((index + end) / count) for end in (0, 1))
+        bars.append(
+            {
+                "x": index / count,
+                "height": share / most,
+                "colour": "rgb({},{},{})".format(*scale.colour((index + 0.5) / count)),
+                "text": f"{low:.3g} to {high:.3g} {scale.unit}: {share:.1%}",
+            }
+        )
+    return {**found, "bars": bars, "most": most, "width": 1 / count, "unit": scale.unit}
+
+
+def _map(run: RunFolder) -> dict[str, Any] | None:
+    """Return the map from above, None where there is none."""
+    path = run.path / "map.png"
+    if "map" not in run.record.get("outputs", {}) or not path.is_file():
+        return None
+    image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+    cell_m = run.record.get("output_settings", {}).get("map_cell_m", 0.05)
+    if image is None:
+        return None
+    picture: Picture = encoded(np.asarray(image, np.uint8), _MAP_PX, ".png")
+    width_m, height_m = image.shape[1] * cell_m, image.shape[0] * cell_m
+    bar_m = 10 ** math.floor(math.log10(width_m / 3))
+    bar_m *= next(each for each in (5, 2, 1) if each * bar_m <= width_m / 2)
+    return {
+        "picture": picture,
+        "bar_m": f"{bar_m:g}",
+        "bar": bar_m / width_m,
+        "alt": f"Map from above, {width_m:.1f} by {height_m:.1f} m",
+        "size": f"{width_m:.1f} by {height_m:.1f} m, cells of {cell_m * 100:g} cm",
+    }
+
+
+def _outputs(run: RunFolder) -> list[dict[str, str]]:
+    """Return what the folder holds."""
+    outputs = run.record.get("outputs", {})
+    return [
+        {
+            "path": OUTPUTS[name].shown if name in OUTPUTS else str(said.get("path", "")),
+            "what": str(said.get("what", "")),
+        }
+        for name, said in outputs.items()
+    ]

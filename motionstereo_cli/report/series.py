@@ -1,0 +1,140 @@
+"""Tables as a page plots them: thinned to what a screen shows, extremes kept."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from motionstereo_cli.report.folder import Steering
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+#: Rows that a page plots as they are: ten minutes at 30 frames a second, and some. Of more, it
+#: gets fewer, but those of every extreme.
+MOST_ROWS = 20_000
+
+#: Times to contact in s that part the colours of objects: soon, later, hardly.
+SOON_S, LATER_S = 2.0, 5.0
+
+#: Objects that a page shows: those that came closest to contact.
+MOST_OBJECTS = 24
+
+
+def kept_rows(
+    series: Iterable[NDArray[np.float64]], codes: NDArray[np.int64], most: int = MOST_ROWS
+) -> NDArray[np.intp]:
+    """Return the numbers of the rows to plot, at most ``most`` where that can be.
+
+    The rows are parted evenly. Of each part stay the least, the greatest and the first unknown
+    value of each series, and the first row of each code.
+
+    Args:
+        series: (n,) each; NaN = unknown.
+        codes: (n,) what must not go unseen, from 0.
+        most: rows that a page plots as they are.
+    """
+    count = len(codes)
+    if count <= most:
+        return np.arange(count)
+    columns = [np.asarray(values) for values in series]
+    kinds = int(codes.max()) + 1
+    parts = max(1, most // (3 * len(columns) + kinds))
+    bounds = np.linspace(0, count, parts + 1).astype(np.intp)
+    kept = {0, count - 1}
+    for first, after in itertools.pairwise(bounds.tolist()):
+        for values in columns:
+            part = values[first:after]
+            unknown = np.isnan(part)
+            if unknown.any():
+                kept.add(first + int(unknown.argmax()))
+            if not unknown.all():
+                kept.add(first + int(np.nanargmin(part)))
+                kept.add(first + int(np.nanargmax(part)))
+        kept.update((first + np.unique(codes[first:after], return_index=True)[1]).tolist())
+    return np.array(sorted(kept), np.intp)
+
+
+def plotted(steering: Steering, frame_s: float) -> dict[str, Any]:
+    """Return the steering table for the plots, as JSON-able values.
+
+    Args:
+        steering: the table.
+        frame_s: time from frame to frame in the videos where the source has no time.
+    """
+    timed = not np.isnan(steering.time_s).any()
+    names = list(dict.fromkeys(("ok", "held", "blind", *steering.status)))
+    codes = np.array([names.index(status) for status in steering.status])
+    kept = kept_rows(steering.series.values(), codes)
+    return {
+        "timed": timed,
+        "x": (steering.time_s if timed else steering.frames * frame_s)[kept].tolist(),
+        "frame": None if len(kept) == len(steering) else steering.frames[kept].tolist(),
+        "firstFrame": int(steering.frames[0]),
+        "statuses": names,
+        "status": codes[kept].tolist(),
+        "series": {name: _known(values[kept]) for name, values in steering.series.items()},
+    }
+
+
+def _known(values: NDArray[np.float64]) -> list[float | None]:
+    return [None if np.isnan(value) else value for value in values.tolist()]
+
+
+def tracks(
+    rows: Sequence[Mapping[str, str]], x_of: Mapping[int, float], frame_x: float
+) -> tuple[list[dict[str, Any]], int]:
+    """Return the objects to show, and how many there are.
+
+    Args:
+        rows: the table of moving objects.
+        x_of: the place of each frame on the plots' axis.
+        frame_x: how long a frame lasts there.
+
+    Returns:
+        For each object, in the order of their first frames: ``id``; ``spans``, each the places
+        of its begin and end and how near contact was (0 soon, 1 later, 2 hardly or unknown); the
+        least ``contact`` in s, ``nearest`` in m and most ``closing`` in m/s, None where unknown.
+    """
+    found: dict[int, dict[str, Any]] = {}
+    for row in rows:
+        number, frame = int(row["id"]), int(row["frame"])
+        if frame not in x_of:
+            continue
+        contact, depth, closing = (
+            float(row[name]) if row[name] else None
+            for name in ("time_to_contact_s", "depth_m", "closing_mps")
+        )
+        level = 2 if contact is None or contact > LATER_S else 1 if contact > SOON_S else 0
+        begin, end = x_of[frame], x_of[frame] + frame_x
+        track = found.setdefault(
+            number,
+            {"id": number, "spans": [], "contact": None, "nearest": None, "closing": None},
+        )
+        spans = track["spans"]
+        if spans and spans[-1][2] == level and begin - spans[-1][1] < frame_x:
+            spans[-1][1] = end
+        else:
+            spans.append([begin, end, level])
+        track["contact"] = _least(track["contact"], contact)
+        track["nearest"] = _least(track["nearest"], depth)
+        track["closing"] = _most(track["closing"], closing)
+    shown = sorted(found.values(), key=_urgency)[:MOST_OBJECTS]
+    return sorted(shown, key=lambda track: (track["spans"][0][0], track["id"])), len(found)
+
+
+def _urgency(track: Mapping[str, Any]) -> tuple[float, float]:
+    """Sort what came closest to contact first, and then what stayed longest."""
+    stayed = sum(end - begin for begin, end, _ in track["spans"])
+    return np.inf if track["contact"] is None else track["contact"], -stayed
+
+
+def _least(one: float | None, other: float | None) -> float | None:
+    return min((each for each in (one, other) if each is not None), default=None)
+
+
+def _most(one: float | None, other: float | None) -> float | None:
+    return max((each for each in (one, other) if each is not None), default=None)

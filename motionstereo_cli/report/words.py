@@ -1,0 +1,89 @@
+"""What a run's record says, in words: its input, its settings, and how to run it again."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from motionstereo_cli.params import Param, params
+from motionstereo_cli.settings import Settings
+from motionstereo_cli.sinks import DEFAULT_OUTPUTS
+from motionstereo_cli.sinks.settings import OutputSettings
+from motionstereo_cli.sources.settings import InputSettings
+
+#: The parameters of a run by their place in its record.
+GROUPS: Mapping[str, type] = {
+    "input_settings": InputSettings,
+    "settings": Settings,
+    "output_settings": OutputSettings,
+}
+
+
+class Changed(NamedTuple):
+    """A setting that differs from its default."""
+
+    item: Param
+    value: Any
+
+    @property
+    def option(self) -> list[str]:
+        """What sets it on the command line."""
+        if self.item.kind is bool:
+            no = "" if self.value else "no-"
+            return [f"--{no}{self.item.flag.removeprefix('--')}"]
+        return [self.item.flag, f"{self.value}"]
+
+
+def changed(record: Mapping[str, Any]) -> Iterator[Changed]:
+    """Yield the settings of a run that differ from the defaults."""
+    for group, settings in GROUPS.items():
+        values = record.get(group, {})
+        for item in params(settings):
+            if item.name in values and values[item.name] != item.default:
+                yield Changed(item, values[item.name])
+
+
+def command(record: Mapping[str, Any], out: Path) -> str | None:
+    """Return the command that runs it again, for a shell; None where the record has no inputs."""
+    inputs = record.get("inputs")
+    if not inputs:
+        return None
+    words = ["motionstereo", "run", *(each["path"] for each in inputs.values())]
+    words += record.get("options", [])
+    words += ["-o", str(out)]
+    save = list(record.get("outputs", {}))
+    if tuple(save) != DEFAULT_OUTPUTS:
+        words += ["--save", ",".join(save)]
+    words += [word for each in changed(record) for word in each.option]
+    return shlex.join(words)
+
+
+def troubles(record: Mapping[str, Any], shares: Mapping[str, float]) -> Sequence[str]:
+    """Return what was wrong with the input, a sentence each; nothing if nothing was.
+
+    Args:
+        record: of the run.
+        shares: of the frames that have each status.
+    """
+    lines = [_sentence(line) for line in (*record.get("warnings", []), *record.get("damage", []))]
+    found = record.get("shares", {})
+    if found.get("charged", 0) > 0.05 and found.get("matched", 0) < 0.1 * found["charged"]:
+        lines.append(
+            f"{found['charged']:.1%} of the image moved, and {found['matched']:.1%} was matched: "
+            "motionstereo check tells whether the two views fit together."
+        )
+    elif "charged" in found and found["charged"] < 0.01:
+        lines.append(
+            f"Next to nothing moved ({found['charged']:.1%} of the image): this method sees what "
+            "moves, or what a moving camera passes."
+        )
+    if shares.get("blind", 0) > 0.5:
+        lines.append(f"In {shares['blind']:.0%} of the frames nothing was known of the way.")
+    return lines
+
+
+def _sentence(line: str) -> str:
+    text = line.strip()
+    return text[:1].upper() + text[1:] + ("" if text.endswith((".", "?", "!")) else ".")

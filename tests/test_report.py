@@ -1,0 +1,206 @@
+"""The report: what the page says is what the run wrote."""
+
+import csv
+import html
+import json
+import re
+import shlex
+import shutil
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from motionstereo_cli.__main__ import main
+from motionstereo_cli.report.run_page import run_page
+from motionstereo_cli.report.series import kept_rows, tracks
+from motionstereo_cli.sinks.steering import HEADER
+
+SAVED = "steering,depth,charge,depth-video,objects"
+NASTY = "</script><script>alert(1)<b>&amp;"
+
+
+@pytest.fixture(scope="session")
+def recording(tmp_path_factory):
+    """A small recording in a folder whose name would be markup."""
+    scene = tmp_path_factory.mktemp("report") / NASTY.replace("/", "")
+    size = ["--width", "96", "--height", "64", "--frames", "24"]
+    assert main(["simulate", str(scene), "--scene", "cards", "--pan", *size]) == 0
+    return scene
+
+
+@pytest.fixture(scope="session")
+def run(recording):
+    out = recording.parent / "out"
+    views = [str(recording / f"{side}.mp4") for side in ("left", "right")]
+    given = ["--rig", str(recording / "rig.yaml"), "--max-disparity", "24", "--save", SAVED]
+    assert main(["run", *views, "-o", str(out), *given]) == 0
+    return out
+
+
+@pytest.fixture
+def copy(run, tmp_path):
+    return shutil.copytree(run, tmp_path / "copy")
+
+
+def page_of(out):
+    assert main(["report", str(out)]) == 0
+    return (out / "report.html").read_text(encoding="utf-8")
+
+
+def data_in(page):
+    found = re.search(r'<script type="application/json" id="data">(.*?)</script>', page, re.DOTALL)
+    return json.loads(found[1])
+
+
+def rows_of(table):
+    with table.open(encoding="utf-8", newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def test_the_plots_have_every_value_of_the_table(copy):
+    data, rows = data_in(page_of(copy))["run"], rows_of(copy / "steering.csv")
+    assert [data["statuses"][code] for code in data["status"]] == [row["status"] for row in rows]
+    assert data["x"] == [float(row["time_s"]) for row in rows]
+    for name, values in data["series"].items():
+        assert values == [float(row[name]) if row[name] else None for row in rows]
+
+
+def test_nothing_comes_from_elsewhere(copy):
+    page = page_of(copy)
+    assert re.findall(r'(?:src|href)="(?!data:|#)([^"]*)"', page)[1:] == ["charge.mp4", "depth.mp4"]
+    assert page.count('poster="data:image/jpeg;base64,') == 3
+
+
+def test_names_are_text(copy):
+    page = page_of(copy)
+    assert page.count("<script") == 3
+    assert "alert(1)<b>" not in page
+    assert "alert(1)" in html.unescape(page)
+
+
+def test_the_command_gives_the_same_again(copy, tmp_path):
+    shown = re.search(r'<code id="command">(.*?)</code>', page_of(copy), re.DOTALL)[1]
+    words = shlex.split(html.unescape(shown))
+    words[words.index("-o") + 1] = str(tmp_path / "again")
+    assert words[0] == "motionstereo"
+    assert main(words[1:]) == 0
+    table = (tmp_path / "again" / "steering.csv").read_bytes()
+    assert table == (copy / "steering.csv").read_bytes()
+
+
+def test_settings_and_troubles_are_in_words(copy):
+    record = json.loads((copy / "run.json").read_text())
+    record["damage"] = ["left.mp4: 3 images lost"]
+    record["shares"] = {"charged": 0.5, "matched": 0.01}
+    (copy / "run.json").write_text(json.dumps(record))
+    page = page_of(copy)
+    assert "<li>Left.mp4: 3 images lost.</li>" in page
+    assert "50.0% of the image moved, and 1.0% was matched" in page
+    assert re.search(r"--max-disparity</code></td><td>24 px</td><td>64 px", page)
+
+
+def test_an_interrupted_run_is_shown_as_far_as_it_came(copy):
+    record = json.loads((copy / "run.json").read_text())
+    head = {name: record[name] for name in ("program", "outputs")}
+    (copy / "run.json.part").write_text(json.dumps(head))
+    (copy / "run.json").unlink()
+    table = (copy / "steering.csv").read_bytes()
+    rows = table.count(b"\n")
+    (copy / "steering.csv.part").write_bytes(table[:-5])
+    (copy / "steering.csv").unlink()
+    (copy / "depth.mp4").rename(copy / "depth.0000.mp4.part")
+    page = page_of(copy)
+    assert "This run was ended" in page
+    assert len(data_in(page)["run"]["x"]) == rows - 2
+    assert page.count("data:image/jpeg") == 2
+
+
+def test_a_run_without_most_outputs_says_what_is_missing(copy):
+    for name in ("steering.csv", "objects.csv", "charge.mp4", "depth.mp4"):
+        (copy / name).unlink()
+    shutil.rmtree(copy / "depth")
+    page = page_of(copy)
+    assert "There is no steering table" in page
+    assert "No depth is known here" in page
+    assert page.count("not saved") == 2
+    assert data_in(page)["run"] == {}
+
+
+@pytest.mark.parametrize("content", [None, b"[]", b"{", b'{"program": "other"}'])
+def test_a_folder_that_no_run_wrote_is_one_line(tmp_path, capsys, content):
+    if content:
+        (tmp_path / "run.json").write_bytes(content)
+    assert main(["report", str(tmp_path)]) == 1
+    assert capsys.readouterr().err.count("\n") == 1
+    assert not (tmp_path / "report.html").exists()
+
+
+def test_a_damaged_table_is_one_line(copy, capsys):
+    text = (copy / "steering.csv").read_text()
+    (copy / "steering.csv").write_text(text.replace(",ok,", ",ok,x", 1))
+    assert main(["report", str(copy)]) == 1
+    assert "steering" in capsys.readouterr().err
+
+
+def test_only_a_report_is_replaced(copy, capsys):
+    record = (copy / "run.json").read_bytes()
+    assert main(["report", str(copy), "-o", str(copy / "run.json")]) == 1
+    assert "is no report" in capsys.readouterr().err
+    assert (copy / "run.json").read_bytes() == record
+
+
+def test_ten_minutes_stay_under_three_megabytes(copy):
+    count = 18_000
+    numbers = np.random.default_rng(0).random((count, 6))
+    with (copy / "steering.csv").open("w") as file:
+        file.write(HEADER + "\n")
+        for index, row in enumerate(numbers):
+            values = ",".join(f"{value:.4f}" for value in row)
+            file.write(f"{index},{index * 512},{index / 30:.6f},ok,{values}\n")
+    page = page_of(copy)
+    assert len(page.encode()) < 3_000_000
+    assert len(data_in(page)["run"]["x"]) == count
+
+
+@given(st.integers(0, 2**32), st.integers(40, 300), st.floats(0, 1))
+def test_thinned_rows_keep_every_extreme_and_every_status(seed, count, unknown):
+    random = np.random.default_rng(seed)
+    series = random.normal(size=(2, count))
+    series[random.random((2, count)) < unknown] = np.nan
+    codes = random.integers(0, 3, count)
+    kept = kept_rows(series, codes, most=36)
+    assert len(kept) <= 36 + 2
+    assert (np.diff(kept) > 0).all()
+    assert set(codes[kept]) == set(codes)
+    for each in series:
+        if not np.isnan(each).all():
+            assert np.nanmin(each[kept]) == np.nanmin(each)
+            assert np.nanmax(each[kept]) == np.nanmax(each)
+        assert np.isnan(each[kept]).any() == np.isnan(each).any()
+
+
+def test_objects_are_bars_by_their_time_to_contact():
+    contacts = {0: "9", 1: "4", 2: "1.5", 4: ""}
+    rows = [
+        {"id": "7", "frame": str(frame), "time_to_contact_s": text, "depth_m": "2",
+         "closing_mps": ""}
+        for frame, text in contacts.items()
+    ]  # fmt: skip
+    shown, count = tracks(rows, {frame: frame / 10 for frame in range(5)}, 0.1)
+    assert count == 1
+    assert [span[2] for span in shown[0]["spans"]] == [2, 1, 0, 2]
+    assert shown[0]["spans"][2][:2] == pytest.approx([0.2, 0.3])
+    assert (shown[0]["contact"], shown[0]["nearest"], shown[0]["closing"]) == (1.5, 2.0, None)
+
+
+def test_the_histogram_counts_known_pixels(copy):
+    import cv2
+
+    for path in (copy / "depth").iterdir():
+        cv2.imwrite(str(path), np.where(np.eye(64, 96) > 0, 1000, 0).astype(np.uint16))
+    page = run_page(copy, copy / "report.html")
+    median = float(re.search(r"Histogram of depth: median ([\d.]+) m", page)[1])
+    assert median == pytest.approx(1, rel=0.05)
+    assert page.count("100.0%</title>") == 1

@@ -1,0 +1,144 @@
+"""The report in a real browser: Chromium without a screen."""
+
+import csv
+import shutil
+import time
+
+import pytest
+
+from motionstereo_cli.__main__ import main
+
+webdriver = pytest.importorskip("selenium.webdriver")
+CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
+DRIVER = shutil.which("chromedriver")
+pytestmark = pytest.mark.skipif(
+    not (CHROMIUM and DRIVER), reason="there is no chromium with chromedriver here"
+)
+
+FLAGS = (
+    *("--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run"),
+    *("--disable-background-networking", "--disable-component-update", "--disable-sync"),
+    "--window-size=1200,900",
+)
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory):
+    options = webdriver.ChromeOptions()
+    options.binary_location = CHROMIUM
+    for flag in (*FLAGS, f"--user-data-dir={tmp_path_factory.mktemp('profile')}"):
+        options.add_argument(flag)
+    options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
+    driver = webdriver.Chrome(options, webdriver.chrome.service.Service(DRIVER))
+    yield driver
+    driver.quit()
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    home = tmp_path_factory.mktemp("browser") / "a <b>name</b> & #1"
+    size = ["--width", "96", "--height", "64", "--frames", "24"]
+    assert main(["simulate", str(home), "--scene", "cards", "--pan", *size]) == 0
+    views = [str(home / f"{side}.mp4") for side in ("left", "right")]
+    given = ["--rig", str(home / "rig.yaml"), "--save", "steering,depth,charge,depth-video,objects"]
+    assert main(["run", *views, "-o", str(home / "out"), *given]) == 0
+    assert main(["report", str(home / "out")]) == 0
+    return home / "out"
+
+
+@pytest.fixture
+def page(browser, run):
+    browser.get((run / "report.html").as_uri())
+    until(browser, "return [...document.querySelectorAll('video')].every(v => v.readyState > 1)")
+    return browser
+
+
+def until(browser, script):
+    """Wait until a script returns something true, 10 s at most, and return it."""
+    for _ in range(200):
+        if found := browser.execute_script(script):
+            return found
+        time.sleep(0.05)
+    raise AssertionError(script)
+
+
+def frame(browser, number):
+    return f"document.getElementById('clock').textContent.includes('frame {number} ')"
+
+
+def test_it_loads_without_a_word_and_draws_something(page):
+    assert page.get_log("browser") == []
+    plots = page.execute_script("return [...document.querySelectorAll('.plot')].map(p => p.id)")
+    assert plots == ["plot-heading", "plot-depth", "plot-shares", "plot-objects"]
+    for name in plots:
+        inked = """
+            const canvas = document.querySelector(`#${arguments[0]} canvas`);
+            const image = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
+            const colours = new Set();
+            for (let i = 0; i < image.data.length; i += 4)
+                if (image.data[i + 3] > 200) colours.add(image.data.slice(i, i + 3).join());
+            return colours.size"""
+        assert page.execute_script(inked, name) > 3
+
+
+def test_a_click_on_a_plot_seeks_the_videos(page):
+    over = page.find_element("css selector", "#plot-depth .u-over")
+    webdriver.ActionChains(page).move_to_element(over).click().perform()
+    until(page, "return [...document.querySelectorAll('video')].every(v => !v.seeking)")
+    times = page.execute_script(
+        "return [...document.querySelectorAll('video')].map(v => v.currentTime)"
+    )
+    assert len(times) == 3
+    assert times == pytest.approx([23 / 30 / 2] * 3, abs=0.04)
+    shown = page.find_element("id", "clock").text
+    assert f"frame {int(times[0] * 30)} " in shown
+
+
+def test_what_it_says_of_a_frame_is_what_the_table_says(page, run):
+    with (run / "steering.csv").open(newline="") as file:
+        row = list(csv.DictReader(file))[18]
+    page.execute_script("""
+        const slider = document.getElementById("slider");
+        slider.value = 18;
+        slider.dispatchEvent(new Event("input"))""")
+    said = {
+        name: page.find_element("css selector", f"[data-live={name}]").text
+        for name in ("depth_m", "nearest_m", "charged", "matched", "steer")
+    }
+    for name, factor, digits in (("depth_m", 1, 2), ("nearest_m", 1, 2), ("charged", 100, 1)):
+        assert said[name] == f"{float(row[name]) * factor:.{digits}f}"
+    assert float(said["steer"]) == pytest.approx(float(row["steer_rad"]) * 57.29578, abs=0.051)
+    assert row["status"] in page.find_element("id", "clock").text
+
+
+def test_keys_step_and_play(page):
+    keys = webdriver.Keys
+    page.execute_script("document.activeElement.blur()")
+    body = page.find_element("tag name", "body")
+    body.send_keys(keys.HOME)
+    body.send_keys(keys.ARROW_RIGHT)
+    body.send_keys(keys.ARROW_RIGHT)
+    assert page.execute_script(f"return {frame(page, 2)}")
+    body.send_keys(keys.SPACE)
+    until(page, f"return {frame(page, 23)}")
+    until(page, "return document.querySelector('video').ended")
+
+
+def test_a_phone_needs_no_scrolling_sideways(page):
+    size = {"width": 390, "height": 844, "deviceScaleFactor": 2, "mobile": True}
+    page.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+    try:
+        assert page.execute_script("return document.documentElement.scrollWidth") <= 390
+        until(page, "return document.querySelector('.uplot').clientWidth < 390")
+    finally:
+        page.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+
+
+def test_without_the_videos_it_shows_a_frame_of_each(browser, run, tmp_path):
+    alone = tmp_path / "alone.html"
+    shutil.copy(run / "report.html", alone)
+    browser.get(alone.as_uri())
+    until(browser, "return document.getElementById('play').disabled")
+    text = browser.find_element("tag name", "body").text
+    assert text.count("the video is not beside this page") == 3
+    assert browser.execute_script("return document.querySelectorAll('video[poster]').length") == 3
