@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from motionstereo_cli.__main__ import main
-from motionstereo_cli.analysis.check import WINDOW_FRAMES, CheckReport, Finding, check, watched
+from motionstereo_cli.analysis.check import WINDOW_FRAMES, check, watched
+from motionstereo_cli.analysis.findings import CheckReport, Finding
 from motionstereo_cli.simulate.scenes import render_scene
 from motionstereo_cli.simulate.settings import SimulateSettings
 from motionstereo_cli.types import StereoFrame
@@ -202,7 +203,7 @@ def test_one_frame_alone_shows_no_motion(corridor: Views) -> None:
     left, right = (side[:1] for side in corridor)
     (finding,) = checked((left, right)).findings
     assert (finding.name, finding.ruins) == ("still", True)
-    assert finding.text.startswith("one frame alone shows no motion")
+    assert finding.text.startswith("one frame shows no motion")
     assert said((left, right)) == [finding]
 
 

@@ -8,6 +8,7 @@ import pytest
 
 import motionstereo_cli
 from motionstereo_cli.__main__ import main
+from motionstereo_cli.analysis.findings import RULES
 from motionstereo_cli.commands import cli
 from motionstereo_cli.commands.grouped import grouped
 from motionstereo_cli.commands.help import pages, subject
@@ -81,6 +82,12 @@ def commands():
     return table(["command", "what it does"], rows)
 
 
+def findings():
+    rules = {rule.name: rule for rule in RULES}
+    rows = [[rule.name, rule.measured, rule.limit] for rule in rules.values()]
+    return table(["finding", "measured", "ruins the result (exit code 1)"], rows)
+
+
 def topics():
     return "\n".join(
         f"- [{name}](motionstereo_cli/docs/{name}.md): {subject(page)}"
@@ -93,6 +100,7 @@ GENERATED = {
     (README, "default outputs"): lambda: outputs(DEFAULT_OUTPUTS, with_name=False),
     (README, "steering"): steering,
     (README, "topics"): topics,
+    (DOCS / "input.md", "findings"): findings,
     (DOCS / "outputs.md", "outputs"): lambda: outputs(OUTPUTS, with_name=True),
 }
 

@@ -18,7 +18,8 @@ import cv2
 import numpy as np
 
 from motionstereo_cli import __version__
-from motionstereo_cli.analysis.check import Finding, watched
+from motionstereo_cli.analysis.check import watched
+from motionstereo_cli.analysis.findings import Finding
 from motionstereo_cli.batch.checkpoint import (
     Checkpoint,
     check_same,

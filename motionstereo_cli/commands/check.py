@@ -15,7 +15,7 @@ from motionstereo_cli.settings import Settings
 from motionstereo_cli.sources.settings import InputSettings
 
 if TYPE_CHECKING:
-    from motionstereo_cli.analysis.check import CheckReport
+    from motionstereo_cli.analysis.findings import CheckReport
 
 
 @click.command(cls=GroupedCommand)

@@ -1,0 +1,202 @@
+"""Features found in both views of a recording, and followed in the left one."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import cv2
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from motionstereo_cli.types import Grey
+
+    Column = NDArray[np.float64]
+
+
+# Features. Distances are in px of the image looked at.
+_FEATURES = 600
+
+
+_LEAST_CONTRAST = 0.02
+
+
+_MAX_RATIO = 0.8
+
+
+_ROW_REACH = 0.1  # of the height: matches are looked for so far off the row
+
+
+_FOLLOW_SPANS = (2, 4)
+
+
+_FOLLOW_BACK_PX = 0.5
+
+
+_FOLLOW_CHANGE_PX = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class Matches:
+    """Features found in both views, in px of the images looked at; all (n,).
+
+    Attributes:
+        x, y: place in the left image.
+        disparity: x in the left image minus x in the right one.
+        lower: y in the right image minus y in the left one.
+        down: motion in the left image in px a frame, positive = down.
+        grey: grey level in the left image minus that in the right one.
+    """
+
+    x: Column
+    y: Column
+    disparity: Column
+    lower: Column
+    down: Column
+    grey: Column
+
+    def __len__(self) -> int:
+        return len(self.x)
+
+    def where(self, chosen: NDArray[np.bool_]) -> Matches:
+        """Return those that are chosen, (n,) bool."""
+        return Matches(*(column[chosen] for column in self.columns()))
+
+    def columns(self) -> list[Column]:
+        """Return its columns in order."""
+        return [getattr(self, item.name) for item in dataclasses.fields(self)]
+
+
+def joined(parts: Sequence[Matches]) -> Matches:
+    """Return the matches of all parts, one after the other."""
+    columns = zip(*(part.columns() for part in parts), strict=True)
+    return Matches(*(np.concatenate(column) for column in columns))
+
+
+NO_MATCHES = Matches(*(np.empty(0) for _ in dataclasses.fields(Matches)))
+
+
+class _Keypoints(NamedTuple):
+    """SIFT keypoints of an image: points (n, 2) float32 px, descriptors (n, 128) float32."""
+
+    points: NDArray[np.float32]
+    descriptors: NDArray[np.float32]
+
+
+class Window:
+    """Consecutive frames; images are (height, width) uint8."""
+
+    def __init__(self, start: int, moments: Sequence[int]) -> None:
+        self.start = start
+        self.left: list[Grey] = []
+        self.right: list[Grey] = []
+        self._moments = moments
+        self._features: dict[tuple[str, int], _Keypoints] = {}
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Height and width of its images in px."""
+        return self.left[0].shape
+
+    def matches(self, ahead: int) -> Matches:
+        """Return the matches at some moments, the right view being so many frames ahead."""
+        last = len(self.left) - 1
+        moments = [t for t in self._moments if t <= last] or [last // 2]
+        return joined(
+            [NO_MATCHES, *(self._match(t, t - ahead) for t in moments if 0 <= t - ahead <= last)]
+        )
+
+    def _match(self, t_left: int, t_right: int) -> Matches:
+        left, right = self._seen("left", t_left), self._seen("right", t_right)
+        if min(len(left.points), len(right.points)) < 2:
+            return NO_MATCHES
+        forth = _clear_matches(left.descriptors, right.descriptors)
+        back = _clear_matches(right.descriptors, left.descriptors)
+        mutual = np.array([(i, j) for i, j in forth.items() if back.get(j) == i], np.intp)
+        if not mutual.size:
+            return NO_MATCHES
+        at_left, at_right = left.points[mutual[:, 0]], right.points[mutual[:, 1]]
+        down, followed = _followed(self.left, t_left, at_left)
+        across, lower = (at_right - at_left).astype(np.float64).T
+        matches = Matches(
+            x=at_left[:, 0].astype(np.float64),
+            y=at_left[:, 1].astype(np.float64),
+            disparity=-across,
+            lower=lower,
+            down=down,
+            grey=_grey_at(self.left[t_left], at_left) - _grey_at(self.right[t_right], at_right),
+        )
+        return matches.where(followed & (np.abs(lower) < _ROW_REACH * self.shape[0]))
+
+    def _seen(self, side: str, t: int) -> _Keypoints:
+        if (side, t) not in self._features:
+            image = (self.left if side == "left" else self.right)[t]
+            sift = cv2.SIFT.create(_FEATURES, contrastThreshold=_LEAST_CONTRAST)
+            keys, descriptors = sift.detectAndCompute(image, None)
+            points = np.array([key.pt for key in keys], np.float32).reshape(-1, 2)
+            self._features[side, t] = _Keypoints(points, np.asarray(descriptors, np.float32))
+        return self._features[side, t]
+
+
+def _clear_matches(descriptors: Any, others: Any) -> dict[int, int]:
+    """Return for each its nearest of the others, where nothing else looks nearly like it.
+
+    Neither the second nearest of the others may, nor another in its own image: of a pattern that
+    repeats itself, the true partner may be hidden.
+    """
+    matcher = cv2.BFMatcher(cv2.NORM_L2)
+    across, within = (matcher.knnMatch(descriptors, each, k=2) for each in (others, descriptors))
+    return {
+        best.queryIdx: best.trainIdx
+        for (best, second), (_, like) in zip(across, within, strict=True)
+        if best.distance < _MAX_RATIO * min(second.distance, like.distance)
+    }
+
+
+def _grey_at(image: Grey, points: NDArray[np.float32]) -> Column:
+    x, y = np.rint(points).astype(np.intp).T
+    return np.asarray(cv2.blur(image, (5, 5))[y, x], np.float64)
+
+
+def _followed(
+    images: Sequence[Grey], moment: int, points: NDArray[np.float32]
+) -> tuple[Column, NDArray[np.bool_]]:
+    """Return the motion of points (n, 2) in px a frame down, and where it could be followed."""
+    start = points[:, None]
+    down, certain = np.zeros(len(points)), np.ones(len(points), np.bool_)
+    for span in _FOLLOW_SPANS:  # the longer, the more exact, as far as it can be followed
+        speeds, seen = [], np.ones(len(points), np.bool_)
+        for step in (-span, span):
+            if 0 <= moment + step < len(images):
+                there, found = _flow(images[moment], images[moment + step], start)
+                speeds.append((there - start)[:, 0, 1].astype(np.float64) / step)
+                seen &= found
+        if speeds:
+            speed = np.mean(speeds, axis=0)
+            if span == _FOLLOW_SPANS[0]:
+                down, certain = speed, seen
+            else:
+                seen &= np.abs(speed - down) < _FOLLOW_CHANGE_PX
+                down = np.where(seen, speed, down)
+    return down, certain
+
+
+def _flow(
+    image: Grey, other: Grey, start: NDArray[np.float32]
+) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    """Return where points (n, 1, 2) have gone, and where following them back returns."""
+
+    def go(image: Grey, other: Grey, start: Any) -> tuple[Any, Any]:
+        there, seen, _ = cv2.calcOpticalFlowPyrLK(
+            image, other, start, np.empty_like(start), winSize=(21, 21), maxLevel=3
+        )
+        return there, seen[:, 0] > 0
+
+    there, seen = go(image, other, start)
+    back, seen_back = go(other, image, there)
+    returned = np.linalg.norm((back - start)[:, 0], axis=1) < _FOLLOW_BACK_PX
+    return there, seen & seen_back & returned
