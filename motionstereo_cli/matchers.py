@@ -29,7 +29,7 @@ def _trails(right: Memory, left: Memory, settings: Settings) -> tuple[Real, Real
         s.max_disparity,
         block_px=(s.vote_rows, s.vote_columns),
         max_ratio=s.max_ratio,
-        least_votes=s.least_votes,
+        min_votes=s.min_votes,
     )
     differs = residual(disparity, right.grey, left.grey)
     matched = without_speckles(disparity, differs <= s.max_residual, s.speckle_px)

@@ -57,7 +57,7 @@ def see(memory: Memory | None, image: Grey, settings: Settings) -> Memory:
     if memory is None:
         at_rest = np.full_like(grey, s.charge_min)
         return Memory(grey, banded, np.zeros(grey.shape, np.bool_), at_rest)
-    moved = motion(banded, memory.bands, grey, memory.grey, s.least_jump)
+    moved = motion(banded, memory.bands, grey, memory.grey, s.min_jump)
     limits = {"charge_max": s.charge_max, "charge_min": s.charge_min}
     if s.charge_mode == "permanency":
         charge = permanency(memory.charge, moved, leak=s.charge_leak, **limits)

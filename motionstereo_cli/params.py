@@ -28,6 +28,7 @@ class Param:
         choices: allowed strings, empty where any.
         group: heading that it stands under in the help, empty for that of its dataclass.
         common: whether the short help shows it.
+        old: former name, still understood on the command line and in the configuration file.
     """
 
     name: str
@@ -40,6 +41,7 @@ class Param:
     choices: tuple[str, ...]
     group: str
     common: bool
+    old: str
 
     @property
     def flag(self) -> str:
@@ -99,10 +101,11 @@ def param(
     choices: tuple[str, ...] = (),
     group: str = "",
     common: bool = False,
+    old: str = "",
 ) -> Any:
     """Declare a dataclass field that :func:`params` describes and :func:`checked` verifies."""
     meta = {"help": help, "unit": unit, "low": low, "high": high, "choices": choices}
-    return field(default=default, metadata=meta | {"group": group, "common": common})
+    return field(default=default, metadata=meta | {"group": group, "common": common, "old": old})
 
 
 def params(settings: type) -> Iterator[Param]:

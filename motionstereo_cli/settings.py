@@ -18,8 +18,8 @@ FOREVER = 254
 
 #: Larger images than these, in px, come from a damaged or hostile file unless the user says
 #: otherwise. Beyond the second number Pillow reads none.
-MOST_PIXELS = 64_000_000
-MOST_PIXELS_OF_ALL = 178_000_000
+MAX_PIXELS = 64_000_000
+PILLOW_MAX_PIXELS = 178_000_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,12 +38,13 @@ class Settings:
     grey_min: int = param(0, "Grey level where the first band begins.", low=0, high=254)
     grey_max: int = param(255, "Grey level where the last band ends.", low=1, high=255)
     # Equation (3): motion.
-    least_jump: int = param(
+    min_jump: int = param(
         6,
         "Minimum grey-level change between frames to count as motion.",
         unit="grey levels",
         low=0,
         high=255,
+        old="least_jump",
     )
     # Equations (1) and (2): charge.
     charge_mode: str = param(
@@ -105,11 +106,12 @@ class Settings:
         low=0,
         high=1,
     )
-    least_votes: int = param(
+    min_votes: int = param(
         16,
         "Minimum number of votes for a disparity, within about a block around it.",
         low=1,
         high=100_000,
+        old="least_votes",
     )
     max_residual: float = param(
         15.0,
@@ -229,7 +231,7 @@ PRESETS: dict[str, dict[str, Any]] = {
         "bands": 8,
         "grey_min": 0,
         "grey_max": 255,
-        "least_jump": 0,
+        "min_jump": 0,
         "charge_mode": "permanency",
         "charge_max": 255,
         "charge_min": 0,

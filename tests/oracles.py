@@ -73,7 +73,7 @@ def pairs_of(right, left, width, max_disparity):
     return found
 
 
-def match_trails(right, left, max_disparity, block_px, max_ratio, least_votes):
+def match_trails(right, left, max_disparity, block_px, max_ratio, min_votes):
     """Pairs vote at both ends, the best wins, winners correct one another and elect for the rest.
 
     Returns disparity and the votes that agree with it.
@@ -144,9 +144,9 @@ def match_trails(right, left, max_disparity, block_px, max_ratio, least_votes):
             peak = counts.index(max(counts))
             elected, agreeing = centroid(votes, place, peak)
             there = [x + peak + k for k in (-1, 0, 1)]
-            if agreeing >= least_votes and any(
+            if agreeing >= min_votes and any(
                 0 <= column < width and left[y, column] == right[y, x] for column in there
             ):
                 disparity[y, x], agreement[y, x] = elected, agreeing
-    disparity[agreement < least_votes] = np.nan
+    disparity[agreement < min_votes] = np.nan
     return disparity, agreement

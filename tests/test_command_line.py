@@ -448,7 +448,7 @@ def test_the_command_line_wins_over_the_file_and_the_file_over_the_preset(run_ar
     Path("my.toml").write_text('preset = "paper"\nbands = 12\ncharge-leak = 8\nmatch_on = "charge"')
     used = settings_used([*run_args, "--config", "my.toml", "--bands", "16"])
     assert (used["bands"], used["charge_leak"]) == (16, 8)
-    assert (used["blur_px"], used["least_jump"], used["match_on"]) == (0, 0, "charge")
+    assert (used["blur_px"], used["min_jump"], used["match_on"]) == (0, 0, "charge")
     used = settings_used([*run_args, "--config", "my.toml", "--preset", "default"])
     assert (used["bands"], used["blur_px"]) == (12, 1.0)
 
@@ -545,6 +545,37 @@ def test_settings_options_pass_on_what_was_given_alone(args, expected):
     ]
 
 
+@dataclass(frozen=True)
+class Renamed:
+    """A parameter that had another name."""
+
+    min_jump: int = param(6, "Jump.", old="least_jump")
+
+
+@pytest.mark.parametrize(
+    ("args", "config", "expected"),
+    [
+        ([], "", {}),
+        (["--least-jump", "3"], "", {"min_jump": 3}),
+        (["--min-jump", "4", "--least-jump", "3"], "", {"min_jump": 4}),
+        ([], "least_jump = 5", {"min_jump": 5}),
+        (["--min-jump", "4"], "least-jump = 5", {"min_jump": 4}),
+    ],
+)
+def test_a_former_name_is_understood_and_not_shown(args, config, expected, tmp_path):
+    received = {}
+    (tmp_path / "config.toml").write_text(config)
+
+    @click.command()
+    @settings_options(Renamed)
+    def command(chosen: dict[str, object]) -> None:
+        received.update(chosen)
+
+    command.main([*args, "--config", str(tmp_path / "config.toml")], standalone_mode=False)
+    assert received == expected
+    assert "least" not in command.get_help(click.Context(command))
+
+
 # Help and start-up.
 
 
@@ -556,7 +587,7 @@ def commands() -> list[tuple[str, click.Command]]:
 def test_every_command_and_option_has_help(name, command, capsys):
     assert command.help
     for option in command.params:
-        if isinstance(option, click.Option):
+        if isinstance(option, click.Option) and not option.hidden:
             assert option.help, option.name
     assert main([name, "--help"]) == 0
     said = capsys.readouterr().out

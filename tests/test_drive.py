@@ -18,8 +18,8 @@ from motionstereo_cli.simulate.camera import FloorPose, stereo_cameras
 from motionstereo_cli.simulate.corridor import Corridor
 from motionstereo_cli.simulate.drive import OUTPUTS, driven
 from motionstereo_cli.simulate.drive_world import (
-    MOST_TURN_RAD,
-    MOST_WAY_M,
+    MAX_TURN_RAD,
+    MAX_WAY_M,
     Command,
     DriveWorld,
     command,
@@ -49,23 +49,23 @@ def steering(steer_rad=0.0, depth_m=5.0):
 
 class TestRobot:
     def test_drives_on_where_the_way_is_free_and_turns_to_its_heading(self):
-        assert command(steering()) == Command(MOST_WAY_M, 0.0)
+        assert command(steering()) == Command(MAX_WAY_M, 0.0)
         left = command(steering(steer_rad=0.1))
         assert left.turn_rad > 0
-        assert 0 < left.way_m < MOST_WAY_M
+        assert 0 < left.way_m < MAX_WAY_M
 
     def test_slows_down_before_things(self):
         ways = [command(steering(depth_m=d)).way_m for d in (2.0, 1.5, 1.0, 0.5, 0.3)]
-        assert ways[0] == MOST_WAY_M
+        assert ways[0] == MAX_WAY_M
         assert all(a > b for a, b in pairwise(ways))
         assert ways[-1] == 0
 
     @pytest.mark.parametrize("angle", [-1.0, 1.0])
     def test_where_the_way_is_unknown_it_turns_on_the_spot(self, angle):
-        turning = Command(0.0, math.copysign(MOST_TURN_RAD, angle))
+        turning = Command(0.0, math.copysign(MAX_TURN_RAD, angle))
         assert command(steering(steer_rad=angle, depth_m=None)) == turning
         assert command(steering(steer_rad=angle)) == turning
-        assert command(Steering("blind", None, None, None, None)) == Command(0.0, MOST_TURN_RAD)
+        assert command(Steering("blind", None, None, None, None)) == Command(0.0, MAX_TURN_RAD)
 
 
 class TestWorld:
@@ -86,10 +86,10 @@ class TestWorld:
         while world.ended is None:
             world.act(Command(1.0, 0.0))  # more than it can
         assert world.ended == "touched a wall"
-        assert world.way_m == pytest.approx(MOST_WAY_M * world.frames)
-        assert -MOST_WAY_M < world.nearest_pass_m <= 0
+        assert world.way_m == pytest.approx(MAX_WAY_M * world.frames)
+        assert -MAX_WAY_M < world.nearest_pass_m <= 0
         at = max(abs(world.robot.x_m), abs(world.robot.y_m))
-        assert at == pytest.approx(world.corridor.outer_m - ROBOT_RADIUS_M, abs=MOST_WAY_M)
+        assert at == pytest.approx(world.corridor.outer_m - ROBOT_RADIUS_M, abs=MAX_WAY_M)
 
     @pytest.mark.parametrize("seed", [0, 1])  # one of either sense
     @pytest.mark.parametrize("sense", [1, -1])
@@ -225,7 +225,7 @@ def test_finds_its_way_round_a_corner():
 @pytest.fixture(scope="module")
 def drive_out(tmp_path_factory):
     out = tmp_path_factory.mktemp("drive") / "out"
-    given = ("--most-frames", 25, "--walkers", 2, "--view", "--width", 160, "--height", 120)
+    given = ("--max-frames", 25, "--walkers", 2, "--view", "--width", 160, "--height", 120)
     done = motionstereo("drive", out, *given)
     assert done.exit_code == 0, done.output
     assert "out of frames after 25 frames" in done.stderr
@@ -287,7 +287,7 @@ def test_poses_need_a_rig(drive_out, tmp_path):
 
 
 def test_only_a_former_drive_is_replaced(drive_out, tmp_path):
-    few = ("--most-frames", 2, "--width", 64, "--height", 48)
+    few = ("--max-frames", 2, "--width", 64, "--height", 48)
     (tmp_path / "plan.png").write_bytes(b"mine")
     for options in ((), ("--overwrite",)):
         done = motionstereo("drive", tmp_path, *few, *options)

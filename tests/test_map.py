@@ -479,7 +479,7 @@ def motionstereo(*arguments):
 @pytest.fixture(scope="module")
 def drive_out(tmp_path_factory):
     out = tmp_path_factory.mktemp("drive") / "out"
-    done = motionstereo("drive", out, "--most-frames", 25, "--width", 160, "--height", 120)
+    done = motionstereo("drive", out, "--max-frames", 25, "--width", 160, "--height", 120)
     assert done.exit_code == 0, done.output
     return out
 

@@ -36,27 +36,27 @@ class TestTrails:
     def test_a_slanted_trail_runs_from_one_disparity_to_another(self):
         right = match_keys([0, 0, 9, 9, 9, 9, 0, 0, 0, 0, 0, 0])
         left = match_keys([0, 0, 0, 0, 0, 9, 9, 9, 9, 9, 9, 0])  # starts 3, stops 5 px to the right
-        found, _ = match_trails(right, left, 8, block_px=(1, 1), least_votes=1)
+        found, _ = match_trails(right, left, 8, block_px=(1, 1), min_votes=1)
         assert np.isnan(found[0, [0, 1, 6, 7]]).all()
         assert found[0, 2:6] == pytest.approx([3.25, 3.75, 4.25, 4.75])
 
     def test_a_trail_cut_by_the_border_takes_the_disparity_of_its_other_end(self):
         right = match_keys([9, 9, 9, 0, 0, 0, 0, 0])
         left = match_keys([0, 9, 9, 9, 9, 9, 9, 0])
-        found, _ = match_trails(right, left, 6, block_px=(1, 1), least_votes=1)
+        found, _ = match_trails(right, left, 6, block_px=(1, 1), min_votes=1)
         assert found[0, :3].tolist() == [4, 4, 4]
 
     def test_a_trail_with_two_equal_partners_stays_unknown(self):
         right = match_keys([0, 9, 9, 0, 0, 0, 0, 0, 0])
         left = match_keys([0, 0, 9, 9, 0, 9, 9, 0, 0])
-        assert np.isnan(match_trails(right, left, 6, block_px=(1, 1), least_votes=1)).all()
+        assert np.isnan(match_trails(right, left, 6, block_px=(1, 1), min_votes=1)).all()
 
     def test_a_trail_that_noise_split_takes_what_its_block_elected(self):
         row = [1, 2, 3, 9, 9, 9, 9, 4, 5, 0, 0, 0, 0]
         right = match_keys(*[row] * 4, row)
         left = match_keys(*[[0, 0, 0, *row[:-3]]] * 5)
         left[4, 8] = 0  # the run of 9 at 6..9 falls to pieces
-        found, votes = match_trails(right, left, 6, block_px=(8, 8), least_votes=8)
+        found, votes = match_trails(right, left, 6, block_px=(8, 8), min_votes=8)
         assert found[4, 3:7] == pytest.approx([3, 3, 3, 3], abs=0.1)
         assert votes[4, 3] >= 8
         left[4, 6:10] = 0  # nothing left that is equal
@@ -66,8 +66,8 @@ class TestTrails:
     @given(rows, rows, st.integers(1, 14), st.integers(1, 6), st.integers(1, 8), st.integers(1, 9))
     def test_matches_are_the_oracles(self, right, left, reach, block_rows, block_columns, least):
         settings = {"block_px": (block_rows, block_columns), "max_ratio": 0.9}
-        found = match_trails(right, left, reach, **settings, least_votes=least)
-        wanted = oracles.match_trails(right, left, reach, **settings, least_votes=least)
+        found = match_trails(right, left, reach, **settings, min_votes=least)
+        wanted = oracles.match_trails(right, left, reach, **settings, min_votes=least)
         np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-4)
 
     def test_nothing_charged_gives_nothing(self):

@@ -46,8 +46,8 @@ def scene(*patches, ground=NAN):
     return near
 
 
-def found(near, fresh=None, least_share=0.002):
-    return regions(near, np.full(near.shape, True) if fresh is None else fresh, least_share)
+def found(near, fresh=None, min_share=0.002):
+    return regions(near, np.full(near.shape, True) if fresh is None else fresh, min_share)
 
 
 class TestRegions:
@@ -84,8 +84,8 @@ class TestRegions:
 
     def test_tiny_ones_are_dropped(self):
         near = scene((20, 20, 8, 8, 10))  # 4 cells of 960
-        assert len(found(near, least_share=4 / 960)) == 1
-        assert found(near, least_share=5 / 960) == ()
+        assert len(found(near, min_share=4 / 960)) == 1
+        assert found(near, min_share=5 / 960) == ()
 
     def test_what_others_stand_before_is_none_but_they_are(self):
         """A camera that turns: the wall moves as well, even in pieces."""

@@ -117,7 +117,7 @@ def test_frames_older_than_the_memory_do_not_matter(leak):
 
 
 def test_general_charge_grows_step_by_step():
-    settings = Settings(charge_mode="general", charge_gain=50, blur_px=0, least_jump=0)
+    settings = Settings(charge_mode="general", charge_gain=50, blur_px=0, min_jump=0)
     levels = [(0, 200)[index % 2] for index in range(4)]
     flicker = [np.full((8, 9), level, np.uint8) for level in levels]
     frames = [StereoFrame(i, i, None, grey, grey) for i, grey in enumerate(flicker)]
@@ -141,7 +141,7 @@ def test_the_settings_reach_the_stages():
         {"blur_px": 3.0},
         {"grey_min": 100},
         {"grey_max": 120},
-        {"least_jump": 90},
+        {"min_jump": 90},
         {"charge_max": 100},
         {"charge_leak": 90},
         {"charge_mode": "general", "charge_gain": 9},
@@ -149,7 +149,7 @@ def test_the_settings_reach_the_stages():
     ):
         changed = last(process(frames, Settings(**change)))
         assert not np.array_equal(plain.charge, changed.charge), change
-    for change in ({"max_disparity": 5}, {"least_votes": 100_000}, {"speckle_px": 10_000}):
+    for change in ({"max_disparity": 5}, {"min_votes": 100_000}, {"speckle_px": 10_000}):
         changed = last(process(frames, Settings(**change)))
         assert not np.array_equal(plain.disparity_px, changed.disparity_px, equal_nan=True), change
 

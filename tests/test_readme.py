@@ -38,7 +38,7 @@ def record(command, option):
 def all_options():
     """The whole page of options."""
     run = cli.commands["run"]
-    of_run = {record(run, each) for each in run.params if isinstance(each, click.Option)}
+    of_run = {record(run, each) for found in grouped(run.params).values() for each in found}
     parts = ["# Options: every option of every command"]
     for name, command in cli.commands.items():
         context = click.Context(command, info_name=f"motionstereo {name}")
@@ -173,7 +173,7 @@ def test_the_short_help_of_run_fits_a_screen_and_the_full_one_has_all(capsys):
     assert main(["run", "--help-all"]) == 0
     full = capsys.readouterr().out
     for option in run.params:
-        if isinstance(option, click.Option):
+        if isinstance(option, click.Option) and not option.hidden:
             assert option.opts[-1] in full, option.name
     assert [line for line in full.splitlines() if line.endswith(" options:")] == [
         f"{heading} options:" for heading in grouped(run.params)

@@ -273,7 +273,7 @@ def test_two_runs_into_one_folder(command, tmp_path, capsys):
 @pytest.mark.parametrize("mode", ["permanency", "general"])
 def test_the_state_is_all_there_is(mode):
     """Going on from a pickled state gives what going on gives."""
-    settings = Settings(charge_mode=mode, max_disparity=16, speckle_px=0, least_votes=1)
+    settings = Settings(charge_mode=mode, max_disparity=16, speckle_px=0, min_votes=1)
     rng = np.random.default_rng(3)
     images = rng.integers(0, 256, (12, 40, 66), np.uint8)
     frames = [

@@ -67,11 +67,11 @@ class TestMotion:
 
     def test_a_change_below_the_least_jump_does_not_count(self):
         # 31 -> 32 and 29 -> 36 both cross from band 1 to 2; only the second jumps by 6 or more
-        moved = motion(u8([2, 2]), u8([1, 1]), u8([32, 36]), u8([31, 29]), least_jump=6)
+        moved = motion(u8([2, 2]), u8([1, 1]), u8([32, 36]), u8([31, 29]), min_jump=6)
         assert moved.tolist() == [[False, True]]
 
     def test_the_least_jump_itself_counts_both_ways(self):
-        moved = motion(u8([2, 1]), u8([1, 2]), u8([36, 30]), u8([30, 36]), least_jump=6)
+        moved = motion(u8([2, 1]), u8([1, 2]), u8([36, 30]), u8([30, 36]), min_jump=6)
         assert moved.tolist() == [[True, True]]
 
 
@@ -233,7 +233,7 @@ class TestGuidance:
         near = np.full((10, 4), NAN, np.float32)
         near[:, 0] = np.arange(1, 11)
         near[0, 2] = 5
-        strips = strip_nearness(near, 2, least_share=0.2)
+        strips = strip_nearness(near, 2, min_share=0.2)
         assert strips[0] == pytest.approx(8.2)
         assert np.isnan(strips[1])
 

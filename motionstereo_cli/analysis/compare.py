@@ -439,7 +439,7 @@ def format_junit(report: Report) -> bytes:
 
 _GAP_PX = 4
 _CAPTION_PX = 22
-_LEAST_WIDTH_PX = 640
+_MIN_WIDTH_PX = 640
 _SAME_BGR = (90, 90, 90)
 _FAR_BGR = (40, 40, 230)
 _ACTUAL_ALONE_BGR = (60, 220, 250)
@@ -466,7 +466,7 @@ def draw_worst(worst: WorstImage) -> NDArray[np.uint8]:
         nearness = np.float32(1) / nearness
     panels = [*_coloured(nearness), difference]
     strip = np.hstack([np.pad(panel, ((0, 0), (0, _GAP_PX), (0, 0))) for panel in panels])
-    widening = max(_LEAST_WIDTH_PX - strip.shape[1], 0)
+    widening = max(_MIN_WIDTH_PX - strip.shape[1], 0)
     strip = np.pad(strip, ((_CAPTION_PX, 0), (0, widening), (0, 0)))
     caption = (
         f"{worst.name}: actual, golden, difference {worst.share:.2%} "

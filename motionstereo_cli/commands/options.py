@@ -47,12 +47,18 @@ def _declared(
     def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
         def collect(**values: Any) -> Any:
             given = {item.name: values.pop(item.name) for item in declared}
+            for item in filter(lambda item: item.old, declared):
+                former = values.pop(item.old)
+                given[item.name] = former if given[item.name] is None else given[item.name]
             chosen = {key: value for key, value in given.items() if value is not None}
             return command(**{name: chosen}, **values)
 
         collected: Callable[..., Any] = functools.update_wrapper(collect, command)
         for item in reversed(declared):
             collected = _option(item, group)(collected)
+            if item.old:
+                flag = "--" + item.old.replace("_", "-")
+                collected = click.option(flag, item.old, type=item.parse, hidden=True)(collected)
         return collected
 
     return decorate

@@ -12,8 +12,8 @@ from pathlib import Path
 from motionstereo_cli.errors import InputError
 
 #: No calibration, and no table of poses or time stamps for a day's recording, is as large.
-MOST_CALIBRATION_BYTES = 16_000_000
-MOST_TABLE_BYTES = 256_000_000
+MAX_CALIBRATION_BYTES = 16_000_000
+MAX_TABLE_BYTES = 256_000_000
 
 
 def open_regular(path: str | Path) -> BufferedReader:
@@ -43,30 +43,30 @@ def _check_regular(status: os.stat_result, path: str | Path) -> None:
         raise OSError(errno.EINVAL, "it is a FIFO, a socket or a device, not a file", str(path))
 
 
-def read_bytes(path: str | Path, what: str, most_bytes: int) -> bytes:
+def read_bytes(path: str | Path, what: str, max_bytes: int) -> bytes:
     """Return the content of a file.
 
     Args:
         path: the file.
         what: what to call it in messages.
-        most_bytes: the largest that makes sense.
+        max_bytes: the largest that makes sense.
 
     Raises:
         InputError: the file cannot be read or is larger.
     """
     try:
         with open_regular(path) as file:
-            content = file.read(most_bytes + 1)
+            content = file.read(max_bytes + 1)
     except OSError as error:
         raise InputError(f"cannot read {what} {path}: {error.strerror}") from error
-    if len(content) > most_bytes:
-        raise InputError(f"{path} is larger than {most_bytes} bytes: check that it is {what}")
+    if len(content) > max_bytes:
+        raise InputError(f"{path} is larger than {max_bytes} bytes: check that it is {what}")
     return content
 
 
-def read_text(path: str | Path, what: str, most_bytes: int) -> str:
+def read_text(path: str | Path, what: str, max_bytes: int) -> str:
     """Return the text of a file, as :func:`read_bytes` reads it."""
-    return as_text(read_bytes(path, what, most_bytes))
+    return as_text(read_bytes(path, what, max_bytes))
 
 
 def as_text(content: bytes) -> str:

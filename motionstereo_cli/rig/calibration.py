@@ -17,7 +17,7 @@ import numpy as np
 from motionstereo_cli.errors import InputError
 from motionstereo_cli.rig.cameras import Pair, checked_intrinsics
 from motionstereo_cli.rig.formats import read_files
-from motionstereo_cli.settings import MOST_PIXELS
+from motionstereo_cli.settings import MAX_PIXELS
 from motionstereo_cli.types import Rig
 
 if TYPE_CHECKING:
@@ -40,7 +40,7 @@ _SHORTEST_BASELINE_MM = 2.0
 _NEGLIGIBLE_PX = 0.05
 
 #: Rectified images that keep less than this share of the recorded ones come from a wrong file.
-_LEAST_COVERAGE = 0.3
+_MIN_COVERAGE = 0.3
 
 #: A principal point lies about in the middle. One that lies, in both axes and both images, as if
 #: the size were this many times another is of a calibration for that other size; both axes agree
@@ -98,9 +98,9 @@ class Calibration:
         }
         if self.maps is not None:
             x, y = np.meshgrid(np.arange(rig.width), np.arange(rig.height))
-            most_px = max(float(np.hypot(mx - x, my - y).max()) for mx, my in self.maps)
+            max_px = max(float(np.hypot(mx - x, my - y).max()) for mx, my in self.maps)
             facts["rectification"] = (
-                f"needed: moves pixels by up to {most_px:.1f} px, "
+                f"needed: moves pixels by up to {max_px:.1f} px, "
                 f"{self.coverage:.0%} of the rectified image is filled"
             )
         return "".join(f"{name + ':':<17}{fact}\n" for name, fact in facts.items())
@@ -112,7 +112,7 @@ def read_calibration(
     *,
     baseline_unit: str | None = None,
     pair: tuple[int, int] | None = None,
-    max_pixels: int = MOST_PIXELS,
+    max_pixels: int = MAX_PIXELS,
 ) -> Calibration:
     """Read the calibration of a stereo camera.
 
@@ -154,12 +154,12 @@ def read_calibration(
         for camera, (rotation, projection) in zip(cameras, transforms, strict=True)
     )
     coverage = float((_inside(left, size) & _inside(right, size)).mean())
-    if coverage < _LEAST_COVERAGE:
+    if coverage < _MIN_COVERAGE:
         raise InputError(
             f"{name}: rectified, only {coverage:.0%} of the image would be left: "
             "check that the calibration is of this camera and in this order"
         )
-    needed = max(_most_moved_px(left), _most_moved_px(right)) > _NEGLIGIBLE_PX
+    needed = max(_max_moved_px(left), _max_moved_px(right)) > _NEGLIGIBLE_PX
     return dataclasses.replace(
         calibration,
         model=_model(cameras),
@@ -436,7 +436,7 @@ def _inside(maps: Maps, size: tuple[int, int]) -> NDArray[np.bool_]:
     return (x >= 0) & (x <= size[0] - 1) & (y >= 0) & (y <= size[1] - 1)
 
 
-def _most_moved_px(maps: Maps) -> float:
+def _max_moved_px(maps: Maps) -> float:
     x, y = maps
     height, width = x.shape
     moved = np.hypot(x - np.arange(width), y - np.arange(height)[:, None])

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from motionstereo_cli.errors import InputError
-from motionstereo_cli.files.reading import MOST_CALIBRATION_BYTES, as_text, read_bytes
+from motionstereo_cli.files.reading import MAX_CALIBRATION_BYTES, as_text, read_bytes
 from motionstereo_cli.rig.cameras import Pair, rectified_pair
 from motionstereo_cli.rig.devices import read_depthai, read_zed
 from motionstereo_cli.rig.opencv import read_opencv
@@ -103,7 +103,7 @@ def read_files(
     """
     if not 1 <= len(paths) <= 2:
         raise InputError(f"{len(paths)} calibration files are too many: give one, or a pair")
-    contents = [read_bytes(path, "the rig", MOST_CALIBRATION_BYTES) for path in paths]
+    contents = [read_bytes(path, "the rig", MAX_CALIBRATION_BYTES) for path in paths]
     for path, content in zip(paths, contents, strict=True):
         for start, advice in _FOREIGN.items():
             if content.startswith(start):

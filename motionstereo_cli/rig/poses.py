@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from motionstereo_cli.errors import InputError
-from motionstereo_cli.files.reading import MOST_TABLE_BYTES, read_text
+from motionstereo_cli.files.reading import MAX_TABLE_BYTES, read_text
 from motionstereo_cli.types import Pose, StereoFrame
 
 HEAD = "# time_s x_m y_m z_m qx qy qz qw (x forward, y left, z up)\n"
@@ -88,7 +88,7 @@ def read_poses(path: str | Path) -> Trajectory:
         InputError: the file cannot be read, holds no pose, or a line (which is named) is not a
             pose that comes after the one before.
     """
-    lines = read_text(path, "the poses", MOST_TABLE_BYTES).splitlines()
+    lines = read_text(path, "the poses", MAX_TABLE_BYTES).splitlines()
     rows: list[list[float]] = []
     for number, line in enumerate(lines, 1):
         if not line.strip() or line.lstrip().startswith("#"):

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from motionstereo_cli.errors import InputError
 from motionstereo_cli.files.atomic import write_whole
-from motionstereo_cli.files.reading import MOST_CALIBRATION_BYTES, read_text
+from motionstereo_cli.files.reading import MAX_CALIBRATION_BYTES, read_text
 from motionstereo_cli.types import Rig
 
 _WHOLE = frozenset({"width", "height"})
@@ -27,7 +27,7 @@ def read_rig(path: str | Path) -> Rig:
         InputError: the file cannot be read, or a value is missing, unknown, given twice, not a
             finite number, or not positive where it must be.
     """
-    return parse_rig(path, read_text(path, "the rig", MOST_CALIBRATION_BYTES))
+    return parse_rig(path, read_text(path, "the rig", MAX_CALIBRATION_BYTES))
 
 
 def parse_rig(path: str | Path, text: str) -> Rig:

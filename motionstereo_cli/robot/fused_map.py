@@ -21,7 +21,7 @@ _MOST = 30
 #: A cell counts as occupied or free from here on; a voxel is one that so many frames saw.
 OCCUPIED = 8
 FREE = -2
-LEAST_FRAMES = 3
+MIN_FRAMES = 3
 
 #: The grid grows by so many cells at a time.
 _GROWTH = 64
@@ -163,12 +163,12 @@ def merged(one: Voxels, other: Voxels) -> Voxels:
 def seen_often(known: Voxels) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
     """Return the mean place and the mean grey of what lies in each voxel.
 
-    Voxels that fewer than LEAST_FRAMES frames saw are left out.
+    Voxels that fewer than MIN_FRAMES frames saw are left out.
 
     Returns:
         (n, 3) float64, in voxels along the world's axes; (n,) uint8.
     """
-    often = known.frames >= LEAST_FRAMES
+    often = known.frames >= MIN_FRAMES
     key = known.key[often]
     index = np.stack([key >> 2 * _BITS, key >> _BITS, key], axis=1) & ((1 << _BITS) - 1)
     mean = known.total[often] / known.frames[often, None]

@@ -16,7 +16,7 @@ import numpy as np
 
 from motionstereo_cli.robot.heading import (
     DIRECTIONS_RAD,
-    LEAST_KNOWN_SHARE,
+    MIN_KNOWN_SHARE,
     Course,
     free_ways,
     heading,
@@ -47,7 +47,7 @@ if TYPE_CHECKING:
 #: An object is a contact if it would be at the camera within this time, and is to be believed so
 #: far. A robot keeps clear of where the first of them will be after each of these times.
 CONTACT_S = 3.0
-LEAST_TRUST = 0.2
+MIN_TRUST = 0.2
 FORESEEN_S = (0.5, 1.0)
 
 #: What stands is in the map already: a contact that matters moves over ground by itself. Beyond
@@ -110,7 +110,7 @@ def nearest_contact(objects: Iterable[MovingObject]) -> MovingObject | None:
     first, first_s = None, CONTACT_S
     for thing in objects:
         there_s = thing.time_to_contact_s
-        if there_s is not None and there_s < first_s and thing.confidence >= LEAST_TRUST:
+        if there_s is not None and there_s < first_s and thing.confidence >= MIN_TRUST:
             first, first_s = thing, there_s
     return first
 
@@ -157,8 +157,8 @@ class ImageGuide:
         """Return what is taken from a frame, see :meth:`Guide.profile`."""
         near = _thinned(disparity_px + np.float32(self.rig.doffs if self.rig else 0))
         width = near.shape[1]
-        strips = strip_nearness(near, min(self.settings.steer_strips, width), LEAST_KNOWN_SHARE)
-        return ImageProfile(strips, nearest(near, LEAST_KNOWN_SHARE), width)
+        strips = strip_nearness(near, min(self.settings.steer_strips, width), MIN_KNOWN_SHARE)
+        return ImageProfile(strips, nearest(near, MIN_KNOWN_SHARE), width)
 
     def steer(
         self,
@@ -241,7 +241,7 @@ class MapGuide:
             below_m=s.robot_below_m,
             above_m=s.robot_above_m,
         )
-        return MapProfile(bearings_px, nearest(_thinned(near), LEAST_KNOWN_SHARE), width)
+        return MapProfile(bearings_px, nearest(_thinned(near), MIN_KNOWN_SHARE), width)
 
     def steer(
         self,

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 #: Share of a strip of the image, or of all of it, below which its matches are taken for noise.
-LEAST_KNOWN_SHARE = 0.002
+MIN_KNOWN_SHARE = 0.002
 
 
 #: Of the pixels of a strip, the share allowed to be nearer than its nearness says: noise.
@@ -23,31 +23,31 @@ _NEARER_SHARE = 0.2
 
 
 def strip_nearness(
-    nearness_px: NDArray[np.float32], strips: int, least_share: float
+    nearness_px: NDArray[np.float32], strips: int, min_share: float
 ) -> NDArray[np.float32]:
     """Return how near things are in each vertical strip of the image, (strips,) float32 px.
 
     That is the nearness which all but a fifth of the strip's known pixels stay below.
-    NaN where less than ``least_share`` (0..1) of the strip is known.
+    NaN where less than ``min_share`` (0..1) of the strip is known.
 
     Args:
         nearness_px: disparity + doffs, (height, width) float32, NaN = unknown.
         strips: number of strips, at most the width.
-        least_share: share of a strip that has to be known.
+        min_share: share of a strip that has to be known.
     """
     result = np.full(strips, np.nan, np.float32)
     for number, strip in enumerate(np.array_split(nearness_px, strips, axis=1)):
-        result[number] = _quantile(strip, 1 - _NEARER_SHARE, least_share)
+        result[number] = _quantile(strip, 1 - _NEARER_SHARE, min_share)
     return result
 
 
-def _quantile(values: NDArray[np.float32], share: float, least_share: float) -> float:
+def _quantile(values: NDArray[np.float32], share: float, min_share: float) -> float:
     """Return the quantile of all but NaN, between the two nearest; NaN if too few are known.
 
     NaN sorts behind all numbers. To pick the numbers first takes longer than the rest.
     """
     known = values.size - np.count_nonzero(np.isnan(values))
-    if known <= least_share * values.size:
+    if known <= min_share * values.size:
         return np.nan
     place = (known - 1) * share
     number = math.floor(place)
@@ -81,16 +81,16 @@ def steadied(before: float | None, target: float, gain: float) -> float:
     return target if before is None else before + gain * (target - before)
 
 
-def nearest(nearness_px: NDArray[np.float32], least_share: float) -> float | None:
+def nearest(nearness_px: NDArray[np.float32], min_share: float) -> float | None:
     """Return the nearness of the nearest thing in px; None where too little is known.
 
     All but a hundredth of the known pixels are farther.
 
     Args:
         nearness_px: disparity + doffs, (height, width) float32, NaN = unknown.
-        least_share: share of the image, 0..1, that has to be known.
+        min_share: share of the image, 0..1, that has to be known.
     """
-    found = _quantile(nearness_px, 0.99, least_share)
+    found = _quantile(nearness_px, 0.99, min_share)
     return None if math.isnan(found) else found
 
 
@@ -112,7 +112,7 @@ _CHANGE_COST_M = 0.5
 #: Directions farther from the direction of travel lead back.
 _BACK_RAD = math.radians(100)
 #: A way shorter than the first is none: then the robot looks around until one of the second.
-_LEAST_WAY_M = 0.9
+_MIN_WAY_M = 0.9
 _FOUND_WAY_M = 1.5
 _AHEAD_RAD = math.radians(35)
 #: After looking around that far without success, the way back is as good as any.
@@ -204,7 +204,7 @@ def plan(
     worth -= _CHANGE_COST_M * np.abs(wrapped(directions_rad - course.heading_rad))
     # A short way is worth going on with, but not turning for.
     ahead = (np.abs(wrapped(directions_rad - yaw_rad)) <= _AHEAD_RAD) & (course.look == 0)
-    allowed = way_m >= np.where(ahead, _LEAST_WAY_M, _FOUND_WAY_M)
+    allowed = way_m >= np.where(ahead, _MIN_WAY_M, _FOUND_WAY_M)
     if looked_rad < _LOOK_RAD:
         allowed &= from_travel <= _BACK_RAD
     if allowed.any():

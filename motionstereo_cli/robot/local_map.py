@@ -36,7 +36,7 @@ _FREE_ERROR_PX = 1.0
 _HIT_ERROR_PX = 0.5
 
 #: A bearing's nearness is that of its nearest pixels but for these.
-_LEAST_PIXELS = 4
+_MIN_PIXELS = 4
 _NEARER_SHARE = 0.1
 
 #: Bearings without points are bridged: up to this angle as free, up to this length as occupied.
@@ -123,7 +123,7 @@ def nearest_by_bearing(near_px: Reals, bearing: NDArray[np.intp], bearings: int)
     order = np.lexsort((-near_px, bearing))
     count = np.bincount(bearing, minlength=bearings)
     first = np.cumsum(count) - count
-    rank = np.maximum(_LEAST_PIXELS, np.ceil(_NEARER_SHARE * count).astype(np.int64)) - 1
+    rank = np.maximum(_MIN_PIXELS, np.ceil(_NEARER_SHARE * count).astype(np.int64)) - 1
     enough = rank < count
     result = np.full(bearings, np.nan, np.float32)
     result[enough] = near_px[order][(first + rank)[enough]]

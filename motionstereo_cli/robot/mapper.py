@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 _ERROR_PX = 0.25
 _ERROR_M = 0.16
 #: Nor does what is farther than so many cells.
-_MOST_CELLS = 400
+_MAX_CELLS = 400
 
 _BEARINGS = 80
 
@@ -128,7 +128,7 @@ class Mapper:
         self._cell_m = cell_m
         # Z = f B / d, so an error of d makes one of Z^2 / (f B) times as much in Z.
         reach_m = math.sqrt(_ERROR_M * rig.focal_px * rig.baseline_m / _ERROR_PX)
-        self._reach_m = min(reach_m, _MOST_CELLS * cell_m)
+        self._reach_m = min(reach_m, _MAX_CELLS * cell_m)
         self.known: Surroundings | None = None
 
     def add(self, result: FrameResult) -> None:

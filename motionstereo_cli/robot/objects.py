@@ -23,7 +23,7 @@ Reals = NDArray[np.float32]
 #: Regions are made of cells of so many pixels squared: that is the resolution of their boxes.
 CELL_PX = 4
 #: A cell is known where at least this share of its pixels is.
-_LEAST_SHARE = 0.125
+_MIN_SHARE = 0.125
 #: Within a region, the nearness of neighbouring cells differs by no more than the larger of these.
 #: Within a cell, that is the most of its standard deviation.
 _JUMP_PX = 0.5
@@ -35,17 +35,17 @@ _BEHIND_SHARE = 0.5
 
 #: An object is looked for where it is expected, at most so many of its sizes away and at a
 #: nearness that differs by no more than this factor.
-_MOST_SIZES = 1.0
-_MOST_FACTOR = 1.3
+_MAX_SIZES = 1.0
+_MAX_FACTOR = 1.3
 #: Its way in the image is foretold from its last observations, but no farther than it has come in
 #: them: what goes out of sight has often just come to rest.
 _WAY_SIGHTINGS = 5
 #: It is forgotten when it has been out of sight for so many frames.
-_MOST_MISSED = 30
+_MAX_MISSED = 30
 
 #: Speeds are fitted to so many of the last observations, once there are as many as the second.
 _FITTED = 12
-_LEAST_FITTED = 6
+_MIN_FITTED = 6
 _LATER, _EARLIER = np.tril_indices(_FITTED, -1)
 #: A fit that misses the nearness by so much, on average, is worth half.
 _HALF_WORTH_PX = 0.5
@@ -106,7 +106,7 @@ class Track:
     missed: int = 0
 
 
-def regions(nearness_px: Reals, fresh: NDArray[np.bool_], least_share: float) -> tuple[Region, ...]:
+def regions(nearness_px: Reals, fresh: NDArray[np.bool_], min_share: float) -> tuple[Region, ...]:
     """Return the regions of an image that may be objects.
 
     Left out are what others stand before, as the background of a camera that turns, and what
@@ -115,7 +115,7 @@ def regions(nearness_px: Reals, fresh: NDArray[np.bool_], least_share: float) ->
     Args:
         nearness_px: disparity + doffs, (height, width) float32, NaN = unknown.
         fresh: where something has just moved, (height, width) bool.
-        least_share: share of the image, 0..1, that a region has to have.
+        min_share: share of the image, 0..1, that a region has to have.
     """
     share, cells = _in_cells(nearness_px, fresh)
     bridged = _bridged(cells)
@@ -123,7 +123,7 @@ def regions(nearness_px: Reals, fresh: NDArray[np.bool_], least_share: float) ->
     nearer, sides = _neighbours(labels, bridged, count)
     labels[np.isnan(cells)] = 0
     size, boxes = _boxes(labels, count)
-    wanted = (size >= least_share * cells.size) & (nearer <= _BEHIND_SHARE * sides)
+    wanted = (size >= min_share * cells.size) & (nearer <= _BEHIND_SHARE * sides)
     wanted &= boxes[:, 2] - boxes[:, 0] < cells.shape[1]
     wanted[0] = False  # the unknown
     return tuple(
@@ -150,7 +150,7 @@ def _in_cells(nearness_px: Reals, fresh: NDArray[np.bool_]) -> tuple[Reals, Real
                         total += near
                         squares += near * near
             share[row, column] = count / CELL_PX**2
-            if share[row, column] >= _LEAST_SHARE:
+            if share[row, column] >= _MIN_SHARE:
                 middle = total / count
                 jump = max(_JUMP_PX, _JUMP_SHARE * middle)
                 if squares / count - middle**2 <= jump**2:
@@ -261,7 +261,7 @@ def follow(
             observation = observations[pairs[index]]
             kept = (*track.observations, observation)[-_FITTED:]
             result.append(Track(track.number, kept, track.seen + 1))
-        elif track.missed < min(_MOST_MISSED, track.seen):
+        elif track.missed < min(_MAX_MISSED, track.seen):
             result.append(replace(track, missed=track.missed + 1))
     new = (s for index, s in enumerate(observations) if index not in pairs.values())
     result += (Track(next_number + i, (observation,)) for i, observation in enumerate(new))
@@ -278,11 +278,11 @@ def _assigned(tracks: Sequence[Track], found: Sequence[Region], time_s: float) -
     given = np.array([_measures(region) for region in found])[None]
     size = np.maximum(wanted[..., 2:4], given[..., 2:4])
     sizes = np.hypot(*np.moveaxis((given[..., :2] - wanted[..., :2]) / size, -1, 0))
-    factor = np.abs(np.log(given[..., 4] / wanted[..., 4])) / math.log(_MOST_FACTOR)
+    factor = np.abs(np.log(given[..., 4] / wanted[..., 4])) / math.log(_MAX_FACTOR)
     # Where two tracks claim a region, the one that has been followed longer has it.
     young = 0.3 / np.array([[track.seen] for track in tracks])
-    cost = sizes / _MOST_SIZES + factor + young
-    cost[(sizes > _MOST_SIZES) | (factor > 1)] = 1e6
+    cost = sizes / _MAX_SIZES + factor + young
+    cost[(sizes > _MAX_SIZES) | (factor > 1)] = 1e6
     rows, columns = linear_sum_assignment(cost)
     return {int(r): int(c) for r, c in zip(rows, columns, strict=True) if cost[r, c] < 1e6}
 
@@ -325,7 +325,7 @@ def movement(track: Track) -> Movement | None:
 
     Speeds are the median of the slopes between all pairs of observations (Theil and Sen).
     """
-    if len(track.observations) < _LEAST_FITTED:
+    if len(track.observations) < _MIN_FITTED:
         return None
     time_s = np.array([observation.time_s for observation in track.observations])
     places = np.array([(*s.offset_m, *s.place_m) for s in track.observations])

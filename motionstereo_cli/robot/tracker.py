@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from motionstereo_cli.robot.heading import LEAST_KNOWN_SHARE
+from motionstereo_cli.robot.heading import MIN_KNOWN_SHARE
 from motionstereo_cli.robot.objects import (
     Observation,
     Region,
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from motionstereo_cli.types import Real
 
 #: A region is an object once it has been seen in so many frames.
-LEAST_SEEN = 3
+MIN_SEEN = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +72,7 @@ class Tracker:
             fresh: where the disparity shows what is there now, (height, width) bool.
         """
         near = disparity_px + np.float32(self.rig.doffs if self.rig else 0)
-        return regions(near, fresh, LEAST_KNOWN_SHARE)
+        return regions(near, fresh, MIN_KNOWN_SHARE)
 
     def follow(
         self,
@@ -98,7 +98,7 @@ class Tracker:
         return Tracks(each, last_id, time_s), tuple(
             self._object(track, pose, timed=frame.time_s is not None)
             for track in each
-            if not track.missed and track.seen >= LEAST_SEEN
+            if not track.missed and track.seen >= MIN_SEEN
         )
 
     def _observation(self, region: Region, time_s: float, pose: Pose | None) -> Observation:

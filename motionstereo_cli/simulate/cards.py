@@ -34,7 +34,7 @@ _WALL_TILE_M = 4.0
 _WALL_GREY = 128.0
 _CONTRAST = 95.0
 #: Bounds the memory for long focal lengths; a texture then repeats every 700 px.
-_MOST_TEXELS = 2048
+_MAX_TEXELS = 2048
 
 
 @dataclass(frozen=True, slots=True)
@@ -196,7 +196,7 @@ class _Texture:
     ) -> _Texture:
         """Return noise of two grains: the finest that ``farthest_m`` allows, and 4 times that."""
         texel_m = _GRAIN_PX * farthest_m / focal_px / _GRAIN_TEXELS
-        size = min(max(64, round(tile_m / texel_m)), _MOST_TEXELS)
+        size = min(max(64, round(tile_m / texel_m)), _MAX_TEXELS)
         waves = np.hypot(np.fft.fftfreq(size)[:, None], np.fft.rfftfreq(size))
         white = np.fft.rfft2(rng.standard_normal((size, size)))
         total = np.zeros((size, size))

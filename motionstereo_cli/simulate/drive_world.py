@@ -25,8 +25,8 @@ FRAME_RATE = 10
 FRAME_MS = 1000 // FRAME_RATE
 
 #: The robot: way and turn of one frame at most.
-MOST_WAY_M = 0.16
-MOST_TURN_RAD = math.radians(6)
+MAX_WAY_M = 0.16
+MAX_TURN_RAD = math.radians(6)
 #: Free way at which it drives at full speed, and at which it stops.
 _FULL_SPEED_WAY_M = 1.8
 _STOP_WAY_M = 0.35
@@ -69,13 +69,13 @@ def command(steering: Steering) -> Command:
     Where nothing is known of the way it only turns, to the left if it knows no heading either.
     """
     if steering.steer_rad is None:
-        return Command(0.0, MOST_TURN_RAD)
-    turn_rad = max(-MOST_TURN_RAD, min(MOST_TURN_RAD, _TURN_GAIN * steering.steer_rad))
+        return Command(0.0, MAX_TURN_RAD)
+    turn_rad = max(-MAX_TURN_RAD, min(MAX_TURN_RAD, _TURN_GAIN * steering.steer_rad))
     if steering.depth_m is None:
-        return Command(0.0, math.copysign(MOST_TURN_RAD, steering.steer_rad))
+        return Command(0.0, math.copysign(MAX_TURN_RAD, steering.steer_rad))
     room = (steering.depth_m - _STOP_WAY_M) / (_FULL_SPEED_WAY_M - _STOP_WAY_M)
     ahead = 1 - abs(steering.steer_rad) / _TURN_ONLY_RAD
-    return Command(MOST_WAY_M * max(0.0, min(1.0, room)) * max(0.0, ahead), turn_rad)
+    return Command(MAX_WAY_M * max(0.0, min(1.0, room)) * max(0.0, ahead), turn_rad)
 
 
 class DriveWorld:
@@ -115,8 +115,8 @@ class DriveWorld:
         )
         self._paint = WalkerPaint(settings.walkers, rng)
         self._cameras = stereo_cameras(settings.rig)
-        self._most_frames = settings.most_frames or math.ceil(
-            3 * settings.laps * self.lap_m / MOST_WAY_M
+        self._max_frames = settings.max_frames or math.ceil(
+            3 * settings.laps * self.lap_m / MAX_WAY_M
         )
         self.frames = 0
         self.path = [(self.robot.x_m, self.robot.y_m)]
@@ -167,8 +167,8 @@ class DriveWorld:
     def act(self, move: Command) -> None:
         """Move the robot and the walkers by a frame; the robot keeps to its bounds."""
         before = self.robot
-        way_m = max(0.0, min(MOST_WAY_M, move.way_m))
-        turn_rad = max(-MOST_TURN_RAD, min(MOST_TURN_RAD, move.turn_rad))
+        way_m = max(0.0, min(MAX_WAY_M, move.way_m))
+        turn_rad = max(-MAX_TURN_RAD, min(MAX_TURN_RAD, move.turn_rad))
         middle_rad = before.yaw_rad + turn_rad / 2
         self.robot = FloorPose(
             before.x_m + way_m * math.cos(middle_rad),
@@ -207,7 +207,7 @@ class DriveWorld:
             self.ended = "touched a walker"
         elif self.laps >= self.settings.laps:
             self.ended = "laps done"
-        elif self.frames >= self._most_frames:
+        elif self.frames >= self._max_frames:
             self.ended = "out of frames"
 
     def _to_walls(self) -> float:

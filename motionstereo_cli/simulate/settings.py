@@ -18,14 +18,14 @@ TURN_SHARE = 0.2
 _SCENE_DEFAULTS = (30.0, 0.12), (10.0, 0.4)
 
 #: Frames are numbered with six digits.
-_MOST_FRAMES = 1_000_000
+_MAX_FRAMES = 1_000_000
 
 #: Room that a turning camera must keep from the inner corner, in m.
-_LEAST_ROOM_M = 0.1
+_MIN_ROOM_M = 0.1
 
 #: The driven robot, and the room it needs besides.
 ROBOT_RADIUS_M = 0.25
-_LEAST_DRIVE_ROOM_M = 0.5
+_MIN_DRIVE_ROOM_M = 0.5
 #: Width of the widest driven corridor that a seed decides on.
 _WIDEST_M = 3.5
 
@@ -131,16 +131,16 @@ class SimulateSettings:
                 f"--focal-px {self.focal_px:g} is too short for a width of {self.width} px: "
                 f"give at least {self.width / 5:g}"
             )
-        if not 1 <= len(self.frame_range) <= _MOST_FRAMES:
-            raise SettingsError(f"--frames {self.frames}: give 1 to {_MOST_FRAMES} frames")
+        if not 1 <= len(self.frame_range) <= _MAX_FRAMES:
+            raise SettingsError(f"--frames {self.frames}: give 1 to {_MAX_FRAMES} frames")
         # The inner corner comes nearest to the turning robot in the middle of the turn.
         radius_m = TURN_SHARE * self.corridor_length_m / (math.pi / 2)
-        room_m = (_LEAST_ROOM_M + self.baseline_m / 2) / math.sqrt(2)
-        least_m = 2 * (room_m + radius_m * (1 - math.sqrt(0.5)))
-        if not least_m <= self.corridor_width_m <= self.corridor_length_m / 2:
+        room_m = (_MIN_ROOM_M + self.baseline_m / 2) / math.sqrt(2)
+        min_m = 2 * (room_m + radius_m * (1 - math.sqrt(0.5)))
+        if not min_m <= self.corridor_width_m <= self.corridor_length_m / 2:
             raise SettingsError(
                 f"--corridor-width-m {self.corridor_width_m:g} does not suit a corridor length of "
-                f"{self.corridor_length_m:g} m: give {least_m:.2f} to "
+                f"{self.corridor_length_m:g} m: give {min_m:.2f} to "
                 f"{self.corridor_length_m / 2:g} m"
             )
 
@@ -181,8 +181,11 @@ class DriveSettings:
     """
 
     laps: float = param(1.0, "Maximum number of rounds.", low=0.01, high=1000, common=True)
-    most_frames: int = param(
-        0, "Maximum number of frames (0 = three times what the laps should take).", low=0
+    max_frames: int = param(
+        0,
+        "Maximum number of frames (0 = three times what the laps should take).",
+        low=0,
+        old="most_frames",
     )
     walkers: int = param(
         0,
@@ -220,11 +223,11 @@ class DriveSettings:
 
     def __post_init__(self) -> None:
         checked(self)
-        least_m = 2 * ROBOT_RADIUS_M + _LEAST_DRIVE_ROOM_M
-        if self.corridor_width_m and self.corridor_width_m < least_m:
+        min_m = 2 * ROBOT_RADIUS_M + _MIN_DRIVE_ROOM_M
+        if self.corridor_width_m and self.corridor_width_m < min_m:
             raise SettingsError(
                 f"--corridor-width-m {self.corridor_width_m:g} has no room for a robot of "
-                f"{2 * ROBOT_RADIUS_M:g} m: give at least {least_m:g} m"
+                f"{2 * ROBOT_RADIUS_M:g} m: give at least {min_m:g} m"
             )
         width_m = self.corridor_width_m or _WIDEST_M
         if self.corridor_length_m and self.corridor_length_m < 2 * width_m:

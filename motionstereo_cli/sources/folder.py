@@ -13,7 +13,7 @@ from typing import Any
 
 from motionstereo_cli.errors import InputError
 from motionstereo_cli.files.reading import open_regular
-from motionstereo_cli.settings import MOST_PIXELS
+from motionstereo_cli.settings import MAX_PIXELS
 from motionstereo_cli.sources.recording import Image, Recording, images
 from motionstereo_cli.sources.stills import (
     SUFFIXES,
@@ -57,7 +57,7 @@ class FolderRecording(Recording):
         files: Iterable[Path] | None = None,
         frame_rate: Fraction | None = None,
         *,
-        max_pixels: int = MOST_PIXELS,
+        max_pixels: int = MAX_PIXELS,
     ) -> None:
         self._path = path
         self._max_pixels = max_pixels

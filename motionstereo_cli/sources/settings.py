@@ -10,14 +10,14 @@ from typing import NamedTuple
 
 from motionstereo_cli.errors import SettingsError
 from motionstereo_cli.params import checked, param
-from motionstereo_cli.settings import MOST_PIXELS, MOST_PIXELS_OF_ALL
+from motionstereo_cli.settings import MAX_PIXELS, PILLOW_MAX_PIXELS
 from motionstereo_cli.types import Rig
 
 #: A place in the stream: an int is the number of a frame, a Fraction a time in s.
 Place = int | Fraction
 
 #: One image in a quarter of an hour, in frames per second.
-_LEAST_RATE = 0.001
+_MIN_RATE = 0.001
 
 _TIME = re.compile(r"(?:(?:(\d+):)?(\d+):)?(\d+(?:\.\d*)?)(s?)", re.ASCII)
 
@@ -101,12 +101,12 @@ class InputSettings:
         group="Robustness",
     )
     max_pixels: int = param(
-        MOST_PIXELS,
+        MAX_PIXELS,
         "Maximum size of an image. Larger ones are refused before they are decoded, because they "
         "would fill the memory.",
         unit="px",
         low=1,
-        high=MOST_PIXELS_OF_ALL,
+        high=PILLOW_MAX_PIXELS,
         group="Robustness",
     )
     allow_network: bool = param(
@@ -133,9 +133,9 @@ class InputSettings:
         """The rate that was given, None if none was; FFmpeg's numbers hold it and its inverse."""
         if not self.frame_rate:
             return None
-        if self.frame_rate < _LEAST_RATE:
+        if self.frame_rate < _MIN_RATE:
             raise SettingsError(
-                f"--frame-rate cannot be {self.frame_rate:g}: give {_LEAST_RATE} to 100,000 frames "
+                f"--frame-rate cannot be {self.frame_rate:g}: give {_MIN_RATE} to 100,000 frames "
                 "per second, or 0 where it is unknown"
             )
         # 29.97002997 is 30000/1001.

@@ -17,7 +17,7 @@ from PIL import ImageOps
 
 from motionstereo_cli.errors import InputError
 from motionstereo_cli.files.reading import open_regular
-from motionstereo_cli.settings import MOST_PIXELS
+from motionstereo_cli.settings import MAX_PIXELS
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -39,7 +39,7 @@ _RGB_MODES = {"P", "PA", "La", "RGBa", "RGBX", "CMYK", "YCbCr"}
 _DAMAGE = (OSError, ValueError, SyntaxError, EOFError, OverflowError, Pillow.DecompressionBombError)
 
 #: No image takes more bytes in a file: 16 bits of four colours twice over, and its notes.
-_MOST_BYTES_PER_PIXEL, _NOTES_BYTES = 16, 16_000_000
+_MAX_BYTES_PER_PIXEL, _NOTES_BYTES = 16, 16_000_000
 
 #: Magic, width, height and scale of a PFM, and the one white space behind them, which is two
 #: characters where a program wrote the head as text on Windows.
@@ -89,20 +89,20 @@ def shown(files: Iterable[Path], suffixes: Collection[str]) -> list[Path]:
     ]
 
 
-def read_still(path: Path, max_pixels: int = MOST_PIXELS) -> Still:
+def read_still(path: Path, max_pixels: int = MAX_PIXELS) -> Still:
     """Read an image from a regular file: PNG, JPEG, TIFF, BMP, PPM, WebP, or PFM by its name.
 
     Raises:
         DamagedImageError: it cannot be read, or is of another format.
         InputError: it is too large, or has pixels of a kind that says nothing of grey levels.
     """
-    most_bytes = _MOST_BYTES_PER_PIXEL * max_pixels + _NOTES_BYTES
+    max_bytes = _MAX_BYTES_PER_PIXEL * max_pixels + _NOTES_BYTES
     try:
         with open_regular(path) as file:
-            content = file.read(most_bytes + 1)
+            content = file.read(max_bytes + 1)
     except OSError as error:
         raise DamagedImageError(error.strerror or str(error)) from error
-    if len(content) > most_bytes:
+    if len(content) > max_bytes:
         raise _too_large(path, f" ({len(content)} bytes or more)", max_pixels)
     if path.suffix.lower() == ".pfm":
         pixels, pages = _pfm(content, path, max_pixels), 1

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from motionstereo_cli.errors import InputError
-from motionstereo_cli.files.reading import MOST_TABLE_BYTES, as_text, read_bytes
+from motionstereo_cli.files.reading import MAX_TABLE_BYTES, as_text, read_bytes
 
 #: Beside a folder ``data``: the images' time stamps in ns and names, as EuRoC lays them.
 _EUROC = "data.csv"
@@ -22,7 +22,7 @@ _EUROC = "data.csv"
 _KITTI, _KITTI_RAW = "times.txt", "timestamps.txt"
 
 #: The largest time stamp and number: FFmpeg and NumPy hold 64 bits with a sign.
-_MOST_STAMP = 2**63 - 1
+_MAX_STAMP = 2**63 - 1
 
 _NS = 1_000_000_000
 
@@ -89,7 +89,7 @@ def file_numbers(stems: list[str]) -> list[int] | None:
     if len(varying) != 1 or varying[0][0] % 2 == 0:
         return None
     numbers = [int(number) for number in varying[0][1]]
-    if max(numbers) > _MOST_STAMP:
+    if max(numbers) > _MAX_STAMP:
         return None
     steps = list(map(operator.sub, numbers[1:], numbers[:-1]))
     least = min(steps)
@@ -109,14 +109,14 @@ def gaps(numbers: list[int]) -> list[str]:
 
 def _euroc(table: Path, folder: Path) -> Timeline:
     """Return the images that a EuRoC camera's table lists, in the order of time."""
-    content = read_bytes(table, "the time stamps", MOST_TABLE_BYTES)
+    content = read_bytes(table, "the time stamps", MAX_TABLE_BYTES)
     rows = []
     for number, line in enumerate(as_text(content).splitlines(), 1):
         stamp, comma, name = (part.strip() for part in line.partition(","))
         if not line.strip() or stamp.startswith("#"):
             continue
         named = comma and Path(name).name == name
-        if not (named and re.fullmatch("[0-9]{1,19}", stamp) and int(stamp) <= _MOST_STAMP):
+        if not (named and re.fullmatch("[0-9]{1,19}", stamp) and int(stamp) <= _MAX_STAMP):
             raise InputError(f"{table}, line {number}: give 'time stamp in ns,file name'")
         rows.append((int(stamp), folder / name))
     rows.sort()
@@ -129,7 +129,7 @@ def _euroc(table: Path, folder: Path) -> Timeline:
 
 def _by_number(table: Path, files: list[Path], parse: Callable[[str], int], form: str) -> Timeline:
     """Return images whose numbers are those of a table's lines, from 0."""
-    content = read_bytes(table, "the times", MOST_TABLE_BYTES)
+    content = read_bytes(table, "the times", MAX_TABLE_BYTES)
     try:
         lines = as_text(content).splitlines()
         stamps_ns = [parse(lines[int(file.stem)]) for file in files]
@@ -155,7 +155,7 @@ def _date(line: str) -> int:
 
 
 def _stamp(stamp_ns: int) -> int:
-    if not 0 <= stamp_ns <= _MOST_STAMP:
+    if not 0 <= stamp_ns <= _MAX_STAMP:
         raise ValueError
     return stamp_ns
 

@@ -17,7 +17,7 @@ from av.video.reformatter import ColorRange
 
 from motionstereo_cli.errors import InputError
 from motionstereo_cli.files.reading import sha256_of
-from motionstereo_cli.settings import MOST_PIXELS
+from motionstereo_cli.settings import MAX_PIXELS
 from motionstereo_cli.sources.pipe import Pipe
 from motionstereo_cli.sources.recording import Image, Recording, images
 
@@ -73,7 +73,7 @@ class VideoRecording(Recording):
         self,
         path: Path | Pipe | str,
         *,
-        max_pixels: int = MOST_PIXELS,
+        max_pixels: int = MAX_PIXELS,
         allow_network: bool = False,
     ) -> None:
         self._path = path

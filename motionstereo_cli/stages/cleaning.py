@@ -14,17 +14,17 @@ _NOTHING = -_PER_PX
 
 
 def without_speckles(
-    disparity_px: NDArray[np.float32], where: NDArray[np.bool_], least_px: int
+    disparity_px: NDArray[np.float32], where: NDArray[np.bool_], min_px: int
 ) -> NDArray[np.float32]:
-    """Return a disparity image without connected patches of fewer than ``least_px`` pixels.
+    """Return a disparity image without connected patches of fewer than ``min_px`` pixels.
 
     Args:
         disparity_px: (height, width) float32, NaN = unknown.
         where: pixels that count, (height, width) bool; all others become unknown.
-        least_px: pixels of the smallest patch that stays.
+        min_px: pixels of the smallest patch that stays.
     """
     sixteenths = _sixteenths(disparity_px, where)
-    cv2.filterSpeckles(sixteenths, _NOTHING, least_px, _PER_PX)
+    cv2.filterSpeckles(sixteenths, _NOTHING, min_px, _PER_PX)
     return _kept(disparity_px, sixteenths)
 
 

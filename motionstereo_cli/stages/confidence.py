@@ -17,7 +17,7 @@ _PER_GREY_LEVEL = np.float32(-0.157)
 _PER_FRAME = np.float32(-0.093)
 
 #: More votes than this say no more.
-_MOST_VOTES = 512
+_MAX_VOTES = 512
 
 #: A gap filled between two matches is right as often as a match with this evidence.
 _FILLED_VOTES = np.float32(340)
@@ -25,7 +25,7 @@ _FILLED_RESIDUAL = np.float32(3)
 
 #: Tables, for logarithms and exponentials take their time: what votes contribute, and the
 #: logistic function from minus to plus the largest logit in steps of 1/64.
-_PER_VOTE = (_CONSTANT + _PER_DOUBLING * np.log2(np.maximum(np.arange(_MOST_VOTES + 1), 1))).astype(
+_PER_VOTE = (_CONSTANT + _PER_DOUBLING * np.log2(np.maximum(np.arange(_MAX_VOTES + 1), 1))).astype(
     np.float32
 )
 _LARGEST_LOGIT = np.float32(10)
@@ -64,7 +64,7 @@ def confidence(
             if np.isnan(matched_px[y, x]):
                 count, grey = _FILLED_VOTES, _FILLED_RESIDUAL
             logit = (
-                _PER_VOTE[min(int(count), _MOST_VOTES)]
+                _PER_VOTE[min(int(count), _MAX_VOTES)]
                 + _PER_GREY_LEVEL * grey
                 + _PER_FRAME * np.float32(age_frames[y, x])
             )

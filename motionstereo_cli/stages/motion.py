@@ -12,20 +12,20 @@ def motion(
     bands_before: NDArray[np.uint8 | np.uint16],
     grey: NDArray[np.uint8],
     grey_before: NDArray[np.uint8],
-    least_jump: int = 0,
+    min_jump: int = 0,
 ) -> NDArray[np.bool_]:
     """Return where something moved between two frames, (height, width) bool.
 
-    Equation (3): Mov = 1 where GLB(t) != GLB(t-1). With ``least_jump`` the grey level must have
+    Equation (3): Mov = 1 where GLB(t) != GLB(t-1). With ``min_jump`` the grey level must have
     changed by at least as much too: near the edge of a band a flicker of one grey level is enough
     to change the band, and noise alone does that.
 
     Args:
         bands, bands_before: bands at t and t-1, (height, width).
         grey, grey_before: grey levels that the bands were taken from, (height, width) uint8.
-        least_jump: least change in grey levels, 0..255.
+        min_jump: least change in grey levels, 0..255.
     """
     moved = np.not_equal(bands, bands_before)
-    if least_jump > 1:  # a change of band is a change of at least one grey level
-        moved &= cv2.absdiff(grey, grey_before) >= least_jump
+    if min_jump > 1:  # a change of band is a change of at least one grey level
+        moved &= cv2.absdiff(grey, grey_before) >= min_jump
     return moved

@@ -70,7 +70,7 @@ def match_trails(
     *,
     block_px: tuple[int, int] = (8, 8),
     max_ratio: float = 0.9,
-    least_votes: int = 16,
+    min_votes: int = 16,
 ) -> tuple[Reals, Reals]:
     """Return the disparity of each right pixel in px, and how many votes agree with it.
 
@@ -89,7 +89,7 @@ def match_trails(
         max_disparity: largest x in the left view minus x in the right one, px.
         block_px: height and width of the blocks that vote together.
         max_ratio: largest support of a trail's second best pair as a share of the best's.
-        least_votes: votes, in 3 x 3 blocks and within +-2 px, that a disparity needs.
+        min_votes: votes, in 3 x 3 blocks and within +-2 px, that a disparity needs.
     """
     width = right.shape[1]
     rows, columns = (-(-right.shape[i] // block_px[i]) for i in (0, 1))
@@ -101,7 +101,7 @@ def match_trails(
     ends = winners(trails, others, pairs, blocks, max_ratio, votes)
     votes[:] = 0
     vote_again(trails, ends, blocks, votes)
-    return painted(right, left, trails, ends, blocks, least_votes, votes)
+    return painted(right, left, trails, ends, blocks, min_votes, votes)
 
 
 @kernel
@@ -317,7 +317,7 @@ def painted(
     trails: Trails,
     ends: Ints,
     blocks: Blocks,
-    least_votes: int,
+    min_votes: int,
     votes: Ints,
 ) -> tuple[Reals, Reals]:
     """Return the images of disparity and of votes, (height, width) float32, NaN = unknown."""
@@ -341,7 +341,7 @@ def painted(
                     # Ends lie between pixels: pixel centres begin half a pixel after the start.
                     share = np.float32((x - start + 0.5) / (stop - start))
                     agreement[y, x] = begin_votes * (one - share) + end_votes * share
-                    if agreement[y, x] >= least_votes:
+                    if agreement[y, x] >= min_votes:
                         disparity[y, x] = begin * (one - share) + end * share
                 continue
             for x in range(start, stop):
@@ -351,6 +351,6 @@ def painted(
                 at, agreeing = centroid(near[block], choice[block])
                 there = x + choice[block]
                 for column in range(max(there - 1, 0), min(there + 2, width)):
-                    if left[y, column] == right[y, x] and agreeing >= least_votes:
+                    if left[y, column] == right[y, x] and agreeing >= min_votes:
                         disparity[y, x], agreement[y, x] = at, agreeing
     return disparity, agreement

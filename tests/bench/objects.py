@@ -29,11 +29,11 @@ if TYPE_CHECKING:
     from motionstereo_cli.types import FrameResult, MovingObject
 
 #: A card counts where so much of the image shows it.
-_LEAST_SHARE = 0.004
+_MIN_SHARE = 0.004
 #: An object is a card's if their boxes overlap by this (intersection over union) or more and
 #: their depths differ by at most this share.
-_LEAST_OVERLAP = 0.3
-_MOST_OFF = 0.1
+_MIN_OVERLAP = 0.3
+_MAX_OFF = 0.1
 #: Speeds count once the object has been followed for so many frames, cards move if they are
 #: faster than this, and for so long after a card has turned round its old speed is still seen.
 _FOLLOWED_FRAMES = 10
@@ -149,7 +149,7 @@ def _visible(
         state: CardState = card_state(card, time_s)
         mine = np.abs(x_m - state.x_m) < 0.01
         mine &= np.abs(y_m - state.y_m) <= card.width_m / 2 + 0.01
-        if mine.mean() >= _LEAST_SHARE:
+        if mine.mean() >= _MIN_SHARE:
             rows, columns = np.nonzero(mine)
             corner = float(columns.min()), float(rows.min())
             box = (*corner, float(np.ptp(columns) + 1), float(np.ptp(rows) + 1))
@@ -161,10 +161,10 @@ def _of(box: Box, depth_m: float, objects: Sequence[MovingObject]) -> MovingObje
     near = [
         thing
         for thing in objects
-        if thing.depth_m is not None and abs(thing.depth_m / depth_m - 1) <= _MOST_OFF
+        if thing.depth_m is not None and abs(thing.depth_m / depth_m - 1) <= _MAX_OFF
     ]
     best = max(near, key=lambda thing: _overlap(box, thing), default=None)
-    return best if best is not None and _overlap(box, best) >= _LEAST_OVERLAP else None
+    return best if best is not None and _overlap(box, best) >= _MIN_OVERLAP else None
 
 
 def _overlap(box: Box, thing: MovingObject) -> float:

@@ -461,7 +461,7 @@ def repeat(clip: Clip, folder: Path, trials: Sequence[int], seed: int) -> Verdic
 # A long run.
 
 _EARLY_FRAMES = 500
-_MOST_GROWTH = 0.05
+_MAX_GROWTH = 0.05
 _LONG_PATIENCE_S = 3600.0
 
 
@@ -490,7 +490,7 @@ def long(clip: Clip, folder: Path, frames: int) -> Verdict:
         f"and {found['threads']} threads more than before; {found['frames']} frames in "
         f"{ended.wall_s:.0f} s"
     )
-    if growth >= _MOST_GROWTH:
+    if growth >= _MAX_GROWTH:
         verdict.failures.append(f"memory grew by {growth:.1%}")
     if found["files"] > 0 or found["threads"] > 0:
         verdict.failures.append(f"{found['files']} files, {found['threads']} threads left over")
