@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 _JPEG_QUALITY = 80
 
 #: A histogram needs no more images than these, and no finer columns.
-_MOST_IMAGES, _COLUMNS = 60, 48
+_MAX_IMAGES, _COLUMNS = 60, 48
 
 
 class Picture(NamedTuple):
@@ -37,34 +37,34 @@ class Picture(NamedTuple):
 
 
 def poster(
-    video: Path, time_s: float, *, most_width: int, rows: int | None = None
+    video: Path, time_s: float, *, max_width: int, rows: int | None = None
 ) -> Picture | None:
     """Return the frame of a video at a time, None where it cannot be had.
 
     Args:
         video: the file.
         time_s: the time; the last frame stands for all that would come later.
-        most_width: it is made smaller if it is wider, in px.
+        max_width: it is made smaller if it is wider, in px.
         rows: how many rows of pixels to show, from above; all if None.
     """
     try:
         image = _frame_at(video, time_s)
     except (av.FFmpegError, OSError, ValueError, IndexError):
         return None
-    return None if image is None else encoded(image[:rows], most_width)
+    return None if image is None else encoded(image[:rows], max_width)
 
 
-def encoded(image: NDArray[np.uint8], most_width: int, suffix: str = ".jpg") -> Picture:
+def encoded(image: NDArray[np.uint8], max_width: int, suffix: str = ".jpg") -> Picture:
     """Return an RGB or grey image as the page has it.
 
     Args:
         image: (height, width, 3) or (height, width) uint8.
-        most_width: it is made smaller if it is wider, in px.
+        max_width: it is made smaller if it is wider, in px.
         suffix: .jpg or .png.
     """
     height, width = image.shape[:2]
-    if width > most_width:
-        size = most_width, max(1, round(height * most_width / width))
+    if width > max_width:
+        size = max_width, max(1, round(height * max_width / width))
         image = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
     bgr = image[..., ::-1] if image.ndim == 3 else image
     quality = [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY] if suffix == ".jpg" else []
@@ -101,7 +101,7 @@ def histogram(maps: Maps, scale: DepthScale, doffs: float) -> dict[str, Any] | N
         ``median``; None where no pixel is known.
     """
     numbers = sorted(maps.files)
-    some = numbers[:: max(1, -(-len(numbers) // _MOST_IMAGES))]
+    some = numbers[:: max(1, -(-len(numbers) // _MAX_IMAGES))]
     near, far = scale.ends
     edges = np.geomspace(near, far, _COLUMNS + 1)
     counts = np.zeros(_COLUMNS, np.int64)

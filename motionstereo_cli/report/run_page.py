@@ -191,7 +191,7 @@ def _panels(
                 "title": title,
                 "what": what,
                 "src": address,
-                "poster": source and poster(source, when_s, most_width=_POSTER_PX, rows=rows),
+                "poster": source and poster(source, when_s, max_width=_POSTER_PX, rows=rows),
                 "alt": f"{title} of frame {number}: {what}",
             }
         )

@@ -15,17 +15,17 @@ if TYPE_CHECKING:
 
 #: Rows that a page plots as they are: ten minutes at 30 frames a second, and some. Of more, it
 #: gets fewer, but those of every extreme.
-MOST_ROWS = 20_000
+MAX_ROWS = 20_000
 
 #: Times to contact in s that part the colours of objects: soon, later, hardly.
 SOON_S, LATER_S = 2.0, 5.0
 
 #: Objects that a page shows: those that came closest to contact.
-MOST_OBJECTS = 24
+MAX_OBJECTS = 24
 
 
 def kept_rows(
-    series: Iterable[NDArray[np.float64]], codes: NDArray[np.int64], most: int = MOST_ROWS
+    series: Iterable[NDArray[np.float64]], codes: NDArray[np.int64], most: int = MAX_ROWS
 ) -> NDArray[np.intp]:
     """Return the numbers of the rows to plot, at most ``most`` where that can be.
 
@@ -122,7 +122,7 @@ def tracks(
         track["contact"] = _least(track["contact"], contact)
         track["nearest"] = _least(track["nearest"], depth)
         track["closing"] = _most(track["closing"], closing)
-    shown = sorted(found.values(), key=_urgency)[:MOST_OBJECTS]
+    shown = sorted(found.values(), key=_urgency)[:MAX_OBJECTS]
     return sorted(shown, key=lambda track: (track["spans"][0][0], track["id"])), len(found)
 
 
