@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 _FEATURES = 600
 
 
-_LEAST_CONTRAST = 0.02
+_MIN_CONTRAST = 0.02
 
 
 _MAX_RATIO = 0.8
@@ -135,7 +135,7 @@ class Window:
     def _seen(self, side: str, t: int) -> _Keypoints:
         if (side, t) not in self._features:
             image = (self.left if side == "left" else self.right)[t]
-            sift = cv2.SIFT.create(_FEATURES, contrastThreshold=_LEAST_CONTRAST)
+            sift = cv2.SIFT.create(_FEATURES, contrastThreshold=_MIN_CONTRAST)
             keys, descriptors = sift.detectAndCompute(image, None)
             points = np.array([key.pt for key in keys], np.float32).reshape(-1, 2)
             self._features[side, t] = _Keypoints(points, np.asarray(descriptors, np.float32))

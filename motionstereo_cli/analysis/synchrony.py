@@ -23,20 +23,20 @@ if TYPE_CHECKING:
     Column = NDArray[np.float64]
 
 
-_LEAST_MATCHES = 30
+_MIN_MATCHES = 30
 
 
 # Steps in time.
-_MOST_STEP = 4
+_MAX_STEP = 4
 
 
 _MOVING_PX = 0.1  # a frame
 
 
-_LEAST_MOVING = 20
+_MIN_MOVING = 20
 
 
-_LEAST_REST = 0.3
+_MIN_REST = 0.3
 
 
 _CERTAIN_SIGMAS = 5.0
@@ -78,11 +78,11 @@ def _design(matches: Matches, shape: tuple[int, ...]) -> NDArray[np.float64]:
 
 def fit_rows(matches: Matches, shape: tuple[int, ...]) -> Fit | None:
     """Fit robustly, from no step and from the likeliest; None where too few matches agree."""
-    if len(matches) < _LEAST_MATCHES:
+    if len(matches) < _MIN_MATCHES:
         return None
     moving = np.abs(matches.down) > _MOVING_PX
     starts = [0.0]
-    if moving.sum() >= _LEAST_MOVING:
+    if moving.sum() >= _MIN_MOVING:
         starts.append(_roughly(matches.lower[moving], matches.down[moving]))
     fits = [_refined(matches, shape, moving, start, len(starts) > 1) for start in starts]
     return min((fit for fit in fits if fit), key=lambda fit: fit.error_px, default=None)
@@ -102,7 +102,7 @@ def _refined(
     rest = lower - start * matches.down
     chosen = np.abs(rest - np.median(rest)) < 3
     for _ in range(10):
-        if chosen.sum() < _LEAST_MATCHES / 2:
+        if chosen.sum() < _MIN_MATCHES / 2:
             return None
         weights = np.sqrt(say[chosen])
         solved = np.linalg.lstsq(design[chosen] * weights[:, None], lower[chosen] * weights)
@@ -126,7 +126,7 @@ def _refined(
 
 def _roughly(lower: Column, down: Column) -> float:
     """Return the step that makes most rows agree, by trying."""
-    steps = np.arange(-_MOST_STEP - 1, _MOST_STEP + 1.5, 0.5)
+    steps = np.arange(-_MAX_STEP - 1, _MAX_STEP + 1.5, 0.5)
     rest = lower - steps[:, None] * down
     off = np.abs(rest - np.median(rest, axis=1, keepdims=True))
     return float(steps[np.minimum(off, 1).sum(axis=1).argmin()])
@@ -148,7 +148,7 @@ def _walk(windows: Sequence[Window], matches: Matches) -> Step | None:
     tried: dict[int, Fit] = {}
 
     def attempt(whole: int) -> bool:
-        if whole in tried or abs(whole) > _MOST_STEP:
+        if whole in tried or abs(whole) > _MAX_STEP:
             return False
         pooled = joined([window.matches(whole) for window in windows]) if whole else matches
         fit = fit_rows(pooled, windows[0].shape)
@@ -158,7 +158,7 @@ def _walk(windows: Sequence[Window], matches: Matches) -> Step | None:
         return True
 
     whole = 0
-    while attempt(whole) and abs(tried[whole].step) >= _LEAST_REST:
+    while attempt(whole) and abs(tried[whole].step) >= _MIN_REST:
         rest = tried[whole].step
         whole += max(1, round(abs(rest))) * (1 if rest > 0 else -1)
     if not tried:
@@ -175,7 +175,7 @@ def _walk(windows: Sequence[Window], matches: Matches) -> Step | None:
     )
     if best and certain:
         return Step(best, best + tried[best].step)
-    return Step(0, tried[0].step) if abs(tried[0].step) < _LEAST_REST else None
+    return Step(0, tried[0].step) if abs(tried[0].step) < _MIN_REST else None
 
 
 def step_or_drift(
