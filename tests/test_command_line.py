@@ -125,7 +125,7 @@ def test_one_frame_is_no_frames(run_args, capsys):
     assert main([*run_args, "--end", "1", "--save", "steering"]) == 0
     said = capsys.readouterr().err
     assert "note: 1 frame in " in said
-    assert "warning: one frame alone shows no motion" in said
+    assert "warning: one frame shows no motion" in said
 
 
 def test_without_a_rig_disparity_takes_the_place_of_depth(run_args, capsys):
