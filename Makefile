@@ -11,8 +11,10 @@ GOLDEN = steering,depth,disparity
 
 demo: $(READY)  ## run the main job on sample_data
 	$(BIN)/motionstereo run sample_data/left.mp4 sample_data/right.mp4 \
-		--rig sample_data/rig.yaml --out out/demo --overwrite
-	@echo "Look at out/demo: depth.mp4 and charge.mp4 play anywhere, steering.csv has a row a frame."
+		--rig sample_data/rig.yaml --out out/demo --overwrite \
+		--save steering,depth,charge,depth-video,objects,view-video,preview
+	$(BIN)/motionstereo report out/demo
+	@echo "Open out/demo/report.html in a browser. preview.mp4 plays anywhere; steering.csv has a row a frame."
 
 test: $(READY)  ## run the tests
 	$(BIN)/pytest

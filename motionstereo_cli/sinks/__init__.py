@@ -157,8 +157,9 @@ OUTPUTS = {
     "depth-video": Output(
         "depth.mp4",
         "depth in colour (output_settings.colours), near = its end, far = its beginning, "
-        "black = unknown; log scale of disparity + doffs from max_disparity, or near_m, to 1 px, "
-        "or far_m",
+        "black = unknown, the dark view where nothing is known at all; log scale of disparity + "
+        "doffs from max_disparity, or near_m, to 1 px, or far_m; below it (output_settings.legend) "
+        "a strip with that scale in m or px and the time",
         "previews.depth",
     ),
     "disparity": Output(
@@ -196,6 +197,15 @@ OUTPUTS = {
         "images.motion",
     ),
     "motion-video": Output("motion.mp4", "the images of motion as video", "previews.motion"),
+    "view-video": Output(
+        "view.mp4", "the reference view as it was processed, grey", "previews.view"
+    ),
+    "preview": Output(
+        "preview.mp4",
+        "to send to somebody: reference view with the heading as an arrow, charge and depth beside "
+        "each other, with scale and time; panels of at most 640 px",
+        "previews.preview",
+    ),
     "charge": Output(
         "charge.mp4", "permanency memory of the reference view, charge as grey", "previews.charge"
     ),

@@ -13,6 +13,7 @@ import numpy as np
 
 from motionstereo_cli.files.video import SegmentedVideo
 from motionstereo_cli.sinks.images import depth_png, known_depth_m, motion_png
+from motionstereo_cli.sinks.legend import strip, time_text
 from motionstereo_cli.sinks.scale import FARTHEST, DepthScale, palette
 from motionstereo_cli.types import FrameResult
 
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from motionstereo_cli.sinks import RunContext
-    from motionstereo_cli.types import Real
+    from motionstereo_cli.types import Grey, Real
 
 #: Time stamps that begin beyond this count from an epoch; no player waits for that long.
 _EPOCH_S = 86_400
@@ -104,12 +105,49 @@ def _bands(result: FrameResult, stream: RunContext) -> NDArray[np.uint8]:
     return ((result.bands.astype(np.uint16) - 1) * 255 // steps).astype(np.uint8)
 
 
-def _depth(result: FrameResult, stream: RunContext) -> NDArray[np.uint8]:
-    scale = DepthScale.of(stream.settings, stream.output, stream.rig)
+def depth_scale(stream: RunContext) -> DepthScale:
+    """Return the scale of the depth colours of a run."""
+    return DepthScale.of(stream.settings, stream.output, stream.rig)
+
+
+def reference_view(result: FrameResult, stream: RunContext) -> Grey:
+    """Return the reference camera's image, (height, width) uint8."""
+    view: Grey = getattr(result.frame, stream.settings.reference)
+    return view
+
+
+def grey_picture(grey: Grey) -> NDArray[np.uint8]:
+    """Return grey levels, (height, width) uint8, as RGB."""
+    return np.asarray(cv2.cvtColor(grey, cv2.COLOR_GRAY2RGB), np.uint8)
+
+
+def depth_picture(result: FrameResult, stream: RunContext) -> NDArray[np.uint8]:
+    """Return depth in colour, (height, width, 3) uint8 RGB.
+
+    Where nothing at all is known, as at the begin of a recording, it is the reference view,
+    darkened: a picture that is black says nothing, and is what a file is shown by.
+    """
+    if np.isnan(result.disparity_px).all():
+        return grey_picture(reference_view(result, stream) // np.uint8(3))
+    scale = depth_scale(stream)
     doffs = stream.rig.doffs if stream.rig else 0.0
     return depth_colours(
         result.disparity_px + np.float32(doffs), scale.near_px, scale.far_px, scale.colours
     )
+
+
+def _depth(result: FrameResult, stream: RunContext) -> NDArray[np.uint8]:
+    picture = depth_picture(result, stream)
+    if not stream.output.legend:
+        return picture
+    below = strip(picture.shape[1], depth_scale(stream), time_text(result.frame))
+    return np.concatenate([picture, below])
+
+
+def _preview(result: FrameResult, stream: RunContext) -> NDArray[np.uint8]:
+    from motionstereo_cli.sinks.preview import preview_picture
+
+    return preview_picture(result, stream)
 
 
 # The sinks by their names in OUTPUTS; each takes the path and the stream.
@@ -127,4 +165,6 @@ depth_lossless = _video(
 )
 bands = _video(_bands)
 motion = _video(lambda result, _: motion_png(result.motion))
+view = _video(reference_view)
+preview = _video(_preview)
 charge = _video(lambda result, _: result.charge)

@@ -47,6 +47,9 @@ class OutputSettings:
         low=0,
         high=1_000_000,
     )
+    legend: bool = param(
+        True, "Add a strip below the images of depth-video: the scale of depth, and the time."
+    )
     map_cell_m: float = param(
         0.05,
         "Side of the cells of map.png and of the voxels; map.ply has one point for each voxel.",

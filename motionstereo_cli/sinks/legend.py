@@ -1,0 +1,79 @@
+"""The strip below a picture of depth: its scale, and the time."""
+
+from __future__ import annotations
+
+import functools
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from motionstereo_cli.files.lettering import Label, lettered, text_width
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from motionstereo_cli.sinks.scale import DepthScale
+    from motionstereo_cli.types import StereoFrame
+
+_GROUND = (24, 24, 27)
+
+#: Least height of a strip, and the width of picture for each px of it.
+_MIN_HEIGHT_PX, _WIDTH_PER_PX = 28, 36
+
+#: Share of the width that the text has; the scale has the rest.
+_TEXT_SHARE = 0.3
+
+
+def strip(
+    width: int, scale: DepthScale, text: str = "", *, begin: int | None = None
+) -> NDArray[np.uint8]:
+    """Return a strip with a text at its left and the scale of depth at its right.
+
+    Args:
+        width: of the strip in px.
+        scale: the scale.
+        text: such as the time.
+        begin: where the scale's part begins in px; after the text's part if None.
+
+    Returns:
+        (height, width, 3) uint8 RGB; the height is even and follows from the width and ``begin``.
+    """
+    begin = round(_TEXT_SHARE * width) if begin is None else begin
+    ruler = _ruler(width, scale, begin)
+    if not text:
+        return ruler
+    height, size_px = len(ruler), _letters(len(ruler)) + 1
+    return lettered(ruler, [Label(height // 4, height / 2, text)], size_px=size_px)
+
+
+def time_text(frame: StereoFrame) -> str:
+    """Return when a frame is in words: its time or, where the source has none, its number."""
+    return f"frame {frame.index}" if frame.time_s is None else f"{frame.time_s:.2f} s"
+
+
+@functools.lru_cache(maxsize=8)
+def _ruler(width: int, scale: DepthScale, begin: int) -> NDArray[np.uint8]:
+    room = (width - begin) / (1 - _TEXT_SHARE)
+    height = max(_MIN_HEIGHT_PX, 2 * round(room / _WIDTH_PER_PX / 2))
+    size_px, margin = _letters(height), height // 3
+    left, right = begin + margin, max(width - margin, begin + margin + 2)
+    image = np.full((height, width, 3), _GROUND, np.uint8)
+    places = np.linspace(0, 1, right - left)
+    top, bottom = round(0.16 * height), round(0.42 * height)
+    ramp = np.array([scale.colour(place) for place in places], np.uint8)
+    image[top:bottom, left:right] = ramp[: max(width - left, 0)]
+    labels: list[Label] = []
+    free_from = float(begin)
+    for tick in scale.ticks():
+        unit = "" if labels else f" {scale.unit}"
+        middle = left + scale.place(tick) * (right - left - 1)
+        half = text_width(f"{tick:g}{unit}", size_px) / 2
+        if middle - half >= free_from and middle + half <= width:
+            labels.append(Label(middle, 0.74 * height, f"{tick:g}{unit}", "mm"))
+            image[bottom : bottom + 2, round(middle)] = 200
+            free_from = middle + half + size_px / 2
+    return lettered(image, labels, size_px=size_px, colour=(200, 200, 205))
+
+
+def _letters(height: int) -> int:
+    return max(round(0.4 * height), 6)

@@ -1,0 +1,156 @@
+"""Pictures for people: scales are true, and nothing is coloured without one."""
+
+from __future__ import annotations
+
+import dataclasses
+from fractions import Fraction
+
+import av
+import numpy as np
+import pytest
+
+from motionstereo_cli.files.lettering import Label, lettered, text_width
+from motionstereo_cli.settings import Settings
+from motionstereo_cli.sinks import OUTPUTS, RunContext
+from motionstereo_cli.sinks.legend import strip
+from motionstereo_cli.sinks.preview import heading_text, preview_picture, with_heading
+from motionstereo_cli.sinks.previews import depth_colours
+from motionstereo_cli.sinks.scale import DepthScale
+from motionstereo_cli.sinks.settings import OutputSettings
+from motionstereo_cli.types import FrameResult, Rig, Steering, StereoFrame
+
+HEIGHT, WIDTH = 60, 96
+RIG = Rig(width=WIDTH, height=HEIGHT, focal_px=100, baseline_m=0.1, cx=47.5, cy=29.5)
+LEFT = Steering("ok", 0.5, 0.25, 3.25, 1.0)
+BLIND = Steering("blind", None, None, None, None)
+
+
+def context(rig=RIG, **output):
+    return RunContext(Fraction(1, 25), Settings(), rig, OutputSettings(**output))
+
+
+def result(steering=LEFT, disparity_px=4.0, *, time_s=1.5):
+    grey = np.full((HEIGHT, WIDTH), 90, np.uint8)
+    real = np.full((HEIGHT, WIDTH), disparity_px, np.float32)
+    return FrameResult(
+        frame=StereoFrame(3, 38, time_s, grey, grey),
+        bands=grey,
+        motion=grey > 0,
+        charge=grey,
+        age_frames=grey,
+        confidence=real,
+        disparity_px=real,
+        depth_m=None,
+        steering=steering,
+        charged=0.5,
+        matched=0.5,
+    )
+
+
+def frames(path):
+    with av.open(str(path)) as video:
+        return [frame.to_ndarray(format="rgb24") for frame in video.decode(video=0)]
+
+
+@pytest.mark.parametrize("rig", [RIG, dataclasses.replace(RIG, doffs=2.0), None])
+def test_a_depth_has_its_colour_at_its_place_on_the_scale(rig):
+    scale = DepthScale.of(Settings(), OutputSettings(), rig)
+    assert scale.unit == ("m" if rig else "px")
+    ticks = scale.ticks()
+    assert len(ticks) > 3
+    for tick in ticks:
+        disparity_px = np.float32([[scale.px_m / tick if scale.px_m else tick]])
+        [[painted]] = depth_colours(disparity_px, scale.near_px, scale.far_px)
+        colour = np.array(scale.colour(scale.place(tick)), int)
+        assert np.abs(painted - colour).max() <= 6
+    places = [scale.place(tick) for tick in ticks]
+    assert places == sorted(places)
+    assert all(0 <= place <= 1 for place in places)
+
+
+def test_near_and_far_are_the_ends_of_the_scale():
+    scale = DepthScale.of(Settings(), OutputSettings(near_m=0.5, far_m=8), RIG)
+    assert scale.ends == pytest.approx((0.5, 8))
+    assert scale.ticks() == [0.5, 1, 2, 5]
+
+
+@pytest.mark.parametrize("width", [2, 17, 64, 320, 1920])
+def test_a_strip_shows_every_colour_from_near_to_far(width):
+    scale = DepthScale.of(Settings(), OutputSettings(), RIG)
+    image = strip(width, scale, "12.34 s")
+    assert image.shape[1:] == (width, 3)
+    assert image.shape[0] % 2 == 0
+    if width >= 64:
+        row = image[round(0.3 * len(image))].astype(int)
+        ramp = np.flatnonzero(np.ptp(row, axis=1) > 60)
+        assert len(ramp) > 0.4 * width
+        for column, place in ((ramp[0], 0), (ramp[-1], 1)):
+            assert np.abs(row[column] - scale.colour(place)).max() < 30
+
+
+def test_the_strip_of_the_depth_video_can_be_switched_off(tmp_path):
+    heights = []
+    for legend in (True, False):
+        sink = OUTPUTS["depth-video"].open(tmp_path, context(legend=legend))
+        sink.write(result())
+        sink.close()
+        [picture] = frames(tmp_path / "depth.mp4")
+        heights.append(len(picture))
+        wanted = depth_colours(np.float32([[4]]), 64)[0, 0].astype(int)
+        assert np.abs(picture[HEIGHT // 2, WIDTH // 2] - wanted).max() < 16
+    assert heights == [HEIGHT + 28, HEIGHT]
+
+
+def test_where_nothing_is_known_the_dark_view_is_shown(tmp_path):
+    sink = OUTPUTS["depth-video"].open(tmp_path, context())
+    sink.write(result(BLIND, np.nan))
+    sink.close()
+    [picture] = frames(tmp_path / "depth.mp4")
+    assert np.abs(picture[:HEIGHT].astype(int) - 30).max() <= 3
+
+
+def test_the_preview_has_three_panels_and_the_heading(tmp_path):
+    sink = OUTPUTS["preview"].open(tmp_path, context())
+    for steering in (LEFT, BLIND):
+        sink.write(result(steering))
+    sink.close()
+    with_arrow, without = (picture.astype(int) for picture in frames(tmp_path / "preview.mp4"))
+    assert with_arrow.shape[1] >= 3 * WIDTH
+    body = slice(26, 26 + HEIGHT)
+    green = with_arrow[body, :, 1] - with_arrow[body, :, 0] > 60
+    assert green[:, : WIDTH // 2 + 4].sum() > 20
+    assert not (without[body, :WIDTH, 1] - without[body, :WIDTH, 0] > 60).any()
+
+
+def test_wide_panels_are_made_smaller():
+    wide = np.zeros((100, 1300), np.uint8)
+    real = np.full((100, 1300), 4, np.float32)
+    large = dataclasses.replace(
+        result(), frame=StereoFrame(0, 0, None, wide, wide), charge=wide, disparity_px=real
+    )
+    assert preview_picture(large, context()).shape[1] == 3 * 640 + 2 * 4
+
+
+@pytest.mark.parametrize("steer", [-1.0, -0.5, 0.0, 0.5, 1.0])
+def test_the_arrow_points_where_the_heading_is(steer):
+    view = np.zeros((120, 200, 3), np.uint8)
+    drawn = with_heading(view, Steering("ok", steer, None, None, None))
+    assert not view.any()
+    rows, columns = np.nonzero(drawn[:, :, 1] > 150)
+    tip = columns[rows <= rows.min() + 2].mean()
+    assert tip == pytest.approx(100 * (1 - steer), abs=15)
+
+
+def test_headings_in_words():
+    assert heading_text(LEFT) == "ok: 14° left, 3.2 m ahead"
+    assert heading_text(Steering("held", -0.25, None, None, None)) == "held: 25% right"
+    assert heading_text(BLIND) == "blind"
+
+
+def test_letters_stand_where_they_should():
+    blank = np.zeros((40, 200, 3), np.uint8)
+    drawn = lettered(blank, [Label(100, 20, "mm", "mm")], size_px=16)
+    assert not blank.any()
+    columns = np.flatnonzero(drawn.any(axis=(0, 2)))
+    assert columns.mean() == pytest.approx(100, abs=3)
+    assert np.ptp(columns) == pytest.approx(text_width("mm", 16), abs=4)
