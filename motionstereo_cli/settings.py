@@ -16,11 +16,6 @@ from motionstereo_cli.params import checked, param
 #: The largest age in frames that can be told apart.
 FOREVER = 254
 
-#: Larger images than these, in px, come from a damaged or hostile file unless the user says
-#: otherwise. Beyond the second number Pillow reads none.
-MAX_PIXELS = 64_000_000
-PILLOW_MAX_PIXELS = 178_000_000
-
 
 @dataclass(frozen=True, slots=True)
 class Settings:

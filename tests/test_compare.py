@@ -24,11 +24,11 @@ from motionstereo_cli.analysis.compare import (
     format_json,
     format_junit,
     format_table,
-    read_table,
 )
 from motionstereo_cli.analysis.settings import CompareSettings
 from motionstereo_cli.errors import InputError, SettingsError
 from motionstereo_cli.sinks import OUTPUTS, Output
+from motionstereo_cli.sinks.reading import read_table
 
 STEERING = """\
 frame,pts,time_s,status,steer,steer_rad,depth_m,nearest_m,charged,matched

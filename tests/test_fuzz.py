@@ -29,13 +29,14 @@ from test_compare import RECORD, STEERING, written
 from test_rig import VALUES, rig_file
 
 from motionstereo_cli.__main__ import main
-from motionstereo_cli.analysis.compare import compare, read_table
-from motionstereo_cli.analysis.evaluate import Comparison, Maps
+from motionstereo_cli.analysis.compare import compare
+from motionstereo_cli.analysis.evaluate import Comparison
 from motionstereo_cli.batch.folder import prepare
 from motionstereo_cli.errors import MotionStereoError
 from motionstereo_cli.rig import format_rig, read_rig
 from motionstereo_cli.rig.calibration import read_calibration
 from motionstereo_cli.rig.poses import read_poses
+from motionstereo_cli.sinks.reading import Maps, read_table
 from motionstereo_cli.sources.folder import FolderRecording
 
 #: A warning of NumPy's would be talk that no user can follow.

@@ -44,7 +44,7 @@ MAY_IMPORT = {
     "files": {"errors", "types"},
     "sources": {"errors", "types", "params", "settings", "files", "rig"},
     "rig": {"errors", "types", "params", "settings", "files", "sources"},
-    "sinks": GROUND | {"files", "robot", "stages"},
+    "sinks": GROUND | {"files", "rig", "robot", "stages"},
 }
 
 

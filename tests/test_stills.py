@@ -13,12 +13,12 @@ import pytest
 from PIL import Image as Pillow
 from recordings import COUNT, folder, number_in, scene
 
-from motionstereo_cli.analysis.evaluate import Maps
 from motionstereo_cli.errors import InputError, SettingsError
+from motionstereo_cli.files.stills import DamagedImageError, read_still
+from motionstereo_cli.sinks.reading import Maps
 from motionstereo_cli.sources import open_stereo
 from motionstereo_cli.sources.folder import FolderRecording
 from motionstereo_cli.sources.settings import InputSettings
-from motionstereo_cli.sources.stills import DamagedImageError, read_still
 
 EPS = b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 64 48\n%%EndComments\nshowpage\n%%EOF\n"
 

@@ -7,7 +7,6 @@ that cannot be read.
 
 from __future__ import annotations
 
-import csv
 import json
 import math
 import re
@@ -20,11 +19,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import cv2
 import numpy as np
 
-from motionstereo_cli.analysis.evaluate import Maps
 from motionstereo_cli.analysis.settings import COLUMN_TOLERANCE, CompareSettings
-from motionstereo_cli.batch.folder import RECORD
 from motionstereo_cli.errors import InputError, SettingsError
-from motionstereo_cli.sinks import OUTPUTS
+from motionstereo_cli.sinks import OUTPUTS, RECORD
+from motionstereo_cli.sinks.reading import Maps, read_record, read_table
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -196,10 +194,10 @@ class _Comparison:
         outputs = {}
         for save in OUTPUTS.values():
             path = self._golden / save.path
-            if "{" in save.path and save.shown.startswith(("depth", "disparity")):
+            if save.kind in ("disparity", "depth"):
                 if path.parent.is_dir() and save.shown not in outputs:
                     outputs[save.shown] = self._maps(save.shown)
-            elif path.suffix == ".csv":
+            elif save.kind == "table":
                 if path.exists():
                     outputs[save.path] = self._table(save.path)
             elif files := sorted(self._golden.glob(save.path.replace("{:06d}", "*"))):
@@ -292,7 +290,7 @@ class _Comparison:
         output = Compared(RECORD, "values")
         try:
             actual, golden = (
-                dict(_leaves(_read_record(folder / RECORD)))
+                dict(_leaves(read_record(folder / RECORD)))
                 for folder in (self._actual, self._golden)
             )
         except InputError as error:
@@ -324,53 +322,6 @@ class _Comparison:
                 output.differ("files", f"{path} is missing")
         self._notes.append(f"{name} has to be there, what is in it is not compared")
         return output
-
-
-class Table(NamedTuple):
-    """A CSV table with a row for each frame, or for each frame and id.
-
-    Attributes:
-        columns: names, in order.
-        rows: by frame and id (empty if there is no such column), the cells by column.
-    """
-
-    columns: tuple[str, ...]
-    rows: dict[tuple[int, str], dict[str, str]]
-
-
-def read_table(path: Path) -> Table:
-    """Read a CSV table that ``run`` wrote.
-
-    Raises:
-        InputError: it cannot be read, has no or a second column of a name, no column ``frame``, a
-            row of another length, or two rows for the same frame and id.
-    """
-    try:
-        with path.open(newline="", encoding="utf-8-sig", errors="replace") as file:
-            lines = list(csv.reader(file, strict=True))
-    except (OSError, csv.Error) as error:
-        reason = error.strerror if isinstance(error, OSError) else error
-        raise InputError(f"cannot read the table {path}: {reason}") from error
-    header = lines[0] if lines else []
-    if "frame" not in header or len(set(header)) < len(header):
-        raise InputError(f"{path} is no table of a run: its first line has to name each column")
-    rows: dict[tuple[int, str], dict[str, str]] = {}
-    for number, cells in enumerate(lines[1:], 2):
-        if len(cells) != len(header):
-            raise InputError(
-                f"{path} row {number} has {len(cells)} cells and not {len(header)}: write it again"
-            )
-        row = dict(zip(header, cells, strict=True))
-        try:
-            key = int(row["frame"]), row.get("id", "")
-        except ValueError:
-            raise InputError(
-                f"{path} row {number}: {_shown(row['frame'])} is no frame number: write it again"
-            ) from None
-        if key in rows:
-            raise InputError(f"{path} row {number}: frame {key[0]} comes twice: write it again")
-        rows[key] = row
-    return Table(tuple(header), rows)
 
 
 def format_table(report: Report) -> str:
@@ -504,16 +455,6 @@ def _distance(one: str, other: str) -> float:
     except ValueError:
         return math.inf
     return distance if math.isfinite(distance) else math.inf
-
-
-def _read_record(path: Path) -> dict[str, Any]:
-    try:
-        record = json.loads(path.read_bytes())
-    except (OSError, ValueError, RecursionError) as error:
-        raise InputError(f"{path} cannot be read: write it again") from error
-    if not isinstance(record, dict):
-        raise InputError(f"{path} is not the record of a run: write it again")
-    return record
 
 
 def _leaves(record: dict[str, Any]) -> Iterator[tuple[str, Any]]:

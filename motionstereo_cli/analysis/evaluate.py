@@ -5,33 +5,22 @@ Images compared are of one view; a run's are of the right one unless it ran with
 
 from __future__ import annotations
 
-import json
 import math
-import re
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from motionstereo_cli.errors import InputError
-from motionstereo_cli.rig import read_rig
-from motionstereo_cli.sources.stills import DamagedImageError, read_still, shown
+from motionstereo_cli.sinks.reading import Maps, numbered_files, read_mask, size_of
 from motionstereo_cli.types import Rig
 
 if TYPE_CHECKING:
     from motionstereo_cli.types import Real
 
-#: Where a run writes them, the most exact ones first.
-_FOLDERS = ("disparity-pfm", "disparity", "depth-pfm", "depth-tiff", "depth")
-
-_SUFFIXES = (".png", ".pfm", ".tiff")
-
-#: How the names of folders that hold them begin; KITTI's is disp_occ_0.
-_NAMED = {"disp": "disparity", "depth": "depth"}
 
 #: Errors in px above which a disparity is bad.
 BAD_PX = (0.5, 1.0, 2.0, 3.0)
@@ -40,9 +29,6 @@ BAD_PX = (0.5, 1.0, 2.0, 3.0)
 #: 0 would otherwise outweigh all others.
 FAR_M = 80.0
 
-#: Units per px of a 16-bit PNG, as KITTI has it, and per m, as REP 118 has it.
-_PER_PX = 256
-_PER_M = 1000
 
 #: The median comes from a histogram: exact for disparities in 1/256 px, and up to 256 px.
 _BINS_PER_PX = 256
@@ -187,72 +173,6 @@ def tally(pair: FramePair) -> Tally:
     )
 
 
-class Maps:
-    """The disparity or depth images of a folder, by frame number.
-
-    16-bit PNG: disparity in 1/256 px (KITTI) or depth in mm (REP 118), or whatever unit the
-    run.json beside it names, 0 = unknown. PFM and float32 TIFF: disparity in px or depth in m;
-    unknown where not positive or not finite.
-
-    A frame's number is the number in its file name or, of several, that which differs most from
-    file to file: 7 of 000007_10.png.
-
-    Args:
-        folder: what ``run`` or ``simulate`` wrote, with folders of disparity (preferred) or depth
-            in it; or a folder of images.
-        kind: ``disparity`` or ``depth``; if None, as the folder's name begins (disp, depth).
-
-    Attributes:
-        kind: ``disparity`` or ``depth``.
-        files: the images by frame number, in order.
-        rig: what the rig.yaml or run.json beside them says, None if nothing.
-        reference: the camera whose view they are in, ``right`` or ``left``; None if nobody says.
-
-    Raises:
-        InputError: there is no such folder or no image in it, or its kind or the frame numbers
-            cannot be told.
-    """
-
-    def __init__(self, folder: Path, kind: str | None = None) -> None:
-        within = [
-            name for name in _FOLDERS if name.startswith(kind or "") and (folder / name).is_dir()
-        ]
-        if within:
-            images, home = folder / within[0], folder
-            kind = _kind_by_name(images)
-        else:
-            named = _kind_by_name(folder)
-            images, home = folder, folder.resolve().parent if named else folder
-            kind = kind or named
-        self.files = _numbered(images, _SUFFIXES)
-        if kind is None:
-            raise InputError(
-                f"{folder}: its name does not tell whether it holds disparity or depth: "
-                "give --out-kind or --truth-kind"
-            )
-        self.kind = kind
-        self.rig, self.reference, per_m = _said_in(home)
-        self._png_per_unit = _PER_PX if kind == "disparity" else per_m
-
-    def read(self, number: int) -> Real:
-        """Return a frame's disparity in px or depth in m, (height, width) float32, NaN = unknown.
-
-        Raises:
-            InputError: the file cannot be read, or its pixels are of another kind.
-        """
-        path = self.files[number]
-        image = _read(path)
-        wanted = np.uint16 if path.suffix.lower() == ".png" else np.float32
-        if image.ndim != 2 or image.dtype != wanted:
-            raise InputError(
-                f"{path} is not a 16-bit grey PNG, a one-channel PFM or a float32 TIFF: convert it"
-            )
-        values = image.astype(np.float32)
-        if wanted is np.uint16:
-            values /= self._png_per_unit
-        return np.where((values > 0) & np.isfinite(values), values, np.float32(np.nan))
-
-
 class Comparison:
     """A result beside its truth, frame by frame.
 
@@ -290,7 +210,7 @@ class Comparison:
                 f"no frame number is common to {_span(out)} and {_span(truth)}: "
                 "give results and truth of the same frames"
             )
-        self._masks = None if mask is None else _numbered(mask, (".png",))
+        self._masks = None if mask is None else numbered_files(mask, (".png",))
         for number in self.numbers:
             if self._masks is not None and number not in self._masks:
                 raise InputError(f"{mask} has no PNG for frame {number}: add it (not 0 = count)")
@@ -310,15 +230,15 @@ class Comparison:
         self._check_size(self._truth.files[number], truth)
         if out.shape != truth.shape:
             raise InputError(
-                f"{self._out.files[number]} is {_size(out)} but {self._truth.files[number]} is "
-                f"{_size(truth)}: give results and truth of the same size"
+                f"{self._out.files[number]} is {size_of(out)} but {self._truth.files[number]} is "
+                f"{size_of(truth)}: give results and truth of the same size"
             )
         if self._masks is not None:
-            counted = _read_mask(self._masks[number])
+            counted = read_mask(self._masks[number])
             if counted.shape != truth.shape:
                 raise InputError(
-                    f"{self._masks[number]} is {_size(counted)} but the truth is {_size(truth)}: "
-                    "give masks of the same size"
+                    f"{self._masks[number]} is {size_of(counted)} but the truth is "
+                    f"{size_of(truth)}: give masks of the same size"
                 )
             truth = np.where(counted, truth, np.float32(np.nan))
         found_px, found_m = _both_kinds(out, self._out.kind, self._out_rig)
@@ -331,7 +251,7 @@ class Comparison:
         for rig in (self._out_rig, self._truth_rig):
             if rig is not None and (rig.height, rig.width) != image.shape:
                 raise InputError(
-                    f"{path} is {_size(image)} but the rig is for {rig.width}x{rig.height}: "
+                    f"{path} is {size_of(image)} but the rig is for {rig.width}x{rig.height}: "
                     "give the rig of these images with --rig"
                 )
 
@@ -382,83 +302,6 @@ def evaluate(comparison: Comparison, progress: Callable[[], object] = lambda: No
     return Report(total.score(), frames, len(comparison.only_out), len(comparison.only_truth))
 
 
-def format_csv(report: Report) -> str:
-    """Return the scores as RFC 4180 CSV (but LF): a row a frame, then one for all; empty = none."""
-    rows = [",".join(item.name for item in fields(Score))]
-    for score in (*report.frames, report.overall):
-        frame, *values = asdict(score).values()
-        cells = ["" if _is_nan(value) else f"{value:.7g}" for value in values]
-        rows.append(",".join(["overall" if frame is None else str(frame), *cells]))
-    return "\n".join(rows) + "\n"
-
-
-def format_json(report: Report) -> str:
-    """Return the report as JSON; null = none."""
-
-    def known(score: Score) -> dict[str, Any]:
-        return {key: None if _is_nan(value) else value for key, value in asdict(score).items()}
-
-    content = {
-        "overall": known(report.overall),
-        "frames": [known(score) for score in report.frames],
-        "only_out": report.only_out,
-        "only_truth": report.only_truth,
-    }
-    return json.dumps(content, indent=2, allow_nan=False) + "\n"
-
-
-def format_table(report: Report) -> str:
-    """Return a table to read: all frames together beside the worst."""
-    worst = report.worst
-    rows = [("", f"{len(report.frames)} frames", f"worst: {worst.frame}")]
-    for item in fields(Score)[1:]:
-        overall, frame = (getattr(score, item.name) for score in (report.overall, worst))
-        rows.append((item.name, _shown(overall), _shown(frame)))
-    return "".join(f"{name:<13}{overall:>14}{frame:>14}\n" for name, overall, frame in rows)
-
-
-_STEPS_BGR = (
-    ("within 0.5 px", (149, 54, 49)),
-    ("within 1 px", (209, 173, 116)),
-    ("within 2 px", (144, 224, 254)),
-    ("within 3 px", (67, 109, 244)),
-    ("over 3 px", (38, 0, 165)),
-)
-_UNKNOWN_BGR = (0, 0, 0)
-_NO_TRUTH_BGR = (64, 64, 64)
-_ENTRY_PX = 120
-_LINE_PX = 18
-
-
-def draw_errors(pair: FramePair) -> NDArray[np.uint8]:
-    """Return a picture of the errors of the disparity, with a legend below.
-
-    Blue is right and red is wrong, in the steps of :data:`BAD_PX`; black has no result, dark grey
-    has no truth or is masked out.
-
-    Returns:
-        (height + legend, width, 3) uint8 BGR; widened where the legend needs it.
-    """
-    error_px = np.abs(pair.found_px - pair.truth_px)
-    palette = np.array([bgr for _, bgr in _STEPS_BGR], np.uint8)
-    picture = palette[np.searchsorted(BAD_PX, np.nan_to_num(error_px))]
-    picture[np.isnan(pair.found_px)] = _UNKNOWN_BGR
-    picture[np.isnan(pair.truth_px)] = _NO_TRUTH_BGR
-
-    entries = (*_STEPS_BGR, ("unknown", _UNKNOWN_BGR), ("no truth", _NO_TRUTH_BGR))
-    per_line = max(picture.shape[1] // _ENTRY_PX, 1)
-    lines = math.ceil(len(entries) / per_line)
-    width = max(picture.shape[1], _ENTRY_PX)
-    legend = np.full((lines * _LINE_PX + 4, width, 3), 255, np.uint8)
-    for index, (label, bgr) in enumerate(entries):
-        x, y = index % per_line * _ENTRY_PX + 4, index // per_line * _LINE_PX + 5
-        cv2.rectangle(legend, (x, y), (x + 11, y + 11), bgr, cv2.FILLED)
-        origin = (x + 17, y + 10)
-        cv2.putText(legend, label, origin, cv2.FONT_HERSHEY_SIMPLEX, 0.4, (0, 0, 0), 1, cv2.LINE_AA)
-    widened = np.pad(picture, ((0, 0), (0, width - picture.shape[1]), (0, 0)), constant_values=255)
-    return np.vstack([widened, legend])
-
-
 def _both_kinds(values: Real, kind: str, rig: Rig | None) -> tuple[Real | None, Real | None]:
     """Return disparity in px and depth in m; None for the one that would need a rig."""
     if rig is None:
@@ -471,78 +314,8 @@ def _both_kinds(values: Real, kind: str, rig: Rig | None) -> tuple[Real | None, 
     return values, focal_baseline / inverse
 
 
-def _kind_by_name(folder: Path) -> str | None:
-    name = folder.resolve().name.lower()
-    return next((kind for start, kind in _NAMED.items() if name.startswith(start)), None)
-
-
-def _numbered(folder: Path, suffixes: tuple[str, ...]) -> dict[int, Path]:
-    try:
-        files = shown(folder.iterdir(), suffixes)
-    except OSError as error:
-        raise InputError(f"cannot read the folder {folder}: {error.strerror}") from error
-    if not files:
-        raise InputError(f"{folder} has no {' or '.join(suffixes)} files: check the path")
-    # Columns of numbers, as many as the name with the fewest has.
-    columns = list(zip(*(re.findall("[0-9]+", file.stem) for file in files), strict=False))
-    if not columns:
-        raise InputError(f"{folder}: give every file name a frame number, such as 000007.png")
-    numbers = [int(digits) for digits in max(columns, key=lambda column: len(set(column)))]
-    numbered = dict(sorted(zip(numbers, files, strict=True)))
-    if len(numbered) < len(files):
-        raise InputError(f"{folder}: several files have the same frame number: keep one of each")
-    return numbered
-
-
-def _said_in(folder: Path) -> tuple[Rig | None, str | None, int]:
-    """Return rig, reference camera and units of depth PNG per m, as files in a folder say."""
-    rig = read_rig(folder / "rig.yaml") if (folder / "rig.yaml").is_file() else None
-    path = folder / "run.json"
-    if not path.is_file():
-        return rig, "right" if rig else None, _PER_M  # simulate's truth
-    try:
-        record = json.loads(path.read_bytes())
-        if rig is None and record["rig"] is not None:
-            rig = Rig(**record["rig"])
-        per_m = int(record.get("output_settings", {}).get("depth_scale", _PER_M))
-        if not (per_m > 0 and all(map(math.isfinite, (record["rig"] or {}).values()))):
-            raise ValueError
-        return rig, record.get("settings", {}).get("reference"), per_m
-    except (
-        *(OSError, ValueError, LookupError, TypeError, AttributeError),
-        *(OverflowError, RecursionError),
-    ) as error:
-        raise InputError(f"{path}: its rig cannot be read: give --rig, or run again") from error
-
-
-def _read(path: Path) -> NDArray[Any]:
-    try:
-        return read_still(path).pixels
-    except DamagedImageError as error:
-        raise InputError(f"{path} cannot be read as an image ({error}): write it again") from error
-
-
-def _read_mask(path: Path) -> NDArray[np.bool_]:
-    mask = _read(path)
-    return np.asarray(mask != 0 if mask.ndim == 2 else mask[..., :3].any(axis=2))
-
-
 def _ratio(part: float, whole: int) -> float:
     return part / whole if whole else math.nan
-
-
-def _is_nan(value: object) -> bool:
-    return isinstance(value, float) and math.isnan(value)
-
-
-def _shown(value: float) -> str:
-    if _is_nan(value):
-        return "-"
-    return str(value) if isinstance(value, int) else f"{value:.4f}"
-
-
-def _size(image: NDArray[Any]) -> str:
-    return f"{image.shape[1]}x{image.shape[0]}"
 
 
 def _span(maps: Maps) -> str:

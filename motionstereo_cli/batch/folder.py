@@ -13,15 +13,13 @@ from typing import Any
 
 from motionstereo_cli.errors import OutputError
 from motionstereo_cli.files.atomic import is_segment, part_of, reported, write_whole
-from motionstereo_cli.sinks import OUTPUTS
+from motionstereo_cli.sinks import OUTPUTS, RECORD
 
 try:
     import fcntl
 except ImportError:  # Windows
     fcntl = None  # type: ignore[assignment]
 
-#: Tells what a run wrote. Written last; until then its ``.part`` lists what is being written.
-RECORD = "run.json"
 #: What a run needs to go on after its process is gone; removed when it is complete.
 CHECKPOINT = "run.checkpoint"
 _PROGRAM = "motionstereo"

@@ -28,7 +28,6 @@ from motionstereo_cli.batch.checkpoint import (
 )
 from motionstereo_cli.batch.folder import (
     CHECKPOINT,
-    RECORD,
     clear,
     complete,
     head,
@@ -45,7 +44,7 @@ from motionstereo_cli.pipeline import State, process
 from motionstereo_cli.rig import rig_values
 from motionstereo_cli.rig.poses import Trajectory
 from motionstereo_cli.settings import Settings
-from motionstereo_cli.sinks import DEFAULT_OUTPUTS, OUTPUTS, RunContext, Sink, available
+from motionstereo_cli.sinks import DEFAULT_OUTPUTS, OUTPUTS, RECORD, RunContext, Sink, available
 from motionstereo_cli.sinks.settings import OutputSettings
 from motionstereo_cli.sinks.steering import SteeringFile, SteeringStream
 from motionstereo_cli.sinks.threaded import Threaded

@@ -69,21 +69,24 @@ def evaluate(
 
     from tqdm import tqdm
 
-    from motionstereo_cli.analysis import evaluate as library
+    from motionstereo_cli.analysis import evaluate_report
+    from motionstereo_cli.analysis.evaluate import Comparison
+    from motionstereo_cli.analysis.evaluate import evaluate as evaluate_library
     from motionstereo_cli.files.atomic import write_whole
     from motionstereo_cli.files.images import encode_png
     from motionstereo_cli.rig import read_rig
+    from motionstereo_cli.sinks.reading import Maps
 
-    comparison = library.Comparison(
-        library.Maps(result, out_kind),
-        library.Maps(truth, truth_kind),
+    comparison = Comparison(
+        Maps(result, out_kind),
+        Maps(truth, truth_kind),
         rig=None if rig is None else read_rig(rig),
         mask=mask,
     )
     if picture is not None:
-        write_whole(picture_path, encode_png(library.draw_errors(comparison.pair(picture))))
+        write_whole(picture_path, encode_png(evaluate_report.draw_errors(comparison.pair(picture))))
     with tqdm(total=len(comparison.numbers), unit="frame", disable=None) as bar:
-        report = library.evaluate(comparison, bar.update)
+        report = evaluate_library(comparison, bar.update)
 
     for side, count in (("OUT", report.only_out), ("TRUTH", report.only_truth)):
         if count:
@@ -94,13 +97,13 @@ def evaluate(
     if not comparison.has_depth:
         say("note", "no rig is known, so errors in m are not: give --rig")
     for path, content in (
-        (csv_path, library.format_csv),
-        (json_path, library.format_json),
+        (csv_path, evaluate_report.format_csv),
+        (json_path, evaluate_report.format_json),
     ):
         if path is not None and path != _STDOUT:
             write_whole(path, content(report).encode())
-    shown = library.format_csv if csv_path == _STDOUT else library.format_table
-    shown = library.format_json if json_path == _STDOUT else shown
+    shown = evaluate_report.format_csv if csv_path == _STDOUT else evaluate_report.format_table
+    shown = evaluate_report.format_json if json_path == _STDOUT else shown
     click.echo(shown(report), nl=False)
     if picture is not None:
         say("note", f"errors of frame {picture} in {picture_path}")

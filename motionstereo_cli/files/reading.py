@@ -11,6 +11,11 @@ from pathlib import Path
 
 from motionstereo_cli.errors import InputError
 
+#: Larger images than these, in px, come from a damaged or hostile file unless the user says
+#: otherwise. Beyond the second number Pillow reads none.
+MAX_PIXELS = 64_000_000
+PILLOW_MAX_PIXELS = 178_000_000
+
 #: No calibration, and no table of poses or time stamps for a day's recording, is as large.
 MAX_CALIBRATION_BYTES = 16_000_000
 MAX_TABLE_BYTES = 256_000_000

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from motionstereo_cli.batch.folder import RECORD
 from motionstereo_cli.errors import InputError
 from motionstereo_cli.files.atomic import part_of
+from motionstereo_cli.sinks import RECORD
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

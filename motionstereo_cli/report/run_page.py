@@ -14,7 +14,6 @@ from urllib.parse import quote
 import cv2
 import numpy as np
 
-from motionstereo_cli.analysis.evaluate import Maps
 from motionstereo_cli.errors import InputError
 from motionstereo_cli.report.folder import RunFolder, Steering, read_run
 from motionstereo_cli.report.pictures import Picture, encoded, histogram, poster
@@ -23,6 +22,7 @@ from motionstereo_cli.report.series import LATER_S, SOON_S, plotted, tracks
 from motionstereo_cli.report.words import changed, command, troubles
 from motionstereo_cli.settings import Settings
 from motionstereo_cli.sinks import OUTPUTS
+from motionstereo_cli.sinks.reading import Maps
 from motionstereo_cli.sinks.scale import DepthScale
 from motionstereo_cli.sinks.settings import OutputSettings
 from motionstereo_cli.types import Rig

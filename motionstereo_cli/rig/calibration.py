@@ -15,9 +15,9 @@ import cv2
 import numpy as np
 
 from motionstereo_cli.errors import InputError
+from motionstereo_cli.files.reading import MAX_PIXELS
 from motionstereo_cli.rig.cameras import Pair, checked_intrinsics
 from motionstereo_cli.rig.formats import read_files
-from motionstereo_cli.settings import MAX_PIXELS
 from motionstereo_cli.types import Rig
 
 if TYPE_CHECKING:

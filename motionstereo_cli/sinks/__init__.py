@@ -8,7 +8,7 @@ from __future__ import annotations
 import importlib
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Literal, Protocol
 
 from motionstereo_cli.errors import SettingsError
 from motionstereo_cli.settings import Settings
@@ -19,6 +19,9 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from motionstereo_cli.types import FrameResult, Rig
+
+
+Kind = Literal["disparity", "depth", "table", "other"]
 
 
 class Sink(Protocol):
@@ -71,6 +74,7 @@ class Output:
         needs_rig: it cannot be had without a rig.
         needs_poses: nor without poses.
         beside: further files that come with it.
+        kind: what its files are to a reader: images of disparity or of depth, a table, or other.
     """
 
     path: str
@@ -79,6 +83,7 @@ class Output:
     needs_rig: bool = False
     needs_poses: bool = False
     beside: tuple[str, ...] = ()
+    kind: Kind = "other"
 
     @property
     def paths(self) -> tuple[str, ...]:
@@ -107,6 +112,9 @@ class Output:
         return sink
 
 
+#: Tells what a run wrote. Written last; until then its ``.part`` lists what is being written.
+RECORD = "run.json"
+
 #: Names follow one scheme: PNG images bear the bare name of what they show, other formats add
 #: theirs, and -video is one to look at. For the charge alone the bare name is the video.
 OUTPUTS = {
@@ -116,6 +124,7 @@ OUTPUTS = {
         "depth_m and nearest_m in m, charged and matched as shares of the image; "
         "empty = unknown",
         "steering.steering_file",
+        kind="table",
     ),
     "steering-jsonl": Output(
         "steering.jsonl",
@@ -128,6 +137,7 @@ OUTPUTS = {
         "m, closing_mps in m/s with positive = approaching, time_to_contact_s in s, confidence "
         "0..1; empty = unknown",
         "objects.objects_file",
+        kind="table",
     ),
     "depth": Output(
         "depth/{:06d}.png",
@@ -135,18 +145,21 @@ OUTPUTS = {
         "0 = unknown or over 65535 units",
         "images.depth",
         needs_rig=True,
+        kind="depth",
     ),
     "depth-pfm": Output(
         "depth-pfm/{:06d}.pfm",
         "float32 depth in m, reference view; inf = unknown",
         "images.depth_m",
         needs_rig=True,
+        kind="depth",
     ),
     "depth-tiff": Output(
         "depth-tiff/{:06d}.tiff",
         "float32 depth in m, reference view; NaN = unknown",
         "images.depth_m",
         needs_rig=True,
+        kind="depth",
     ),
     "depth-mkv": Output(
         "depth.mkv",
@@ -166,11 +179,13 @@ OUTPUTS = {
         "disparity/{:06d}.png",
         "uint16 disparity in 1/256 px, reference view; 0 = unknown, a known 0 is stored as 1",
         "images.disparity",
+        kind="disparity",
     ),
     "disparity-pfm": Output(
         "disparity-pfm/{:06d}.pfm",
         "float32 disparity in px, reference view; inf = unknown",
         "images.disparity_px",
+        kind="disparity",
     ),
     "age": Output(
         "age/{:06d}.png",

@@ -20,7 +20,8 @@ if TYPE_CHECKING:
     from motionstereo_cli.types import Real
 
 _UINT16_MAX = 65535
-_DISPARITY_PER_PX = 256
+#: Units per px of a 16-bit disparity image, as KITTI has it.
+DISPARITY_PER_PX = 256
 
 
 def depth_png(depth_m: Real, per_m: int = 1000) -> NDArray[np.uint16]:
@@ -47,7 +48,7 @@ def disparity_png(disparity_px: Real) -> NDArray[np.uint16]:
     Returns:
         (height, width) uint16; a known disparity that rounds to 0 is 1.
     """
-    return _to_uint16(disparity_px, _DISPARITY_PER_PX)
+    return _to_uint16(disparity_px, DISPARITY_PER_PX)
 
 
 def confidence_png(confidence: Real) -> NDArray[np.uint8]:

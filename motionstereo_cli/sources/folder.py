@@ -12,10 +12,8 @@ from pathlib import Path
 from typing import Any
 
 from motionstereo_cli.errors import InputError
-from motionstereo_cli.files.reading import open_regular
-from motionstereo_cli.settings import MAX_PIXELS
-from motionstereo_cli.sources.recording import Image, Recording, images
-from motionstereo_cli.sources.stills import (
+from motionstereo_cli.files.reading import MAX_PIXELS, open_regular
+from motionstereo_cli.files.stills import (
     SUFFIXES,
     DamagedImageError,
     Still,
@@ -25,6 +23,7 @@ from motionstereo_cli.sources.stills import (
     read_still,
     shown,
 )
+from motionstereo_cli.sources.recording import Image, Recording, images
 from motionstereo_cli.sources.times import file_numbers, gaps, timeline
 
 

@@ -9,8 +9,8 @@ from fractions import Fraction
 from typing import NamedTuple
 
 from motionstereo_cli.errors import SettingsError
+from motionstereo_cli.files.reading import MAX_PIXELS, PILLOW_MAX_PIXELS
 from motionstereo_cli.params import checked, param
-from motionstereo_cli.settings import MAX_PIXELS, PILLOW_MAX_PIXELS
 from motionstereo_cli.types import Rig
 
 #: A place in the stream: an int is the number of a frame, a Fraction a time in s.

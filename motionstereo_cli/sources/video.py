@@ -16,8 +16,7 @@ import numpy as np
 from av.video.reformatter import ColorRange
 
 from motionstereo_cli.errors import InputError
-from motionstereo_cli.files.reading import sha256_of
-from motionstereo_cli.settings import MAX_PIXELS
+from motionstereo_cli.files.reading import MAX_PIXELS, sha256_of
 from motionstereo_cli.sources.pipe import Pipe
 from motionstereo_cli.sources.recording import Image, Recording, images
 

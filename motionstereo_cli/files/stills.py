@@ -16,8 +16,7 @@ from PIL import Image as Pillow
 from PIL import ImageOps
 
 from motionstereo_cli.errors import InputError
-from motionstereo_cli.files.reading import open_regular
-from motionstereo_cli.settings import MAX_PIXELS
+from motionstereo_cli.files.reading import MAX_PIXELS, open_regular
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
