@@ -149,7 +149,8 @@ def _said_in(folder: Path) -> tuple[Rig | None, str | None, int]:
         per_m = int(
             record.get("output_settings", {}).get("depth_scale", OutputSettings().depth_scale)
         )
-        if not (per_m > 0 and all(map(math.isfinite, (record["rig"] or {}).values()))):
+        given = (value for value in (record["rig"] or {}).values() if value is not None)
+        if not (per_m > 0 and all(map(math.isfinite, given))):
             raise ValueError
         return rig, record.get("settings", {}).get("reference"), per_m
     except (
