@@ -27,7 +27,6 @@ from motionstereo_cli.analysis.compare import (
 )
 from motionstereo_cli.analysis.settings import CompareSettings
 from motionstereo_cli.errors import InputError, SettingsError
-from motionstereo_cli.sinks import OUTPUTS, Output
 from motionstereo_cli.sinks.reading import read_table
 
 STEERING = """\
@@ -361,8 +360,7 @@ def test_rows_are_told_apart_by_frame_and_id(tmp_path):
     ]
 
 
-def test_objects_are_compared_by_frame_and_id(sides, monkeypatch):
-    monkeypatch.setitem(OUTPUTS, "objects", Output("objects.csv", "a row an object", "none.at_all"))
+def test_objects_are_compared_by_frame_and_id(sides):
     actual, golden = sides
     head = "frame,id,x,y,width,height,depth_m,closing_mps,time_to_contact_s,confidence\n"
     rows = ["1,1,10,5,4,8,2.0,0.50,4.0,0.9\n", "1,2,50,5,4,8,3.0,,,0.5\n"]
