@@ -22,7 +22,7 @@ import numpy as np
 from motionstereo_cli.analysis.settings import COLUMN_TOLERANCE, CompareSettings
 from motionstereo_cli.errors import InputError, SettingsError
 from motionstereo_cli.sinks import OUTPUTS, RECORD
-from motionstereo_cli.sinks.reading import Maps, read_record, read_table
+from motionstereo_cli.sinks.reading import Maps, read_record, read_table, shortened
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -36,9 +36,6 @@ _NOTED = frozenset({"versions", "inputs", "files"})
 #: What a difference of exactly the tolerance may exceed it by: in a table's decimals, in float32 m.
 _ROUNDING = 1e-9
 _ROUNDING_M = 1e-5
-
-#: Longest value that a message shows.
-_SHOWN = 60
 
 
 @dataclass(frozen=True, slots=True)
@@ -477,8 +474,7 @@ def _same(one: object, other: object) -> bool:
 
 
 def _shown(value: object) -> str:
-    text = "unknown" if value == "" else ascii(value)
-    return text if len(text) <= _SHOWN else f"{text[:_SHOWN]}..."
+    return "unknown" if value == "" else shortened(value)
 
 
 def _size(image: Real) -> str:

@@ -35,6 +35,9 @@ _FOLDERS = tuple(
 )
 
 
+#: Longest value that a message shows.
+_SHOWN = 60
+
 _SUFFIXES = (".png", ".pfm", ".tiff")
 
 
@@ -217,7 +220,7 @@ def read_table(path: Path) -> Table:
             key = int(row["frame"]), row.get("id", "")
         except ValueError:
             raise InputError(
-                f"{path} row {number}: {row['frame']!a:.60} is no frame number: write it again"
+                f"{path} row {number}: {shortened(row['frame'])} is no frame number: write it again"
             ) from None
         if key in rows:
             raise InputError(f"{path} row {number}: frame {key[0]} comes twice: write it again")
@@ -238,3 +241,9 @@ def read_record(path: Path) -> dict[str, Any]:
     if not isinstance(record, dict):
         raise InputError(f"{path} is not the record of a run: write it again")
     return record
+
+
+def shortened(value: object) -> str:
+    """Return a value as a message shows it: at most 60 characters of ASCII, and ``...``."""
+    text = ascii(value)
+    return text if len(text) <= _SHOWN else f"{text[:_SHOWN]}..."
