@@ -88,6 +88,7 @@ class StereoFrame:
             index where the source has no time.
         time_s: the same in seconds, None where the source has no time.
         left, right: (height, width) uint8 grey levels 0..255; not to be written to.
+        number: place of the right image in its recording, from 0; None where nobody knows.
     """
 
     index: int
@@ -95,6 +96,7 @@ class StereoFrame:
     time_s: float | None
     left: Grey
     right: Grey
+    number: int | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,9 +7,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from motionstereo_cli.errors import InputError
+from motionstereo_cli.__main__ import main
+from motionstereo_cli.errors import InputError, SettingsError
+from motionstereo_cli.rig.pose_forms import quaternions, rotations
 from motionstereo_cli.rig.poses import HEAD, as_written, format_pose, read_poses
-from motionstereo_cli.types import Pose, StereoFrame
+from motionstereo_cli.rig.settings import PoseSettings
+from motionstereo_cli.types import Pose, Rig, StereoFrame
+
+RIG = Rig(640, 480, 500.0, 0.2, 320.0, 240.0)
 
 
 def yawed(yaw_rad, x_m=0.0, y_m=0.0):
@@ -70,7 +75,7 @@ def test_a_frame_without_time_has_no_pose(tmp_path):
         (["0 0 0 0 0 0 0 1", "1 x 0 0 0 0 0 1"], "line 2: .* is not a pose"),
         (["0 0 0 0 0 0 0 1", "1 nan 0 0 0 0 0 1"], "line 2: .* is not a pose"),
         (["0 0 0 0 0 0 0 2"], "line 1: .* is not a pose"),
-        (["1 0 0 0 0 0 0 1", "1 0 0 0 0 0 0 1"], "line 2: time 1 s does not come after 1 s"),
+        (["1 0 0 0 0 0 0 1", "1 0 0 0 0 0 0 1"], "line 2: time 1 does not come after 1"),
     ],
 )
 def test_what_is_no_trajectory_is_named_with_its_line(tmp_path, lines, words):
@@ -81,3 +86,222 @@ def test_what_is_no_trajectory_is_named_with_its_line(tmp_path, lines, words):
 def test_a_missing_file_is_named(tmp_path):
     with pytest.raises(InputError, match="nowhere"):
         read_poses(tmp_path / "nowhere")
+
+
+# Forms, frames and units.
+
+#: Optical axes (x right, y down, z forward) in the robot's (x forward, y left, z up).
+ROBOT_FROM_OPTICAL = np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]])
+
+
+def turn_of(yaw_rad):
+    cos, sin = math.cos(yaw_rad), math.sin(yaw_rad)
+    return np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1.0]])
+
+
+def drive(count=6):
+    """A robot that goes forward and turns left: its poses as matrices (4, 4)."""
+    poses = []
+    for number in range(count):
+        pose = np.eye(4)
+        pose[:3, :3] = turn_of(0.1 * number)
+        pose[:3, 3] = [0.3 * number, 0.02 * number**2, 0.0]
+        poses.append(pose)
+    return poses
+
+
+def left_optical(pose):
+    """The pose of the left camera's optical frame, for a robot's pose, in its z-up world."""
+    left = np.eye(4)
+    left[:3, :3] = ROBOT_FROM_OPTICAL
+    left[:3, 3] = [0, RIG.baseline_m / 2, 0]
+    return pose @ left
+
+
+def words(*parts):
+    return " ".join(repr(float(number)) for part in parts for number in np.ravel(part))
+
+
+def tum(time_s, pose):
+    return words(time_s, pose[:3, 3], quaternions(pose[None, :3, :3])[0])
+
+
+def euroc(time_ns, pose, *rest):
+    x, y, z, w = quaternions(pose[None, :3, :3])[0]
+    numbers = words(pose[:3, 3], (w, x, y, z), rest).split()
+    return ",".join([str(time_ns), *numbers])
+
+
+def assert_drives(trajectory, count=6):
+    for number, wanted in enumerate(drive(count)):
+        pose = trajectory.poses[number]
+        assert pose[:3] == pytest.approx(wanted[:3, 3], abs=1e-9)
+        assert rotations(pose[None, 3:])[0] == pytest.approx(wanted[:3, :3], abs=1e-9)
+
+
+@given(st.lists(st.floats(-1, 1), min_size=4, max_size=4).filter(lambda q: np.linalg.norm(q) > 0.1))
+def test_matrices_and_quaternions_say_the_same(quaternion):
+    matrix = rotations(np.array([quaternion]))
+    assert matrix[0] @ matrix[0].T == pytest.approx(np.eye(3), abs=1e-12)
+    assert rotations(quaternions(matrix)) == pytest.approx(matrix, abs=1e-9)
+
+
+def test_kitti_has_matrices_of_the_left_optical_frame_by_number(tmp_path):
+    poses = [left_optical(pose) for pose in drive()]
+    world = np.linalg.inv(left_optical(np.eye(4)))  # the first pose is one
+    path = written(tmp_path, *(words((world @ pose)[:3]) for pose in poses))
+    trajectory = read_poses(path, None, RIG)
+    assert trajectory.by_number
+    # Its world is that of the first left camera: the robot's middle begins half a baseline right.
+    shifted = trajectory.poses[:, :3] + [0, RIG.baseline_m / 2, 0]
+    assert shifted == pytest.approx(np.array([pose[:3, 3] for pose in drive()]), abs=1e-9)
+    grey = np.zeros((2, 2), np.uint8)
+    frame = StereoFrame(0, 3, None, grey, grey, number=3)  # the first that --start 3 leaves
+    assert trajectory.of(frame) == Pose(*trajectory.poses[3])
+    with pytest.raises(InputError, match="need the rig"):
+        read_poses(path)
+
+
+@pytest.mark.parametrize("separator", [" ", ",", ", ", "\t", ";"])
+def test_optical_poses_in_a_world_with_z_up(tmp_path, separator):
+    lines = [
+        tum(n / 10, left_optical(pose)).replace(" ", separator) for n, pose in enumerate(drive())
+    ]
+    trajectory = read_poses(written(tmp_path, *lines), PoseSettings(pose_frame="optical-z-up"), RIG)
+    assert_drives(trajectory)
+
+
+BODY_FROM_LEFT = np.eye(4)
+BODY_FROM_LEFT[:3, :3] = [[0, -1, 0], [1, 0, 0], [0, 0, 1]]
+BODY_FROM_LEFT[:3, 3] = [0.1, -0.2, 0.05]
+EUROC_HEAD = (
+    "#timestamp, p_RS_R_x [m], p_RS_R_y [m], p_RS_R_z [m], q_RS_w [], q_RS_x [], q_RS_y [], "
+    "q_RS_z [], v_RS_R_x [m s^-1], v_RS_R_y [m s^-1]"
+)
+
+
+@pytest.mark.parametrize("head", [EUROC_HEAD, "# no names"])
+def test_euroc_has_poses_of_a_body_in_ns(tmp_path, head):
+    bodies = [left_optical(pose) @ np.linalg.inv(BODY_FROM_LEFT) for pose in drive()]
+    begin_ns = 1_403_636_579_763_555_584
+    lines = [euroc(begin_ns + n * 10**8, body, 7.0, 8.0) for n, body in enumerate(bodies)]
+    path = written(tmp_path, head, *lines)
+    trajectory = read_poses(path, None, RIG, BODY_FROM_LEFT)
+    assert_drives(trajectory)
+    assert np.diff(trajectory.time_s) == pytest.approx(0.1, abs=1e-6)
+    with pytest.raises(InputError, match=r"where the left camera sits .*--pose-frame"):
+        read_poses(path, None, RIG)
+    offset = PoseSettings(pose_time_offset=-begin_ns / 1e9)
+    assert read_poses(path, offset, RIG, BODY_FROM_LEFT).time_s[2] == pytest.approx(0.2, abs=1e-6)
+
+
+def test_columns_are_those_that_the_header_names(tmp_path):
+    lines = []
+    for n, pose in enumerate(drive()):
+        x, y, z, w = quaternions(pose[None, :3, :3])[0]
+        lines.append(words(n, (w, x, y, z), pose[:3, 3]).replace(" ", ","))
+    head = "time,qw,qx,qy,qz,tx,ty,tz"
+    assert_drives(read_poses(written(tmp_path, head, *lines)))
+
+
+@pytest.mark.parametrize(
+    ("unit", "per_s"), [("ms", 1e3), ("us", 1e6), ("ns", 1e9), ("s", 1), ("frames", 10)]
+)
+def test_unit_of_time(tmp_path, unit, per_s):
+    lines = [tum(n / 10 * per_s, pose) for n, pose in enumerate(drive(30))]
+    path = written(tmp_path, *lines)
+    right = read_poses(path, PoseSettings(pose_time_unit=unit))
+    span = (0, 29) if unit == "frames" else (0, 2.9)
+    right.check_covers(*span)
+    assert_drives(right, 30)
+    if unit in ("ms", "us", "ns"):
+        with pytest.raises(InputError, match=f"likely in {unit}: give --pose-time-unit {unit}"):
+            read_poses(path).check_covers(0, 2.9)
+        # Said explicitly, it is believed.
+        read_poses(path, PoseSettings(pose_time_unit="s")).check_covers(0, 2.9)
+
+
+@pytest.mark.parametrize(("unit", "per_s"), [("ms", 1e3), ("us", 1e6), ("ns", 1e9)])
+def test_a_time_since_1970_shows_its_unit(tmp_path, unit, per_s):
+    lines = [tum(round((1.7e9 + n / 10) * per_s), pose) for n, pose in enumerate(drive())]
+    assert read_poses(written(tmp_path, *lines)).time_s[0] == pytest.approx(1.7e9), unit
+
+
+def test_poses_faster_than_any_camera_are_refused(tmp_path):
+    lines = [words(n / 10, (300 * n, 0, 0), (0, 0, 0, 1)) for n in range(30)]  # mm
+    with pytest.raises(InputError, match="move at 3000 m/s: places have to be in m"):
+        read_poses(written(tmp_path, *lines)).check_covers(0, 2.9)
+
+
+@pytest.mark.parametrize(
+    ("span", "complaint"),
+    [
+        ((0, 60), r"goes on to about 60\.000 s: .*--end 2\.900s"),
+        ((-5, 2), r"begins at -5\.000 s"),
+        (
+            (1e9, 1e9 + 2),
+            r"begins at 1000000000\.000 s.* --pose-time-offset .*\(1000000000\.000000 if",
+        ),
+        ((None, None), "do not say when"),
+    ],
+)
+def test_what_poses_do_not_cover_is_said(tmp_path, span, complaint):
+    trajectory = read_poses(written(tmp_path, *(tum(n / 10, p) for n, p in enumerate(drive(30)))))
+    with pytest.raises(InputError, match=complaint):
+        trajectory.check_covers(*span)
+    trajectory.check_covers(0, 2.9)
+    trajectory.check_covers(0.5, None)
+
+
+def test_a_unit_that_would_cover_the_recording_is_named(tmp_path):
+    lines = [tum(17e11 + 100 * n, pose) for n, pose in enumerate(drive())]
+    trajectory = read_poses(written(tmp_path, *lines), PoseSettings(pose_time_unit="s"))
+    with pytest.raises(InputError, match="begins at"):
+        trajectory.check_covers(1.7e9, 1.7e9 + 0.4)
+    lines = [tum(5000 + 0.5 * n, pose) for n, pose in enumerate(drive())]
+    with pytest.raises(InputError, match="or --pose-time-unit ms, which fits"):
+        read_poses(written(tmp_path, *lines)).check_covers(5.0, 5.002)
+
+
+def test_poses_of_too_few_images_are_said(tmp_path):
+    path = written(tmp_path, *(words(np.eye(4)[:3]) for _ in range(5)))
+    trajectory = read_poses(path, None, RIG)
+    trajectory.check_covers(0, 4)
+    with pytest.raises(InputError, match=r"frame 0 to 4, .* about frame 9: .*--end 5"):
+        trajectory.check_covers(0, 9)
+
+
+@pytest.mark.parametrize(
+    "line", ["1 0 0 0 0 1 0 0 0 0 -1 0", "2 0 0 0 0 2 0 0 0 0 2 0", "1 0 0 0 0 1 0 0 0 0 1"]
+)
+def test_matrices_that_are_no_poses_are_named(tmp_path, line):
+    lines = [words(np.eye(4)[:3]), line]
+    with pytest.raises(InputError, match=r"line 2: .* is not a pose: give 12 numbers"):
+        read_poses(written(tmp_path, *lines), None, RIG)
+
+
+def test_pose_settings_are_checked():
+    with pytest.raises(SettingsError, match="--pose-time-unit cannot be 'h'"):
+        PoseSettings(pose_time_unit="h")
+    with pytest.raises(SettingsError, match="--pose-time-offset"):
+        PoseSettings(pose_time_offset=math.nan)
+
+
+def test_run_says_before_the_first_frame_what_does_not_fit(tmp_path, capsys):
+    scene = tmp_path / "scene"
+    size = ["--width", "64", "--height", "48", "--frames", "250:262"]
+    assert main(["simulate", str(scene), *size]) == 0
+    poses = (scene / "poses.txt").read_text().splitlines()
+    tables = {
+        "ms": [f"{1000 * float(t)} {rest}" for t, rest in (p.split(" ", 1) for p in poses[1:])],
+        "half": poses[:6],
+    }
+    command = ["run", str(scene / "left.mp4"), str(scene / "right.mp4")]
+    command += ["--rig", str(scene / "rig.yaml"), "--save", "steering", "-o", str(tmp_path / "o")]
+    for name, lines in tables.items():
+        path = tmp_path / f"{name}.txt"
+        path.write_text("\n".join(lines))
+        assert main([*command, "--poses", str(path)]) == 1
+        assert {"ms": "give --pose-time-unit ms", "half": "--end"}[name] in capsys.readouterr().err
+        assert not (tmp_path / "o").exists()
+    assert main([*command, "--poses", str(tmp_path / "ms.txt"), "--pose-time-unit", "ms"]) == 0

@@ -145,6 +145,8 @@ def run(
     if rig is not None:
         check_size(rig, source)
         rig = adapted_rig(rig, source.settings)
+    if poses is not None:
+        poses.check_covers(*(source.numbers if poses.by_number else source.span_s))
     stream = RunContext(
         source.time_base or DEFAULT_TIME_BASE, settings, rig, output or OutputSettings()
     )

@@ -15,6 +15,7 @@ from click.shell_completion import CompletionItem
 from motionstereo_cli.commands.grouped import GROUPS, GroupedOption
 from motionstereo_cli.errors import SettingsError
 from motionstereo_cli.params import Param, params
+from motionstereo_cli.rig.settings import PoseSettings
 from motionstereo_cli.settings import PRESETS, Settings
 from motionstereo_cli.simulate.settings import DriveSettings
 from motionstereo_cli.sinks.settings import OutputSettings
@@ -120,6 +121,26 @@ def output_options(command: Callable[..., Any]) -> Callable[..., Any]:
 
     collected: Callable[..., Any] = functools.update_wrapper(collect, command)
     return _declared(OutputSettings, "output_chosen", "Output")(collected)
+
+
+def pose_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Give a command ``--poses`` and its options.
+
+    It receives them as ``poses``, None if not given, and one ``pose_settings``.
+    """
+
+    def collect(*, pose_chosen: dict[str, Any], **values: Any) -> Any:
+        return command(pose_settings=PoseSettings(**pose_chosen), **values)
+
+    collected: Callable[..., Any] = functools.update_wrapper(collect, command)
+    collected = _declared(PoseSettings, "pose_chosen", "Calibration")(collected)
+    return click.option(
+        "--poses",
+        type=click.Path(path_type=Path),
+        help="Poses of the rig; guidance then has a memory. TUM format, lines t x y z qx qy qz qw "
+        "of the point halfway between the cameras, in s and m; x forward, y left, z up; t as in "
+        "the recordings; or EuRoC's or KITTI's format. Needs --rig.",
+    )(collected)
 
 
 def rig_options(command: Callable[..., Any]) -> Callable[..., Any]:

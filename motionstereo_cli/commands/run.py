@@ -16,6 +16,7 @@ from motionstereo_cli.commands.options import (
     input_options,
     near_match,
     output_options,
+    pose_options,
     processing_options,
     rig_options,
 )
@@ -25,6 +26,7 @@ from motionstereo_cli.sinks import DEFAULT_OUTPUTS, OUTPUTS, available
 from motionstereo_cli.sources.settings import InputSettings
 
 if TYPE_CHECKING:
+    from motionstereo_cli.rig.settings import PoseSettings
     from motionstereo_cli.sinks.settings import OutputSettings
 
 
@@ -52,13 +54,7 @@ def _complete_names(_: click.Context, __: click.Parameter, incomplete: str) -> l
     help="Folder for the results. - writes only the steering table, to standard output.",
 )
 @rig_options
-@click.option(
-    "--poses",
-    type=click.Path(path_type=Path),
-    help="Poses of the rig, TUM format; guidance then has a memory. Lines t x y z qx qy qz qw of "
-    "the point halfway between the cameras, in s and m; x forward, y left, z up; t as in the "
-    "recordings. Needs --rig.",
-)
+@pose_options
 @click.option(
     "--save",
     multiple=True,
@@ -108,6 +104,7 @@ def run(
     rig: tuple[Path, ...],
     baseline_unit: str | None,
     poses: Path | None,
+    pose_settings: PoseSettings,
     save: tuple[str, ...],
     csv: Path | None,
     overwrite: bool,
@@ -152,7 +149,6 @@ def run(
     from motionstereo_cli.rig.poses import read_poses
     from motionstereo_cli.sources import open_stereo
 
-    trajectory = read_poses(poses) if poses else None
     with (
         open_stereo(left, right, input_settings) as source,
         tqdm(total=source.expected_frames, unit="frame", disable=_quiet(to_stdout)) as bar,
@@ -164,6 +160,11 @@ def run(
         calibration = rectify_source(source, rig, baseline_unit)
         for line in calibration.warnings if calibration else ():
             _say("warning", line)
+        trajectory = None
+        if poses and calibration:
+            trajectory = read_poses(
+                poses, pose_settings, calibration.rig, calibration.body_from_left
+            )
 
         def say(kind: str, text: str) -> None:
             bar.clear()

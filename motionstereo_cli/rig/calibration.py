@@ -64,6 +64,8 @@ class Calibration:
             image: x and y, (height, width) float32, in px. None where images are rectified.
         coverage: share of the rectified pixels, 0..1, that both recorded images have.
         warnings: what was guessed, one line each.
+        body_from_left: (4, 4), takes points of the rectified left camera's optical frame to that
+            of the body of EuRoC's and kalibr's files, in m; None where the files have none.
     """
 
     rig: Rig
@@ -72,6 +74,7 @@ class Calibration:
     maps: tuple[Maps, Maps] | None = None
     coverage: float = 1.0
     warnings: tuple[str, ...] = ()
+    body_from_left: Matrix | None = None
 
     def rectifiers(self) -> tuple[Rectifier, Rectifier]:
         """Return what rectifies the left and the right images.
@@ -165,7 +168,17 @@ def read_calibration(
         model=_model(cameras),
         maps=(left, right) if needed else None,
         coverage=coverage,
+        body_from_left=_body_from_rectified(read, transforms[0][0], rig.baseline_m),
     )
+
+
+def _body_from_rectified(pair: Pair, turn: Matrix, baseline_m: float) -> Matrix | None:
+    if pair.body_from_left is None or pair.translation is None:
+        return None
+    body = pair.body_from_left.copy()
+    body[:3, :3] = body[:3, :3] @ turn.T
+    body[:3, 3] *= baseline_m / np.linalg.norm(pair.translation)
+    return body
 
 
 def rectify_source(

@@ -1,33 +1,44 @@
-"""Where the rig was when: reading and writing trajectories in the TUM format.
+"""Where the rig was when: trajectories, read from files and written in the TUM format.
 
-A line is ``t x y z qx qy qz qw``: time in s, place in m, orientation as a unit quaternion. The pose
-is that of the robot frame (REP 103: x forward, y left, z up), whose origin is the point halfway
-between the cameras, in a fixed world frame.
+A pose is that of the robot frame (REP 103: x forward, y left, z up), whose origin is the point
+halfway between the cameras, in a fixed world frame with z up.
 """
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from motionstereo_cli.errors import InputError
-from motionstereo_cli.files.reading import MAX_TABLE_BYTES, read_text
+from motionstereo_cli.rig.pose_forms import PoseTable, quaternions, read_pose_table, rotations
+from motionstereo_cli.rig.settings import PoseSettings
 from motionstereo_cli.types import Pose, StereoFrame
+
+if TYPE_CHECKING:
+    from motionstereo_cli.types import Rig
+
+    Reals = NDArray[np.float64]
 
 HEAD = "# time_s x_m y_m z_m qx qy qz qw (x forward, y left, z up)\n"
 
 #: How far a frame may lie before the first pose or after the last: containers round their times.
 _SLACK_S = 0.02
 
-#: Numbers are smaller than this, so that differences of them stay finite.
-_LARGEST = 1e100
+#: An end of the recording that is only estimated may be so much later, as a share, and in s.
+_END_SHARE, _END_S = 0.02, 0.1
 
-#: How far the length of a quaternion may be from 1: files keep few decimals.
-_LENGTH_ERROR = 0.01
+#: Seconds in each unit of time.
+_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+
+#: Poses that are farther apart hardly have times in s, and nothing with a stereo camera is as fast.
+_MAX_INTERVAL_S, _MAX_SPEED_MPS = 1.0, 100.0
+
+#: Directions of the robot frame in the optical one: forward is z, left is -x, up is -y.
+_OPTICAL_FROM_ROBOT = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,13 +47,17 @@ class Trajectory:
 
     Attributes:
         name: what messages call it: its file.
-        time_s: (n,) float64, rising.
+        time_s: (n,) float64, rising; numbers of frames where ``by_number``.
         poses: (n, 7) float64, a row each: x, y, z in m, qx, qy, qz, qw.
+        by_number: poses belong to images by their numbers in the recording, from 0.
+        guessed: the unit of the times is not stated anywhere.
     """
 
     name: str
-    time_s: NDArray[np.float64]
-    poses: NDArray[np.float64]
+    time_s: Reals
+    poses: Reals
+    by_number: bool = False
+    guessed: bool = False
 
     def at(self, time_s: float) -> Pose:
         """Return the pose at a time, in a straight line between the two around it.
@@ -53,8 +68,8 @@ class Trajectory:
         first_s, last_s = float(self.time_s[0]), float(self.time_s[-1])
         if not first_s - _SLACK_S <= time_s <= last_s + _SLACK_S:
             raise InputError(
-                f"{self.name} has no pose for the frame at {time_s:.3f} s: its poses cover "
-                f"{first_s:.3f} to {last_s:.3f} s, give those of this recording"
+                f"{self.name} has no pose for the frame at {self._shown(time_s)}: its poses cover "
+                f"{self._shown(first_s, last_s)}, give those of this recording"
             )
         after = int(np.searchsorted(self.time_s, time_s))
         if after == len(self.time_s) or after == 0 or self.time_s[after] == time_s:
@@ -74,41 +89,156 @@ class Trajectory:
         Raises:
             InputError: the frame has no time, or one outside the trajectory.
         """
+        if self.by_number:
+            return self.at(frame.index if frame.number is None else frame.number)
         if frame.time_s is None:
-            raise InputError(
-                f"{self.name} cannot be used: these recordings do not say when a frame was taken"
-            )
+            raise self._timeless()
         return self.at(frame.time_s)
 
+    def check_covers(self, first: float | None, last: float | None) -> None:
+        """Make sure that there are poses for a recording, before any of it is processed.
 
-def read_poses(path: str | Path) -> Trajectory:
-    """Read a trajectory in the TUM format; empty lines and lines that begin with # are skipped.
+        Args:
+            first: time of the first frame in s (its number where ``by_number``); None where the
+                recording has no time.
+            last: about that of the last frame, None where nobody knows.
+
+        Raises:
+            InputError: the recording begins before the poses or ends after them, the poses' unit
+                of time is an unlikely one, or they move faster than a camera does.
+        """
+        if first is None:
+            raise self._timeless()
+        start, end = float(self.time_s[0]), float(self.time_s[-1])
+        if not self.by_number:
+            self._check_unit(first, last)
+        slack = 0.0 if self.by_number else _SLACK_S
+        if not start - slack <= first <= end + slack:
+            raise InputError(
+                f"{self.name}: its poses cover {self._shown(start, end)}, but the recording "
+                f"begins at {self._shown(first)}: give those of this recording"
+                f"{self._advice(first, last)}"
+            )
+        ends = max(_END_S, _END_SHARE * ((last or first) - first)) if not self.by_number else 0.0
+        if last is not None and last > end + ends:
+            kept = f"{int(end - first) + 1}" if self.by_number else f"{max(end - first, 0):.3f}s"
+            raise InputError(
+                f"{self.name}: its poses cover {self._shown(start, end)}, but the recording goes "
+                f"on to about {self._shown(last)}: give poses for all of it, or --end {kept}"
+            )
+
+    def _check_unit(self, first_s: float, last_s: float | None) -> None:
+        if len(self.time_s) < 2:
+            return
+        interval_s = float(np.median(np.diff(self.time_s)))
+        span_s = float(self.time_s[-1] - self.time_s[0])
+        steps_m = np.linalg.norm(np.diff(self.poses[:, :3], axis=0), axis=1)
+        speed_mps = float(steps_m.sum()) / span_s
+        if speed_mps > _MAX_SPEED_MPS:
+            raise InputError(
+                f"{self.name}: its poses move at {speed_mps:.4g} m/s: places have to be in m, and "
+                "times in s or in what --pose-time-unit says"
+            )
+        recorded_s = (last_s - first_s) if last_s is not None else None
+        if not self.guessed or interval_s <= _MAX_INTERVAL_S or not recorded_s:
+            return
+        likely = min(_UNITS, key=lambda unit: abs(np.log(span_s * _UNITS[unit] / recorded_s)))
+        if likely != "s":
+            raise InputError(
+                f"{self.name}: its poses go on for {span_s:.4g} s, one in {interval_s:.3g} s, at "
+                f"{speed_mps:.2g} m/s, but the recording has {recorded_s:.4g} s: their times are "
+                f"likely in {likely}: give --pose-time-unit {likely}, or s if that is right"
+            )
+
+    def _advice(self, first: float, last: float | None) -> str:
+        """Return what unit or offset would do where a recording is not covered."""
+        if self.by_number or not self.guessed:
+            return "" if self.by_number else self._offset(first)
+        for unit, factor in _UNITS.items():
+            if self.time_s[0] * factor <= first and (last or first) <= self.time_s[-1] * factor:
+                return f", or --pose-time-unit {unit}, which fits"
+        return self._offset(first)
+
+    def _offset(self, first: float) -> str:
+        offset_s = first - float(self.time_s[0])
+        both = f"{offset_s:.6f} if both begin together"
+        return f", or --pose-time-offset if they have another clock ({both})"
+
+    def _timeless(self) -> InputError:
+        return InputError(
+            f"{self.name} cannot be used: these recordings do not say when a frame was taken"
+        )
+
+    def _shown(self, *times: float) -> str:
+        if self.by_number:
+            return "frame " + " to ".join(f"{time:.0f}" for time in times)
+        return " to ".join(f"{time:.3f}" for time in times) + " s"
+
+
+def read_poses(
+    path: str | Path,
+    settings: PoseSettings | None = None,
+    rig: Rig | None = None,
+    body_from_left: Reals | None = None,
+) -> Trajectory:
+    """Read a trajectory in the form of TUM, EuRoC or KITTI.
+
+    Args:
+        path: the file, as :func:`~motionstereo_cli.rig.pose_forms.read_pose_table` takes it.
+        settings: how it is to be understood; the defaults if None.
+        rig: the camera, which poses of another frame than the robot's need.
+        body_from_left: (4, 4) m, takes points of the rectified left camera's optical frame to the
+            frame of the body; which poses of the body need.
 
     Raises:
         InputError: the file cannot be read, holds no pose, or a line (which is named) is not a
-            pose that comes after the one before.
+            pose that comes after the one before; or what the poses are of is not known.
     """
-    lines = read_text(path, "the poses", MAX_TABLE_BYTES).splitlines()
-    rows: list[list[float]] = []
-    for number, line in enumerate(lines, 1):
-        if not line.strip() or line.lstrip().startswith("#"):
-            continue
-        row = _row(line)
-        if row is None:
+    s, table = settings or PoseSettings(), read_pose_table(path)
+    unit = table.unit if s.pose_time_unit == "auto" else s.pose_time_unit
+    time_s = table.times
+    if unit != "frames" and (_UNITS[unit] != 1 or s.pose_time_offset):
+        time_s = time_s * _UNITS[unit] + s.pose_time_offset
+        if not (np.diff(time_s) > 0).all():
+            raise InputError(f"{path}: its times are too close for {unit}: give --pose-time-unit")
+    frame = s.pose_frame
+    if frame == "auto":
+        frame = {"KITTI": "optical", "EuRoC": "body"}.get(table.form, "robot")
+    if frame != "robot":
+        places, turns = _of_robot(str(path), table, frame, rig, body_from_left)
+    else:
+        places, turns = table.places, table.turns
+    return Trajectory(
+        str(path),
+        time_s,
+        np.column_stack([places, turns]),
+        by_number=unit == "frames",
+        guessed=s.pose_time_unit == "auto",
+    )
+
+
+def _of_robot(
+    path: str, table: PoseTable, frame: str, rig: Rig | None, body_from_left: Reals | None
+) -> tuple[Reals, Reals]:
+    """Return places (n, 3) and turns (n, 4) of the robot frame from those of another."""
+    if rig is None:
+        raise InputError(f"{path} has poses of the {frame} frame, which need the rig: give --rig")
+    turns, places = rotations(table.turns), table.places
+    if frame == "body":
+        if body_from_left is None:
             raise InputError(
-                f"{path} line {number}: {line.strip()[:60]!r} is not a pose: "
-                "give t x y z qx qy qz qw, in s and m and with a unit quaternion"
+                f"{path} has poses of a body, and the calibration does not say where the left "
+                "camera sits in it (EuRoC's T_BS, kalibr's T_cam_imu): give that calibration to "
+                "--rig, or --pose-frame"
             )
-        if rows and row[0] <= rows[-1][0]:
-            raise InputError(
-                f"{path} line {number}: time {row[0]:g} s does not come after {rows[-1][0]:g} s: "
-                "sort the poses by time"
-            )
-        rows.append(row)
-    if not rows:
-        raise InputError(f"{path} has no poses: give lines of t x y z qx qy qz qw")
-    table = np.array(rows)
-    return Trajectory(str(path), table[:, 0], table[:, 1:])
+        places = places + turns @ body_from_left[:3, 3]
+        turns = turns @ body_from_left[:3, :3]
+    # The middle lies half a baseline to the right of the left camera.
+    places = places + turns @ np.array([rig.baseline_m / 2, 0, 0])
+    turns = turns @ _OPTICAL_FROM_ROBOT
+    if frame == "optical":
+        places, turns = places @ _OPTICAL_FROM_ROBOT, _OPTICAL_FROM_ROBOT.T @ turns
+    return places, quaternions(turns)
 
 
 def format_pose(time_s: float, pose: Pose) -> str:
@@ -121,13 +251,3 @@ def format_pose(time_s: float, pose: Pose) -> str:
 def as_written(pose: Pose) -> Pose:
     """Return a pose as it comes back from a file."""
     return Pose(*[float(text) for text in format_pose(0.0, pose).split()[1:]])
-
-
-def _row(line: str) -> list[float] | None:
-    try:
-        row = [float(text) for text in line.split()]
-    except ValueError:
-        return None
-    if len(row) != 8 or not all(abs(number) < _LARGEST for number in row):
-        return None
-    return row if abs(math.hypot(*row[4:]) - 1) <= _LENGTH_ERROR else None

@@ -37,6 +37,7 @@ class Recording(ABC):
         time_base: seconds per unit of pts, None where images have no time.
         frame_rate: images per second, a mean; None where nobody knows.
         expected_images: how many places the recording seems to have, None where nobody knows.
+        begin_pts: time stamp of the first image.
         numbered: the time stamps are numbers from file names, which tell better than places
             which images belong together.
         stamped: the time stamps were taken by the camera, and do so as well.
@@ -49,6 +50,7 @@ class Recording(ABC):
     time_base: Fraction | None
     frame_rate: Fraction | None = None
     expected_images: int | None
+    begin_pts: int
     numbered: bool = False
     stamped: bool = False
     warnings: tuple[str, ...] = ()
@@ -68,6 +70,7 @@ class Recording(ABC):
             raise InputError(f"{name}: none of its images can be decoded: {advice}")
         self.name = str(name)
         self.height, self.width = first.grey.shape
+        self.begin_pts = first.pts
         self._images = itertools.chain([first], images)
 
     @property

@@ -152,6 +152,33 @@ class StereoSource:
         self._rectify = (left, right)
 
     @property
+    def numbers(self) -> tuple[int, int | None]:
+        """About which places the first and the last right image delivered have in the recording.
+
+        None for the last where nobody knows.
+        """
+        right, s = self._sides[1].stream, self.settings
+        first = _frame(s.first, right.frame_rate)
+        if not (self._tolerance or right.numbered):
+            first += max(s.sync_offset, 0)
+        expected = self.expected_frames
+        return first, first + (expected - 1) * s.every if expected else None
+
+    @property
+    def span_s(self) -> tuple[float | None, float | None]:
+        """About when the first and the last right image delivered were taken, in s.
+
+        None for both where images have no time, and for the last where nobody knows.
+        """
+        right, (first, last) = self._sides[1].stream, self.numbers
+        if right.time_base is None:
+            return None, None
+        begin_s, rate = float(right.begin_pts * right.time_base), right.frame_rate
+        if not rate:
+            return begin_s, None
+        return begin_s + float(first / rate), None if last is None else begin_s + float(last / rate)
+
+    @property
     def counts(self) -> dict[str, Any]:
         """What became of the images, as far as the stereo frames delivered so far go.
 
@@ -253,7 +280,7 @@ class StereoSource:
                     continue
                 time_s = None if right.time_s is None else float(right.time_s)
                 grey = left.views[left_side.half], right.views[right_side.half]
-                yield StereoFrame(index, right.pts, time_s, *grey)
+                yield StereoFrame(index, right.pts, time_s, *grey, right.number)
                 index += 1
             else:
                 self._to_the_end = number + 1 != _whole(s.stop)
