@@ -155,7 +155,7 @@ def run(
         ours = resume and out is not None and (out / CHECKPOINT).exists()
         _check_free(table, out, overwrite=overwrite or ours, inputs=inputs)
     save = () if out is None else _available(save, stream, poses)
-    identity = functools.cache(lambda: _identity(source, stream, save, inputs))
+    identity = functools.cache(lambda: _identity(source, stream, save, inputs, poses))
 
     with contextlib.ExitStack() as held:
         since: Checkpoint | None = None
@@ -361,7 +361,11 @@ def _end_early(sinks: Iterable[Sink], out: Path | None, frames: int, error: Base
 
 
 def _identity(
-    source: StereoSource, stream: RunContext, save: Sequence[str], inputs: Iterable[Path]
+    source: StereoSource,
+    stream: RunContext,
+    save: Sequence[str],
+    inputs: Iterable[Path],
+    poses: Trajectory | None,
 ) -> dict[str, Any]:
     """Return what ``run.json`` says of what the run is: its results follow from it."""
     files = [path for path in inputs if path not in source.paths]
@@ -376,6 +380,7 @@ def _identity(
         "rig": None if stream.rig is None else rig_values(stream.rig),
         "time_base": None if source.time_base is None else str(source.time_base),
         "grey": GREY,
+        **({"pose_settings": dataclasses.asdict(poses.settings)} if poses else {}),
     }
 
 

@@ -50,14 +50,14 @@ class Trajectory:
         time_s: (n,) float64, rising; numbers of frames where ``by_number``.
         poses: (n, 7) float64, a row each: x, y, z in m, qx, qy, qz, qw.
         by_number: poses belong to images by their numbers in the recording, from 0.
-        guessed: the unit of the times is not stated anywhere.
+        settings: how the file was understood.
     """
 
     name: str
     time_s: Reals
     poses: Reals
     by_number: bool = False
-    guessed: bool = False
+    settings: PoseSettings = PoseSettings()
 
     def at(self, time_s: float) -> Pose:
         """Return the pose at a time, in a straight line between the two around it.
@@ -140,7 +140,11 @@ class Trajectory:
                 "times in s or in what --pose-time-unit says"
             )
         recorded_s = (last_s - first_s) if last_s is not None else None
-        if not self.guessed or interval_s <= _MAX_INTERVAL_S or not recorded_s:
+        if (
+            self.settings.pose_time_unit != "auto"
+            or interval_s <= _MAX_INTERVAL_S
+            or not recorded_s
+        ):
             return
         likely = min(_UNITS, key=lambda unit: abs(np.log(span_s * _UNITS[unit] / recorded_s)))
         if likely != "s":
@@ -152,7 +156,7 @@ class Trajectory:
 
     def _advice(self, first: float, last: float | None) -> str:
         """Return what unit or offset would do where a recording is not covered."""
-        if self.by_number or not self.guessed:
+        if self.by_number or self.settings.pose_time_unit != "auto":
             return "" if self.by_number else self._offset(first)
         for unit, factor in _UNITS.items():
             if self.time_s[0] * factor <= first and (last or first) <= self.time_s[-1] * factor:
@@ -213,7 +217,7 @@ def read_poses(
         time_s,
         np.column_stack([places, turns]),
         by_number=unit == "frames",
-        guessed=s.pose_time_unit == "auto",
+        settings=s,
     )
 
 
