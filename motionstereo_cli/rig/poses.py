@@ -6,7 +6,7 @@ halfway between the cameras, in a fixed world frame with z up.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -57,7 +57,7 @@ class Trajectory:
     time_s: Reals
     poses: Reals
     by_number: bool = False
-    settings: PoseSettings = PoseSettings()
+    settings: PoseSettings = field(default_factory=PoseSettings)
 
     def at(self, time_s: float) -> Pose:
         """Return the pose at a time, in a straight line between the two around it.
