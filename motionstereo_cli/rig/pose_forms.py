@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from motionstereo_cli.errors import InputError
-from motionstereo_cli.files.reading import MOST_TABLE_BYTES, read_text
+from motionstereo_cli.files.reading import MAX_TABLE_BYTES, read_text
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -67,7 +67,7 @@ def read_pose_table(path: str | Path) -> PoseTable:
     header: dict[str, int] | None = None
     form = ""
     order: tuple[int, ...] = _TUM
-    for number, line in enumerate(read_text(path, "the poses", MOST_TABLE_BYTES).splitlines(), 1):
+    for number, line in enumerate(read_text(path, "the poses", MAX_TABLE_BYTES).splitlines(), 1):
         words = [word for word in re.split(r"[\s,;]+", line.strip()) if word]
         if not words:
             continue
