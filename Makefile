@@ -7,7 +7,7 @@ BENCH = PYTHONPATH=tests $(BIN)/python -m bench
 GOLDEN = steering,depth,disparity
 
 .PHONY: demo test lint sample regress fuzz figures bench bench-accuracy bench-drive bench-map bench-objects \
-	check-trials torture coverage renew clean
+	check-trials torture coverage renew man clean help
 
 demo: $(READY)  ## run the main job on sample_data
 	$(BIN)/motionstereo run sample_data/left.mp4 sample_data/right.mp4 \
@@ -69,7 +69,7 @@ figures: $(READY)  ## render the paper's figures 2 and 3
 bench: $(READY)  ## measure how fast everything is, against StereoBM and StereoSGBM
 	$(BENCH) speed
 
-bench-accuracy: $(READY)  ## measure how accurate the matchers are: the README's tables
+bench-accuracy: $(READY)  ## measure how accurate the matchers are
 	$(BENCH) accuracy
 
 check-trials: $(READY)  ## try the command check on 20 simulated recordings, each good and spoilt
@@ -86,7 +86,15 @@ bench-map: $(READY)  ## measure how true the map of a drive is
 	$(BENCH) map
 	$(BENCH) map --walkers 2
 
-renew: $(READY)  ## accept what the code gives now: the README's tables and the sample
+man: $(READY)  ## write man pages to out/man
+	$(BIN)/pip install --quiet click-man
+	$(BIN)/click-man --target out/man motionstereo
+	@echo "Read one with: man -l out/man/motionstereo-run.1"
+
+help:  ## list all targets
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "%-16s%s\n", $$1, $$2}' $(MAKEFILE_LIST)
+
+renew: $(READY)  ## accept what the code gives now: the tables of the documentation and the sample
 	$(BIN)/pytest tests/test_readme.py --renew
 	$(MAKE) sample
 
@@ -94,6 +102,7 @@ clean:  ## remove everything that make made
 	rm -rf .venv out build *.egg-info .coverage*
 
 $(READY): pyproject.toml
+	@echo "Installing into .venv, once: this takes one or two minutes."
 	$(PYTHON) -m venv .venv
-	$(BIN)/pip install --quiet --editable ".[dev]"
+	$(BIN)/pip install --disable-pip-version-check --editable ".[dev]"
 	touch $@

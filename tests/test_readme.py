@@ -1,10 +1,14 @@
 """The documentation says what the program does: its tables are the live commands' own."""
 
+import ast
 import re
+import shlex
+import subprocess
 from pathlib import Path
 
 import click
 import pytest
+import yaml
 
 import motionstereo_cli
 from motionstereo_cli.__main__ import main
@@ -18,7 +22,8 @@ from motionstereo_cli.sinks.steering import HEADER
 ROOT = Path(__file__).parent.parent
 README = ROOT / "README.md"
 DOCS = Path(motionstereo_cli.__file__).parent / "docs"
-PAGES = [README, *sorted(DOCS.glob("*.md")), ROOT / ".github/CONTRIBUTING.md"]
+CONTRIBUTING = ROOT / ".github/CONTRIBUTING.md"
+PAGES = [README, *sorted(DOCS.glob("*.md")), CONTRIBUTING]
 
 
 def table(head, rows):
@@ -95,7 +100,35 @@ def topics():
     )
 
 
+def targets():
+    """The targets of the Makefile, as ``make help`` prints them."""
+    found = re.findall(r"^([a-z-]+):.*## (.*)", (ROOT / "Makefile").read_text(), re.MULTILINE)
+    return table(["command", "what it does"], [[f"`make {name}`", what] for name, what in found])
+
+
+def rooms():
+    """The folders and modules of the package, as their docstrings say."""
+    package = DOCS.parent
+    files = [*sorted(package.glob("*.py")), *sorted(package.glob("*/__init__.py"))]
+    rows = []
+    for path in files:
+        if path != package / "__init__.py":
+            name = f"{path.parent.name}/" if path.name == "__init__.py" else path.name
+            rows.append(
+                [f"`{name}`", ast.get_docstring(ast.parse(path.read_text())).split("\n")[0]]
+            )
+    return table(["where", "what"], rows)
+
+
+def workflow():
+    text = (ROOT / ".github/workflows/regress.yml").read_text(encoding="utf-8")
+    return f"```yaml\n{text}```"
+
+
 GENERATED = {
+    (CONTRIBUTING, "targets"): targets,
+    (CONTRIBUTING, "rooms"): rooms,
+    (DOCS / "reliability.md", "workflow"): workflow,
     (README, "commands"): commands,
     (README, "default outputs"): lambda: outputs(DEFAULT_OUTPUTS, with_name=False),
     (README, "steering"): steering,
@@ -145,6 +178,41 @@ def test_links_lead_somewhere(path):
             headings = re.findall(r"^#+ (.*)", file.read_text(encoding="utf-8"), re.MULTILINE)
             slugs = [re.sub(r"[^\w\- ]", "", each.lower()).replace(" ", "-") for each in headings]
             assert anchor in slugs, link
+
+
+def written_commands():
+    """Each line that runs motionstereo in a code block of a page, with its page."""
+    for path in PAGES:
+        text = path.read_text(encoding="utf-8").replace("\\\n", " ")
+        for code in re.findall(r"^```\w*\n(.*?)^```", text, re.MULTILINE | re.DOTALL):
+            yield from ((path.name, line) for line in code.splitlines() if "motionstereo " in line)
+    steps = yaml.safe_load((ROOT / ".github/workflows/regress.yml").read_text(encoding="utf-8"))
+    for step in steps["jobs"]["regress"]["steps"]:
+        if step.get("run", "").startswith("motionstereo "):
+            yield "regress.yml", step["run"]
+
+
+def test_every_command_in_the_documentation_is_understood():
+    ran = set()
+    for page, line in written_commands():
+        for words in re.findall(r"(?:^|\| |\. |run: )motionstereo ([^|#>]*)", line):
+            name, *args = shlex.split(words)
+            if name.startswith("-") or "MOTIONSTEREO" in line:
+                continue
+            assert name in cli.commands, f"{page}: {line}"
+            context = click.Context(cli.commands[name], info_name=name)
+            try:
+                cli.commands[name].make_parser(context).parse_args(args)
+            except click.UsageError as error:
+                pytest.fail(f"{page}: {line}: {error.format_message()}")
+            ran.add(page)
+    assert {"README.md", "regress.yml", "outputs.md"} <= ran
+
+
+def test_make_help_prints_the_targets():
+    done = subprocess.run(["make", "-C", ROOT, "help"], capture_output=True, text=True, check=True)
+    for name in re.findall(r"`make ([a-z-]+)`", targets()):
+        assert re.search(rf"^{name} ", done.stdout, re.MULTILINE), name
 
 
 def test_help_prints_every_page_and_every_commands_help(capsys):
