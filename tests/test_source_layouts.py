@@ -336,7 +336,7 @@ class Numbers(Recording):
     def flawed(self) -> int:
         return self._flaws
 
-    damage = ()
+    damage = files = ()
     describe = fingerprint = dict
 
     def close(self) -> None:
@@ -426,7 +426,7 @@ def test_time_needs_time_stamps(tmp_path: Path) -> None:
             assert source.time_base == Fraction(100, 2997)
     one = encode(tmp_path / "one.mkv", scene(), "ffv1", "gray")
     other = encode(tmp_path / "other.mkv", scene(), "ffv1", "gray")
-    with pytest.raises(SettingsError, match=r"--frame-rate is for image folders"):
+    with pytest.raises(SettingsError, match=r"--frame-rate is for what has no times"):
         open_stereo(one, other, InputSettings(frame_rate=20))
 
 

@@ -231,15 +231,16 @@ def test_streams_stay_in_step_when_images_cannot_be_decoded(
     check_in_step(left, right, lost_left, lost_right)
 
 
+@pytest.mark.parametrize("suffix", [".mp4", ".mkv"])
 @pytest.mark.parametrize(
     ("lost_left", "lost_right"),
     [({4}, set()), (set(), {4, 5}), ({3, 8}, {3, 6}), (set(range(2, 8)), set())],
 )
 def test_streams_stay_in_step_when_images_are_gone_from_the_file(
-    tmp_path: Path, mjpeg: Path, lost_left: set[int], lost_right: set[int]
+    tmp_path: Path, mjpeg: Path, suffix: str, lost_left: set[int], lost_right: set[int]
 ) -> None:
-    left = remux(mjpeg, tmp_path / "left.mkv", spoil(lost_left, None))
-    right = remux(mjpeg, tmp_path / "right.mkv", spoil(lost_right, None))
+    left = remux(mjpeg, tmp_path / f"left{suffix}", spoil(lost_left, None))
+    right = remux(mjpeg, tmp_path / f"right{suffix}", spoil(lost_right, None))
     check_in_step(left, right, lost_left, lost_right)
 
 

@@ -33,14 +33,15 @@ def info(
 ) -> None:
     """Print how an input is understood.
 
-    With the options that run would get. Reads the first image of each side alone, so the numbers
-    of images are those that the files state: a damaged one has fewer.
+    With the options that run would get. Decodes only the first image of each side. The numbers of
+    images are those of the files' indices, or else counted, so a damaged file may give fewer.
     """
     from motionstereo_cli.rig import rig_values
     from motionstereo_cli.rig.calibration import rectify_source
     from motionstereo_cli.sources import open_stereo
 
     with open_stereo(left, right, input_settings) as source:
+        source.count()
         facts = _facts(source)
         calibration = rectify_source(source, rig, baseline_unit)
         if calibration is not None:

@@ -88,3 +88,47 @@ def sha256_of(path: Path) -> str:
     """
     with open_regular(path) as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+class HeldFile:
+    """A file that stays open, so that its hash is of what is read of it.
+
+    Its name may be given to another file meanwhile.
+
+    Attributes:
+        size_bytes: size when it was opened.
+        head: the first bytes.
+
+    Raises:
+        OSError: it cannot be opened, or is no regular file.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        self._file = open_regular(path)
+        self._status = os.fstat(self._file.fileno())
+        self.size_bytes = self._status.st_size
+        self.head = self._file.read(256)
+
+    @property
+    def changed(self) -> bool:
+        """Whether the file was written to since it was opened."""
+        now = os.fstat(self._file.fileno())
+        return (now.st_size, now.st_mtime_ns) != (self.size_bytes, self._status.st_mtime_ns)
+
+    def check_same(self, file: BufferedReader) -> None:
+        """Make sure that another open file is the same.
+
+        Raises:
+            OSError: it is not.
+        """
+        if not os.path.samestat(self._status, os.fstat(file.fileno())):
+            raise OSError(errno.EAGAIN, "it was replaced while it was opened")
+
+    def sha256(self) -> str:
+        """Return the SHA-256 of the content, in hexadecimal digits."""
+        self._file.seek(0)
+        return hashlib.file_digest(self._file, "sha256").hexdigest()
+
+    def close(self) -> None:
+        """Close it."""
+        self._file.close()

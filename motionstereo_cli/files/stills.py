@@ -110,8 +110,13 @@ def read_still(path: Path, max_pixels: int = MAX_PIXELS) -> Still:
     return Still(pixels, pages, len(content), hashlib.sha256(content).digest())
 
 
-def grey_of(pixels: NDArray[Any], path: Path) -> Grey:
+def grey_of(pixels: NDArray[Any], path: Path, white: int = 0) -> Grey:
     """Return the grey levels of a decoded image, (height, width) uint8: BT.601 luma of colour.
+
+    Args:
+        pixels: as in :class:`Still`.
+        path: what to call it in messages.
+        white: level that becomes 255 where there are 16 bits; 0 = 65535.
 
     Raises:
         InputError: its pixels are floating-point numbers.
@@ -119,7 +124,7 @@ def grey_of(pixels: NDArray[Any], path: Path) -> Grey:
     if pixels.dtype == np.bool_:
         pixels = pixels * np.uint8(255)
     elif pixels.dtype == np.uint16:
-        pixels = ((pixels.astype(np.uint32) + 128) // 257).astype(np.uint8)
+        pixels = np.asarray(cv2.convertScaleAbs(pixels, alpha=255 / (white or 65535)), np.uint8)
     elif pixels.dtype != np.uint8:
         raise InputError(f"{path} has {pixels.dtype} pixels: give 8-bit or 16-bit images")
     if pixels.ndim == 2:

@@ -11,6 +11,8 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from motionstereo_cli.errors import InputError
 from motionstereo_cli.files.reading import MAX_PIXELS, open_regular
 from motionstereo_cli.files.stills import (
@@ -23,7 +25,7 @@ from motionstereo_cli.files.stills import (
     read_still,
     shown,
 )
-from motionstereo_cli.sources.recording import Image, Recording, images
+from motionstereo_cli.sources.recording import Image, Recording, dark, images
 from motionstereo_cli.sources.times import file_numbers, gaps, timeline
 
 
@@ -43,6 +45,7 @@ class FolderRecording(Recording):
         path: an existing folder, or a glob pattern for the messages.
         files: the images, where not those of the folder.
         frame_rate: images per second, None = unknown.
+        white: level that becomes 255 in images of 16 bits; 0 = 65535.
         max_pixels: largest width times height of an image.
 
     Raises:
@@ -56,14 +59,16 @@ class FolderRecording(Recording):
         files: Iterable[Path] | None = None,
         frame_rate: Fraction | None = None,
         *,
+        white: int = 0,
         max_pixels: int = MAX_PIXELS,
     ) -> None:
-        self._path = path
+        self._path, self._white = path, white
+        self._given = list(files) if files is not None else [path]
         self._max_pixels = max_pixels
         self._unreadable: list[str] = []
         self._pages = self._changed = 0
         try:
-            found = images_in(path) if files is None else shown(files, SUFFIXES)
+            found = images_in(path) if files is None else shown(self._given, SUFFIXES)
             times = timeline(path, found, whole=files is None)
         except OSError as error:
             raise InputError(f"cannot read the folder {path}: {error.strerror}") from error
@@ -82,12 +87,14 @@ class FolderRecording(Recording):
                 self.frame_rate = Fraction(10**9) / Fraction(period_ns)
         else:
             numbers = file_numbers([file.stem for file in self._files])
-            self.numbered = numbers is not None
+            self.numbered, self.timeless = numbers is not None, True
             self._pts = numbers or list(range(len(self._files)))
             self.warnings = tuple(f"{path}: {gap}" for gap in gaps(self._pts))
+            self.holes = "".join(self.warnings)
             if frame_rate:
                 self.frame_rate = frame_rate
                 self.time_base = 1 / self.frame_rate
+        self.names = [file.stem for file in self._files]
         self._start(self._read(), path)
 
     def close(self) -> None:
@@ -126,8 +133,8 @@ class FolderRecording(Recording):
 
     @property
     def files(self) -> tuple[Path, ...]:
-        """The folder, and the table with the times if there is one."""
-        return (self._path, *([self._table.table] if self._table.table else []))
+        """The folder or the images given, and the table with the times if there is one."""
+        return (*self._given, *([self._table.table] if self._table.table else []))
 
     def fingerprint(self) -> dict[str, Any]:
         """Return the size of all images in bytes, and a SHA-256; reads those not yet decoded.
@@ -155,16 +162,24 @@ class FolderRecording(Recording):
                 self._unreadable.append(file.name)
                 continue
             self._note(number, still)
-            grey = grey_of(still.pixels, file)
+            grey = grey_of(still.pixels, file, self._white)
             if shape is None:
                 shape = grey.shape
-                self._pixel_format = pixel_format(still.pixels)
+                self._look_at(still, file)
             if grey.shape != shape:
                 raise InputError(
                     f"{file} is {grey.shape[1]}x{grey.shape[0]} but the images before it are "
                     f"{shape[1]}x{shape[0]}: make all images of a folder the same size"
                 )
             yield Image(number, pts, grey)
+
+    def _look_at(self, still: Still, file: Path) -> None:
+        """Note what the first image tells of all."""
+        self._pixel_format = pixel_format(still.pixels)
+        if still.pixels.dtype == np.uint16 and not self._white:
+            self.warnings += dark(self._path, int(still.pixels.max()), 16)
+        if still.pages > 1:
+            self.warnings += (f"{file} has {still.pages} pages, of which the first is used",)
 
     def _note(self, number: int, still: Still) -> None:
         """Keep what was read, and count it where the fingerprint had read something else."""

@@ -52,7 +52,7 @@ def named(left: str | Path, right: str | Path | None, settings: InputSettings) -
     if layout != "two":
         if right is not None:
             raise SettingsError(f"--layout {layout} takes one recording: leave {right} out")
-        return names
+        return names * 2 if layout == "tracks" else names
     if right is None:
         return _both_in(names[0])
     one, other = (Path(name) for name in names)
@@ -65,23 +65,41 @@ def named(left: str | Path, right: str | Path | None, settings: InputSettings) -
     return names
 
 
-def open_recording(name: str, settings: InputSettings) -> Recording:
+def open_recording(name: str, settings: InputSettings, track: int = 0) -> Recording:
     """Open a recording.
+
+    Args:
+        name: of a file, folder, pattern, FIFO or address, or that of standard input.
+        settings: what to make of it.
+        track: which video track of it, from 1; 0 = the first.
 
     Raises:
         InputError: it cannot be decoded or has no images.
     """
-    if name == STDIN:
-        return VideoRecording(Pipe(), max_pixels=settings.max_pixels)
     path = Path(name)
-    if is_address(name):
-        return VideoRecording(name, max_pixels=settings.max_pixels)
-    if path.exists() and not path.is_dir():
-        return VideoRecording(
-            path, max_pixels=settings.max_pixels, allow_network=settings.allow_network
+    if not (name == STDIN or is_address(name)) and (path.is_dir() or not path.exists()):
+        files = None if path.is_dir() else _files(name)
+        return FolderRecording(
+            path, files, settings.rate, white=settings.white, max_pixels=settings.max_pixels
         )
-    files = None if path.is_dir() else _files(name)
-    return FolderRecording(path, files, settings.rate, max_pixels=settings.max_pixels)
+    return VideoRecording(
+        _openable(name),
+        rate=settings.rate,
+        track=track,
+        white=settings.white,
+        max_pixels=settings.max_pixels,
+        allow_network=settings.allow_network,
+    )
+
+
+def _openable(name: str) -> Path | Pipe | str:
+    """Return a video by its kind: file, pipe or address."""
+    if name == STDIN:
+        return Pipe()
+    if is_address(name):
+        return name
+    path = Path(name)
+    return Pipe(path) if path.is_fifo() else path
 
 
 def is_address(name: str) -> bool:

@@ -1,4 +1,4 @@
-"""Standard input as a file that is read once, from front to back."""
+"""Standard input, or a FIFO, as a file that is read once, from front to back."""
 
 from __future__ import annotations
 
@@ -7,62 +7,104 @@ import os
 import select
 import sys
 import threading
+import time
+from pathlib import Path
 
 from motionstereo_cli.errors import InputError
 
 #: How often a wait for data looks whether it should end, in s.
 _GLANCE_S = 0.2
 
+#: How long a FIFO may be silent, in s: nobody may be writing to it.
+PATIENCE_S = 10.0
+
 
 class Pipe:
-    """What FFmpeg reads standard input through; it hashes as it goes.
+    """What FFmpeg reads a stream of bytes through; it hashes as it goes.
+
+    Args:
+        fifo: the FIFO to read, which may not be silent for long; None for standard input.
 
     Attributes:
         bytes_read: bytes read so far.
+        head: the first of them.
         ended: the other end has closed.
         interrupted: a wait for data was, by the user.
+        silent: nothing came for too long, so that no more was waited for.
 
     Raises:
-        InputError: standard input is closed or a terminal.
+        InputError: the FIFO cannot be opened; standard input is closed or a terminal.
     """
 
-    def __init__(self) -> None:
-        if sys.stdin is None or sys.stdin.closed:
-            raise InputError("standard input is closed: pipe a video into it, or name a file")
-        self._descriptor = sys.stdin.fileno()
-        if os.isatty(self._descriptor):
-            raise InputError("standard input is a terminal: pipe a video into it, or name a file")
+    def __init__(self, fifo: Path | None = None) -> None:
+        self._fifo = fifo
+        self._descriptor = _standard_input() if fifo is None else _opened(fifo)
         self._sums = hashlib.sha256()
         self._stopped = threading.Event()
         self.bytes_read = 0
-        self.ended = self.interrupted = False
+        self.head = b""
+        self.ended = self.interrupted = self.silent = False
 
     def __str__(self) -> str:
-        return "standard input"
+        return "standard input" if self._fifo is None else str(self._fifo)
 
     def read(self, size: int) -> bytes:
-        """Return up to ``size`` bytes; none at the end, or once stopped."""
+        """Return up to ``size`` bytes; none at the end, once stopped, or after a long silence."""
         try:
-            while not self._stopped.is_set():
-                if select.select([self._descriptor], [], [], _GLANCE_S)[0]:
-                    break
-            else:
+            if not self._wait():
                 return b""
         except KeyboardInterrupt:  # it does not find its way through FFmpeg
             self.interrupted = True
             self.stop()
             return b""
         content = os.read(self._descriptor, size)
+        self.head = self.head or content[:256]
         self._sums.update(content)
         self.bytes_read += len(content)
         self.ended = not content
         return content
 
+    def _wait(self) -> bool:
+        begun_s = time.monotonic()
+        while not self._stopped.is_set():
+            if select.select([self._descriptor], [], [], _GLANCE_S)[0]:
+                return True
+            if self._fifo is not None and time.monotonic() - begun_s > PATIENCE_S:
+                self.silent = True
+                self.stop()
+        return False
+
     def stop(self) -> None:
         """Let a read that waits for data end now, as if there were no more."""
         self._stopped.set()
+
+    def close(self) -> None:
+        """Close the FIFO; standard input stays as it is."""
+        self.stop()
+        if self._fifo is not None and self._descriptor >= 0:
+            os.close(self._descriptor)
+            self._descriptor = -1
 
     @property
     def sha256(self) -> str | None:
         """SHA-256 of all that came, None before the end."""
         return self._sums.hexdigest() if self.ended else None
+
+
+def _standard_input() -> int:
+    if sys.stdin is None or sys.stdin.closed:
+        raise InputError("standard input is closed: pipe a video into it, or name a file")
+    descriptor = sys.stdin.fileno()
+    if os.isatty(descriptor):
+        raise InputError("standard input is a terminal: pipe a video into it, or name a file")
+    return descriptor
+
+
+def _opened(fifo: Path) -> int:
+    try:
+        # Otherwise it would wait here, for ever, until somebody writes.
+        descriptor = os.open(fifo, os.O_RDONLY | os.O_NONBLOCK)
+    except OSError as error:
+        raise InputError(f"cannot read {fifo}: {error.strerror}") from error
+    os.set_blocking(descriptor, True)
+    return descriptor

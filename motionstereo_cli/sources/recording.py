@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import itertools
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from fractions import Fraction
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from motionstereo_cli.errors import InputError
@@ -41,7 +42,11 @@ class Recording(ABC):
         numbered: the time stamps are numbers from file names, which tell better than places
             which images belong together.
         stamped: the time stamps were taken by the camera, and do so as well.
+        timeless: nothing but a rate given makes a time of the images' numbers.
+        names: the images' names without suffix by their place, where they are files.
+        rereadable: another process can read the same again.
         warnings: what looks wrong before anything is lost, one line each.
+        holes: the one of these that says that images are missing, empty if none does.
     """
 
     name: str
@@ -53,7 +58,11 @@ class Recording(ABC):
     begin_pts: int
     numbered: bool = False
     stamped: bool = False
+    timeless: bool = False
+    names: Sequence[str] = ()
+    rereadable: bool = True
     warnings: tuple[str, ...] = ()
+    holes: str = ""
 
     def __iter__(self) -> Iterator[Image]:
         return self._images
@@ -99,12 +108,32 @@ class Recording(ABC):
         Where it came through a pipe, that is what came; the hash is None before the end.
         """
 
+    def count(self) -> int | None:
+        """Return how many images there are, though it takes reading all; None if unknown."""
+        return self.expected_images
+
+    @property
+    @abstractmethod
+    def files(self) -> tuple[Path, ...]:
+        """The files and folders that are read."""
+
     def stop(self) -> None:  # noqa: B027 (files never wait)
         """Let an iteration that waits for data in another thread end."""
 
     @abstractmethod
     def close(self) -> None:
         """Give back what is open."""
+
+
+def dark(name: object, brightest: int, bits: int) -> tuple[str, ...]:
+    """Return a line where deep images use a small part of their range, as 12 bits in 16 do."""
+    used = max(brightest, 1).bit_length()
+    if used > bits - 2:
+        return ()
+    return (
+        f"{name} is dark: no level of its first image is over {brightest} of {2**bits - 1}: if the "
+        f"camera gives {max(used, 8)} bits, give --white {2 ** max(used, 8) - 1}",
+    )
 
 
 def images(count: int) -> str:

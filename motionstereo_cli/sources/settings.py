@@ -43,9 +43,18 @@ class InputSettings:
         "two",
         "Where the two views are. two: in LEFT and RIGHT, or in a KITTI or EuRoC folder; in all "
         "others one recording holds both, the left view at the left or on top; -half: each view "
-        "was squeezed to half its width or height, and is stretched back.",
-        choices=("two", "side-by-side", "side-by-side-half", "top-bottom", "top-bottom-half"),
+        "was squeezed to half its width or height, and is stretched back; tracks: in the first two "
+        "video tracks.",
+        choices=(
+            *("two", "side-by-side", "side-by-side-half", "top-bottom", "top-bottom-half"),
+            "tracks",
+        ),
         common=True,
+    )
+    track: str = param(
+        "",
+        "Video track to use where a file has several, from 1; LEFT,RIGHT for those of the two "
+        "views (none given: the first, with --layout tracks 1,2).",
     )
     swap: bool = param(False, "Exchange the left and the right view, for cross-eyed recordings.")
     sync_offset: int = param(
@@ -66,7 +75,7 @@ class InputSettings:
     )
     frame_rate: float = param(
         0.0,
-        "Frame rate of image folders, which have no times (0 = unknown).",
+        "Frame rate of what has no times, such as image folders and bare H.264 (0 = unknown).",
         unit="frames per second",
         low=0,
         high=100_000,
@@ -95,6 +104,13 @@ class InputSettings:
         low=0.01,
         high=8,
     )
+    white: int = param(
+        0,
+        "Level that becomes white in images of more than 8 bits, as 4095 where a camera puts 12 "
+        "bits into 16 (0 = the largest that the bits can say).",
+        low=0,
+        high=65535,
+    )
     strict: bool = param(
         False,
         "End with an error at the first damage in the input, instead of counting it.",
@@ -118,7 +134,7 @@ class InputSettings:
 
     def __post_init__(self) -> None:
         checked(self)
-        _ = self.crop_box, self.rate
+        _ = self.crop_box, self.rate, self.tracks
         first, stop = self.first, self.stop
         comparable = type(stop) is type(first) or not self.start
         if stop is not None and comparable and stop <= first:
@@ -140,6 +156,19 @@ class InputSettings:
             )
         # 29.97002997 is 30000/1001.
         return Fraction(str(self.frame_rate)).limit_denominator(10_000)
+
+    @property
+    def tracks(self) -> tuple[int, int]:
+        """The video tracks of the left and the right view, from 1; 0 = none was chosen."""
+        if not self.track:
+            return (1, 2) if self.layout == "tracks" else (0, 0)
+        found = re.fullmatch(r"([1-9]\d?)(?:,([1-9]\d?))?", self.track.replace(" ", ""), re.ASCII)
+        if found is None or (self.layout == "tracks" and not found[2]):
+            raise SettingsError(
+                f"--track cannot be {self.track!r}: give the number of a video track, from 1, or "
+                "LEFT,RIGHT for those of the two views"
+            )
+        return int(found[1]), int(found[2] or found[1])
 
     @property
     def first(self) -> Place:

@@ -8,19 +8,16 @@ from contextlib import ExitStack, closing
 from fractions import Fraction
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, NamedTuple
-
-import cv2
-import numpy as np
+from typing import TYPE_CHECKING, Any
 
 from motionstereo_cli.errors import InputError, SettingsError
 from motionstereo_cli.sources import layout
-from motionstereo_cli.sources.folder import FolderRecording
-from motionstereo_cli.sources.opening import STDIN, is_address, named, open_recording
+from motionstereo_cli.sources.opening import named, open_recording
 from motionstereo_cli.sources.pairing import pair
 from motionstereo_cli.sources.prefetch import prefetch
 from motionstereo_cli.sources.recording import Recording, images
 from motionstereo_cli.sources.settings import InputSettings, Place
+from motionstereo_cli.sources.sides import Loss, Shot, Side, moves, same
 from motionstereo_cli.types import StereoFrame
 
 if TYPE_CHECKING:
@@ -28,11 +25,6 @@ if TYPE_CHECKING:
 
 #: Images decoded ahead on each side: enough to even out key frames, little memory.
 _DEPTH = 4
-
-#: Something moves where this share of an image changes by more than so many grey levels. A still
-#: scene may look the same twice to one camera, and through its encoder, and not to the other.
-_MOVING_SHARE = 0.01
-_MOTION_GREY = 12
 
 SIDES = ("left", "right")
 
@@ -73,15 +65,14 @@ class StereoSource:
         self,
         streams: Sequence[Recording],
         settings: InputSettings | None = None,
-        paths: Sequence[Path] = (),
     ) -> None:
         self.settings = s = settings or InputSettings()
-        self.paths = tuple(paths)
         self._streams = list(streams)
+        self.paths = tuple(dict.fromkeys(path for stream in streams for path in stream.files))
         if len(self._streams) == 1:
-            self._sides = [_Side(self._streams[0], half) for half in (0, 1)]
+            self._sides = [Side(self._streams[0], half) for half in (0, 1)]
         else:
-            self._sides = [_Side(stream) for stream in self._streams]
+            self._sides = [Side(stream) for stream in self._streams]
         if s.swap:
             self._sides.reverse()
         self._rectify: tuple[Callable[[Grey], Grey], ...] | None = None
@@ -109,8 +100,8 @@ class StereoSource:
                     f"views of {width}x{height} px are more than --max-pixels {s.max_pixels}: "
                     "raise it, or give a smaller --scale"
                 )
-        if s.strict and self.warnings:
-            raise self._stopped(self.warnings[0])
+        if s.strict and (holes := [stream.holes for stream in self._streams if stream.holes]):
+            raise self._stopped(holes[0])
         self.time_base = right.stream.time_base
         rate = right.stream.frame_rate
         self.frame_rate = rate / s.every if rate else None
@@ -141,7 +132,7 @@ class StereoSource:
     @property
     def rereadable(self) -> bool:
         """Whether another process can read the same again: not from standard input."""
-        return len(self.paths) == len(self._streams)
+        return all(stream.rereadable for stream in self._streams)
 
     def rectify(self, left: Callable[[Grey], Grey], right: Callable[[Grey], Grey]) -> None:
         """Have each whole view go through a function; to be called before the iteration.
@@ -231,6 +222,12 @@ class StereoSource:
             for name, stream in zip(names, streams, strict=True)
         }
 
+    def count(self) -> None:
+        """Put the true numbers of images in the place of estimates; may read all of the files."""
+        for stream in self._streams:
+            stream.expected_images = stream.count()
+        self.expected_frames = self._expected()
+
     def __iter__(self) -> Iterator[StereoFrame]:
         self._frames = self._strictly() if self.settings.strict else self._deliver()
         return self._frames
@@ -252,7 +249,7 @@ class StereoSource:
         s = self.settings
         index, begun = 0, None
         with ExitStack() as stack:
-            feeds: list[Iterator[_Shot | _Loss]] = [
+            feeds: list[Iterator[Shot | Loss]] = [
                 stack.enter_context(closing(prefetch(self._shots(side), _DEPTH, side.stream.stop)))
                 for side in self._sides[: len(self._streams)]
             ]
@@ -267,8 +264,8 @@ class StereoSource:
                 left_side.use(left)
                 right_side.use(right)
                 if last is not None:
-                    left_side.repeated += left.repeats and _moves(right, last[1])
-                    right_side.repeated += right.repeats and _moves(left, last[0])
+                    left_side.repeated += left.repeats and moves(right, last[1])
+                    right_side.repeated += right.repeats and moves(left, last[0])
                 last = left, right
                 if s.stop is not None and self._reached(s.stop, number, right):
                     self._skipped += 1
@@ -287,7 +284,7 @@ class StereoSource:
         if index == 0:
             raise InputError(self._nothing(number + 1))
 
-    def _shots(self, side: _Side) -> Iterator[_Shot | _Loss]:
+    def _shots(self, side: Side) -> Iterator[Shot | Loss]:
         """Yield what a decoding thread makes, and at last what was lost in all."""
         s, stream = self.settings, side.stream
         rectify = self._rectify
@@ -297,17 +294,17 @@ class StereoSource:
             rectify = rectify[::-1]
         last: Grey | None = None
         for order, image in enumerate(stream):
-            repeats, last = last is not None and _same(image.grey, last), image.grey
+            repeats, last = last is not None and same(image.grey, last), image.grey
             parts = layout.split(image.grey, s.layout)
             if rectify:
                 parts = tuple(each(part) for each, part in zip(rectify, parts, strict=True))
             cut = (layout.cut(part, self._box, self.width, self.height) for part in parts)
             time_s = None if stream.time_base is None else image.pts * stream.time_base
-            loss = _Loss.of(stream)
-            yield _Shot(order, image.number, image.pts, time_s, tuple(cut), repeats, loss)
-        yield _Loss.of(stream)
+            loss = Loss.of(stream)
+            yield Shot(order, image.number, image.pts, time_s, tuple(cut), repeats, loss)
+        yield Loss.of(stream)
 
-    def _pairing(self) -> tuple[Callable[[_Shot, _Shot], Fraction], Fraction]:
+    def _pairing(self) -> tuple[Callable[[Shot, Shot], Fraction], Fraction]:
         """Return how much earlier a left image is than a right one, and how much may be."""
         left, right = (side.stream for side in self._sides)
         tolerance, offset = Fraction(str(self.settings.sync_tolerance)), self.settings.sync_offset
@@ -336,7 +333,7 @@ class StereoSource:
             return None
         return len(range(_frame(s.first, rate), min(ends), s.every))
 
-    def _reached(self, place: Place, number: int, shot: _Shot) -> bool:
+    def _reached(self, place: Place, number: int, shot: Shot) -> bool:
         if isinstance(place, int):
             return number >= place
         return shot.time_s is not None and shot.time_s - self._sides[1].begin_s >= place
@@ -355,119 +352,7 @@ class StereoSource:
         )
 
 
-class _Loss(NamedTuple):
-    """What a stream has lost up to some image.
-
-    It goes along with the image, for the thread that decodes is ahead by no fixed number.
-    """
-
-    lost: int
-    flawed: int
-    damage: tuple[str, ...]
-
-    @classmethod
-    def of(cls, stream: Recording) -> _Loss:
-        return cls(stream.lost, stream.flawed, tuple(stream.damage))
-
-
-class _Shot(NamedTuple):
-    """One image of a recording, ready to be paired.
-
-    Attributes:
-        order: how many images came before it.
-        number, pts: as in :class:`~motionstereo_cli.sources.recording.Image`.
-        time_s: pts in s, None where there is no time.
-        views: the view, or the two views, in it.
-        repeats: the image is that before it, byte for byte.
-        loss: what was lost before it.
-    """
-
-    order: int
-    number: int
-    pts: int
-    time_s: Fraction | None
-    views: tuple[Grey, ...]
-    repeats: bool
-    loss: _Loss
-
-
-class _Side:
-    """One camera: its stream, which half of its images is meant, and what became of them.
-
-    Attributes:
-        paired: images used in pairs.
-        early: images that came before the first of those.
-        repeated: images used that were the one before, while things moved in the other view.
-        loss: what was lost up to the last image that came.
-        begin_s: time of the first image.
-    """
-
-    def __init__(self, stream: Recording, half: int = 0) -> None:
-        self.stream, self.half = stream, half
-        self.paired = self.early = self.repeated = 0
-        self.loss = _Loss(0, 0, ())
-        self.begin_s = Fraction(0)
-        self._came = 0
-        self._last_used = -1
-        self._ended = False
-
-    def follow(self, feed: Iterator[_Shot | _Loss]) -> Iterator[_Shot]:
-        """Pass the images on, and count them."""
-        for item in feed:
-            if isinstance(item, _Loss):
-                self.loss, self._ended = item, True
-                return
-            if not self._came:
-                self.begin_s = item.time_s or Fraction(0)
-            self._came, self.loss = self._came + 1, item.loss
-            yield item
-
-    def use(self, shot: _Shot) -> None:
-        """Note that an image has a partner."""
-        if not self.paired:
-            self.early = shot.order
-        self.paired += 1
-        self._last_used = shot.order
-
-    @property
-    def late(self) -> int:
-        """Images that came after the last pair, if there was one."""
-        return self._came - 1 - self._last_used if self.paired else 0
-
-    @property
-    def between(self) -> int:
-        """Images without partner between those that have one."""
-        return self._came - self.paired - self.early - self.late if self.paired else 0
-
-    @property
-    def counts(self) -> dict[str, int | None]:
-        """See :attr:`StereoSource.counts`."""
-        read = self._came + self.loss.lost
-        expected = self.stream.expected_images
-        unread = 0 if self._ended else expected and max(expected - read, 0)
-        return {
-            "read": read,
-            "paired": self.paired,
-            "unpaired": self._came - self.paired,
-            "damaged": self.loss.lost,
-            "flawed": self.loss.flawed,
-            "repeated": self.repeated,
-            "unread": unread,
-        }
-
-
-def _same(one: Grey, other: Grey) -> bool:
-    """Return whether two images are equal; a few rows tell most that are not."""
-    return np.array_equal(one[::32], other[::32]) and np.array_equal(one, other)
-
-
-def _moves(shot: _Shot, last: _Shot) -> bool:
-    """Return whether things move from one image to the next of the same camera."""
-    changed = cv2.absdiff(shot.views[-1], last.views[-1]) > _MOTION_GREY
-    return not shot.repeats and float(np.mean(changed)) > _MOVING_SHARE
-
-
-def _time_lead(one: _Shot, other: _Shot) -> Fraction:
+def _time_lead(one: Shot, other: Shot) -> Fraction:
     return (other.time_s or Fraction(0)) - (one.time_s or Fraction(0))
 
 
@@ -501,13 +386,15 @@ def open_stereo(
     settings = settings or InputSettings()
     names = named(left, right, settings)
     with ExitStack() as opened:
-        streams = [opened.enter_context(closing(open_recording(name, settings))) for name in names]
-        timeless = (isinstance(each, FolderRecording) and not each.stamped for each in streams)
-        if settings.frame_rate and not any(timeless):
+        streams = [
+            opened.enter_context(closing(open_recording(name, settings, track)))
+            for name, track in zip(names, settings.tracks, strict=False)
+        ]
+        if settings.frame_rate and not any(each.timeless for each in streams):
             raise SettingsError(
-                f"--frame-rate is for image folders, but {names[0]} has time stamps: leave it out"
+                f"--frame-rate is for what has no times, but {streams[0].name} has time stamps: "
+                "leave it out"
             )
-        files = [Path(name) for name in names if name != STDIN and not is_address(name)]
-        source = StereoSource(streams, settings, files)
+        source = StereoSource(streams, settings)
         opened.pop_all()
     return source

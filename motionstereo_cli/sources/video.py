@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import functools
-import logging
 from collections.abc import Iterator
 from fractions import Fraction
 from pathlib import Path
@@ -11,128 +9,130 @@ from typing import TYPE_CHECKING, Any
 
 import av
 import av.logging
-import cv2
 import numpy as np
-from av.video.reformatter import ColorRange
 
-from motionstereo_cli.errors import InputError
-from motionstereo_cli.files.reading import MAX_PIXELS, sha256_of
+from motionstereo_cli.files.reading import MAX_PIXELS
+from motionstereo_cli.sources.container import Container
+from motionstereo_cli.sources.h264 import Heads
+from motionstereo_cli.sources.luma import bits_of, brightest, grey_levels, is_full_range
+from motionstereo_cli.sources.pace import Pace, rhythm
 from motionstereo_cli.sources.pipe import Pipe
-from motionstereo_cli.sources.recording import Image, Recording, images
+from motionstereo_cli.sources.recording import Image, Recording, dark, images
 
 if TYPE_CHECKING:
     from motionstereo_cli.types import Grey
 
-_PIPE_ADVICE = "pipe yuv4mpegpipe, Matroska, or MP4 with its index in front (-movflags +faststart)"
-
-#: What a file may have FFmpeg open besides, where the network is allowed.
-_NETWORK = "file,crypto,data,http,https,httpproxy,tls,tcp,udp,rtp"
-
-#: How long a network address may be silent, in s.
-_PATIENCE_S = 10.0
+    _Packet = av.Packet[av.VideoStream]
 
 #: The decoder of this codec tells of wrong checksums in FFmpeg's log and nowhere else.
 _TELLS_THE_LOG = "ffv1"
-
-#: Grey level for each luma of a limited-range stream: 16..235 becomes 0..255.
-_GREY_OF_LIMITED_LUMA = np.clip(np.rint((np.arange(256) - 16) * (255 / 219)), 0, 255).astype(
-    np.uint8
-)
 
 
 class VideoRecording(Recording):
     """The grey images of a video file, in the order in which they are shown.
 
     Grey is the luma plane, expanded to 0..255 where the stream is limited range; RGB streams
-    give BT.601 luma. Time stamps are those of the file, not shifted to begin at 0. Rotation
-    metadata is obeyed.
+    give BT.601 luma. Time stamps are those of the file, not shifted to begin at 0; where the
+    container has none, as bare H.264, the rate that the stream states makes times of the images'
+    numbers, or ``rate`` does. Rotation metadata is obeyed.
 
     Images with visible decoding errors are delivered and counted, and so are those that are
     decoded from such or in place of lost ones, until the next key frame. An image that cannot be
     decoded leaves its number out, so that the numbers of those after it still hold. So does one
     that is missing from the file, which shows in either of two ways: the file's index lists more
-    images than come, or, in files without an index and at a constant rate, time stamps leap.
+    images than come, or, at a constant rate, time stamps leap.
 
     Decoding uses one thread: with more, FFmpeg decodes damaged files differently each time, and
     with slice threads it does not report the damage.
 
-    Nothing but the file itself is read, whatever it holds: FFmpeg gets it as an open file, and
-    may open no other.
-
     Args:
-        path: an existing file, standard input, or a network address as text.
+        path: an existing file, a pipe, or a network address as text.
+        rate: images per second where the container has no time, None = what the stream states.
+        track: which of the video tracks, from 1; 0 = the first.
+        white: level that becomes 255; 0 = the largest that the bits can say.
         max_pixels: largest width times height of an image.
         allow_network: let a playlist name files and network addresses.
 
     Raises:
         InputError: not a video, too large, or none of its images can be decoded.
+        SettingsError: it has no such track.
     """
 
     def __init__(
         self,
         path: Path | Pipe | str,
         *,
+        rate: Fraction | None = None,
+        track: int = 0,
+        white: int = 0,
         max_pixels: int = MAX_PIXELS,
         allow_network: bool = False,
     ) -> None:
-        self._path = path
-        self._corrupt = self._undecodable = self._missing = self._cut_off = 0
+        self._path, self._white = path, white
+        self.rereadable = isinstance(path, Path)
+        self._corrupt = self._undecodable = self._cut_off = 0
         self._failed: list[int] = []  # pts of packets that gave no image, not yet passed
+        self._torn_from: int | None = None  # pts from which on references are missing
         self._packets = 0
         self._packet_end = 0  # in bytes from the beginning of the file
-        self._constant_rate: bool | None = None  # not known before the second image
         self._end_error = ""
-        _keep_quiet()
+        self._changed = False
+        self._file = Container(
+            path, max_pixels=max_pixels, allow_network=allow_network, track=track
+        )
         try:
-            self._container = _opened(path, max_pixels, allow_network)
-        except (av.FFmpegError, OSError) as error:
-            self._check_interrupt()
-            advice = "give a whole video file, or a folder of images"
-            raise InputError(
-                f"{path} is not a video that can be decoded ({error.strerror}): "
-                f"{_PIPE_ADVICE if isinstance(path, Pipe) else advice}"
-            ) from error
-        try:
-            if not self._container.streams.video:
-                raise InputError(f"{path} has no video stream: give a video file")
-            self._stream = self._container.streams.video[0]
-            codec = self._stream.codec_context
-            if codec is None:  # the type stub says otherwise
-                raise InputError(f"{path} is in a format that cannot be decoded: convert it")
-            if codec.width * codec.height > max_pixels:
-                raise InputError(
-                    f"{path} is {codec.width}x{codec.height}: that is more than --max-pixels "
-                    f"{max_pixels}, raise it if the video is to be trusted"
-                )
-            codec.thread_count = 1
-            codec.options = _decoder_limits(max_pixels)
-            self.frame_rate = self._stream.average_rate or self._stream.guessed_rate
-            self._begin_s = Fraction(self._container.start_time or 0, av.time_base)
-            self._listed = self._count_listed()
-            self.expected_images = self._listed or self._stream.frames or self._count_by_length()
-            if self._stream.time_base is None:
-                raise InputError(f"{path} has no time base: convert it to MP4 or Matroska")
-            self.time_base: Fraction = self._stream.time_base
-            self._start(self._read(), path, _PIPE_ADVICE if isinstance(path, Pipe) else "")
-            self._check_interrupt()
+            self._begin(rate)
+            self._start(self._read(), path, self._file.advice)
+            self._file.check()
         except BaseException:
-            self._container.close()
-            self._check_interrupt()
+            self._file.close()
+            self._file.check()
             raise
+        if self._file.tracks > 1 and not track:
+            self.warnings += (
+                f"{path} has {self._file.tracks} video tracks, of which the first is used: choose "
+                "with --track, or --layout tracks where two are left and right",
+            )
+
+    def _begin(self, rate: Fraction | None) -> None:
+        """Find out what the container says of numbers and times."""
+        stream = self._file.stream
+        self._stream, self._tick_s = stream, stream.time_base or Fraction(1)
+        self.timeless, self._listed = self._file.timeless, self._count_listed()
+        if self.timeless:
+            self.time_base, self.frame_rate = (1 / rate if rate else None), rate
+            self.expected_images: int | None = None
+            self._pace = Pace(None, self._tick_s, steady=False, places=None)
+            return
+        self.time_base = self._tick_s
+        self.frame_rate = stream.average_rate or stream.guessed_rate
+        self.expected_images = self._listed or stream.frames or self._count_by_length()
+        steady = None
+        if self._listed:
+            found = rhythm([entry.timestamp for entry in stream.index_entries], self._tick_s)
+            steady = found.rate is not None
+            if found.places > self._listed:
+                self.expected_images, self.frame_rate = found.places, found.rate
+        self._places = self.expected_images
+        self._pace = Pace(self.frame_rate, self._tick_s, steady=steady, places=self._places)
 
     def close(self) -> None:
         """Close the file."""
-        self._container.close()
+        self._file.close()
 
     def stop(self) -> None:
-        """End a wait for standard input."""
-        if isinstance(self._path, Pipe):
-            self._path.stop()
+        """End a wait for a pipe."""
+        self._file.stop()
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """The file; nothing where it is a pipe or an address."""
+        return (self._path,) if isinstance(self._path, Path) else ()
 
     @property
     def lost(self) -> int:
         """Images not decodable or missing so far."""
-        return self._undecodable + self._missing + self._cut_off
+        return self._undecodable + self._pace.missing + self._cut_off
 
     @property
     def flawed(self) -> int:
@@ -145,18 +145,27 @@ class VideoRecording(Recording):
         found = {
             "decoded with errors, or after errors and before a key frame": self._corrupt,
             "could not be decoded": self._undecodable,
-            "missing within the video": self._missing,
+            "missing within the video": self._pace.missing,
             "missing at its end": self._cut_off,
         }
         lines = [f"{self._path}: {images(n)} {what}" for what, n in found.items() if n]
+        if self._pace.pause:
+            lines.append(
+                f"{self._path}: time stamps leap by {self._pace.pause[0]:.1f} s at "
+                f"{self._pace.pause[1]:.1f} s: the recording paused, or images are missing"
+            )
         if self._end_error:
             lines.append(f"{self._path}: reading stopped early: {self._end_error}")
+        if self._changed:
+            lines.append(f"{self._path} was written to while the run went on")
         return lines
 
     def describe(self) -> dict[str, Any]:
         """Return what the video is, as JSON-able values."""
+        tracks = {"track": self._file.track} if self._file.tracks > 1 else {}
         return {
             "path": str(self._path),
+            **tracks,
             "kind": "video",
             "codec": self._stream.codec_context.name,
             "pixel_format": self._pixel_format,
@@ -165,35 +174,32 @@ class VideoRecording(Recording):
             "width": self.width,
             "height": self.height,
             "frame_rate": str(self.frame_rate) if self.frame_rate else None,
-            "images": self.expected_images,
+            "images": self._listed or self.expected_images,
         }
 
     def fingerprint(self) -> dict[str, Any]:
         """Return size in bytes and SHA-256 of the file, or of what came through the pipe."""
-        if isinstance(self._path, Pipe):
-            return {"bytes": self._path.bytes_read, "sha256": self._path.sha256}
-        if isinstance(self._path, str):
-            return {"bytes": None, "sha256": None}
-        return {"bytes": self._path.stat().st_size, "sha256": sha256_of(self._path)}
+        return self._file.fingerprint()
 
-    def _check_interrupt(self) -> None:
-        if isinstance(self._path, Pipe) and self._path.interrupted:
-            raise KeyboardInterrupt from None
+    def count(self) -> int | None:
+        """Return how many images the file has, by its index, or else by reading all of it."""
+        return self._listed or self._file.count()
 
     def _count_listed(self) -> int | None:
         # MP4 alone has an index that holds; not its frame count, for that includes what the edit
         # list cuts away. AVI counts empty places. A fragmented MP4 has no index of the whole.
-        if self._stream.frames and "mp4" in self._container.format.name:
+        if self._stream.frames and "mp4" in self._file.source.format.name:
             return len(self._stream.index_entries)
         return None
 
     def _count_by_length(self) -> int | None:
+        container = self._file.source
         length_s: Fraction | None = None
-        if self._stream.duration is not None and self._stream.time_base is not None:
-            length_s = self._stream.duration * self._stream.time_base
+        if self._stream.duration is not None:
+            length_s = self._stream.duration * self._tick_s
         # Matroska tells the end of its longest stream alone.
-        elif self._container.duration is not None and len(self._container.streams) == 1:
-            length_s = Fraction(self._container.duration, av.time_base) - self._begin_s
+        elif container.duration is not None and len(container.streams) == 1:
+            length_s = Fraction(container.duration, av.time_base) - self._file.begin_s
         return round(length_s * self.frame_rate) if length_s and self.frame_rate else None
 
     def _read(self) -> Iterator[Image]:
@@ -203,39 +209,63 @@ class VideoRecording(Recording):
         for frame, complained in self._decode():
             pts = self._pts(frame, last_pts)
             if shape is None:
-                self._quarters = round(frame.rotation / 90) % 4
-                self._pixel_format, self._full_range = frame.format.name, is_full_range(frame)
-            grey = _rotated(grey_levels(frame), self._quarters)
+                self._look_at(frame)
+            grey = _rotated(grey_levels(frame, self._white), self._quarters)
             if shape is not None and grey.shape != shape:
                 self._fail(pts)  # a damaged header, or a change that cannot be followed
                 continue
             shape = grey.shape
-            lost = self._lost_between(last_pts, pts, number)
+            failed = self._failed_before(pts)
+            lost = failed
+            if last_pts is not None:
+                lost += self._pace.hole(last_pts, pts, failed, number)
             # What is wrong with an image is wrong with all that are decoded from it.
-            inherited = (flawed or lost > 0) and not frame.key_frame
+            torn = self._torn_from is not None and pts >= self._torn_from
+            inherited = (flawed or failed > 0 or torn) and not frame.key_frame
+            if torn:
+                self._torn_from = None
             flawed = frame.is_corrupt or complained or inherited
             self._corrupt += flawed
             number += 1 + lost
             last_pts = pts
-            yield Image(number, pts, grey)
+            yield Image(number, number if self.timeless else pts, grey)
         self._cut_off = self._lost_at_end(last_pts)
+        self._changed = self._file.changed
+
+    def _look_at(self, frame: av.VideoFrame) -> None:
+        """Note what the first image tells of all."""
+        self._quarters = round(frame.rotation / 90) % 4
+        self._pixel_format, self._full_range = frame.format.name, is_full_range(frame)
+        if self.timeless and self.frame_rate is None:
+            self.frame_rate = self._file.stated_rate
+            self.time_base = 1 / self.frame_rate if self.frame_rate else None
+        if self.timeless and not self.frame_rate:
+            self.warnings += (f"{self._path} has no times: give its rate to --frame-rate",)
+        if bits_of(frame) > 8 and not self._white:
+            self.warnings += dark(self._path, brightest(frame), bits_of(frame))
 
     def _decode(self) -> Iterator[tuple[av.VideoFrame, bool]]:
         """Yield the images, and whether the decoder complained of them in its log alone."""
-        heeded = self._stream.codec_context.name == _TELLS_THE_LOG
-        packets = self._container.demux(self._stream)
+        codec = self._stream.codec_context
+        heeded = codec.name == _TELLS_THE_LOG
+        heads = Heads(codec.extradata or b"") if codec.name == "h264" else None
+        last: _Packet | None = None
+        packets = self._file.source.demux(self._stream)
         while True:
             try:
                 packet = next(packets)
             except StopIteration:
-                return
+                break
             except (av.FFmpegError, OSError) as error:
                 self._end_error = error.strerror or str(error)
-                return
+                break
             if packet.size or packet.dts is not None:  # the last one is empty: it flushes
                 self._packets += 1
             if packet.pos is not None:
                 self._packet_end = max(self._packet_end, packet.pos + packet.size)
+            if heads and last is not None and self._leaps(last, packet):
+                self._look_for_references(heads, last, packet)
+            last = packet
             try:
                 with av.logging.Capture() as log:  # of this thread alone
                     frames = packet.decode()
@@ -244,124 +274,49 @@ class VideoRecording(Recording):
                 continue
             for frame in frames:
                 yield frame, heeded and bool(log)
+        if isinstance(self._path, Pipe) and self._path.silent:
+            self._end_error = "nothing came any more"
+
+    def _leaps(self, last: _Packet, packet: _Packet) -> bool:
+        """Return whether images may be missing between two packets."""
+        if last.dts is None or packet.dts is None or not self.frame_rate:
+            return False
+        return (packet.dts - last.dts) * self._tick_s * self.frame_rate > 1.5
+
+    def _look_for_references(self, heads: Heads, last: _Packet, packet: _Packet) -> None:
+        one, other = heads.read(bytes(last)), heads.read(bytes(packet))
+        if one and other and not other.follows(one) and packet.pts is not None:
+            self._torn_from = packet.pts
 
     def _fail(self, pts: int | None) -> None:
         self._undecodable += 1
         if pts is not None:
             self._failed.append(pts)
 
+    def _failed_before(self, pts: int) -> int:
+        """Return how many images that could not be decoded come before one, and forget them."""
+        failed = sum(each < pts for each in self._failed)
+        self._failed = [each for each in self._failed if each > pts]
+        return failed
+
     def _pts(self, frame: av.VideoFrame, last_pts: int | None) -> int:
         if frame.pts is not None:
             return frame.pts
         if last_pts is None:
             return 0
-        return last_pts + (round(1 / (self.frame_rate * self.time_base)) if self.frame_rate else 1)
-
-    def _lost_between(self, last_pts: int | None, pts: int, last_number: int) -> int:
-        """Return how many images were lost between two delivered ones, and note them."""
-        failed = sum(each < pts for each in self._failed)
-        self._failed = [each for each in self._failed if each > pts]
-        if last_pts is None or self._listed or not self.frame_rate or self._constant_rate is False:
-            return failed
-        # Nothing lists this file's images, so some may be gone without a trace but in time.
-        periods = float((pts - last_pts) * self.time_base * self.frame_rate)
-        steps = round(periods)
-        missing = steps - 1 - failed
-        self._constant_rate = (
-            abs(periods - steps) < 0.25
-            and missing >= 0
-            # A leap at the very first step means that the rate is mislabelled.
-            and not (missing and self._constant_rate is None)
-            # A leap beyond the end is a damaged time stamp.
-            and (self.expected_images is None or last_number + steps < self.expected_images)
-        )
-        if not self._constant_rate:
-            return failed
-        self._missing += missing
-        return failed + missing
+        return last_pts + (round(1 / (self.frame_rate * self._tick_s)) if self.frame_rate else 1)
 
     def _lost_at_end(self, last_pts: int | None) -> int:
         if self._listed:
             return max(self._listed - self._packets, 0)
-        if self._container.format.name == "yuv4mpegpipe":  # bare images: a rest is a torn one
-            path = self._path
-            if isinstance(path, str):
-                return 0
-            size = path.bytes_read if isinstance(path, Pipe) else path.stat().st_size
-            return int(size > self._packet_end)
+        if self._file.source.format.name == "yuv4mpegpipe":  # bare images: a rest is a torn one
+            return int((self._file.size_bytes or 0) > self._packet_end)
         # The length stands in the header of these; in others it is an estimate.
-        headed = self._container.format.name in ("matroska,webm", "avi")
-        if last_pts is None or not (headed and self._constant_rate and self.frame_rate):
+        headed = self._file.source.format.name in ("matroska,webm", "avi")
+        if last_pts is None or not (headed and self._pace.steady and self.frame_rate):
             return 0
-        last = round((last_pts * self.time_base - self._begin_s) * self.frame_rate)
-        return max((self.expected_images or 0) - 1 - last - len(self._failed), 0)
-
-
-def _opened(
-    path: Path | Pipe | str, max_pixels: int, allow_network: bool
-) -> av.container.InputContainer:
-    limits = _decoder_limits(max_pixels)
-    # Titles and the like may be anything, and do not matter.
-    opened = functools.partial(av.open, mode="r", metadata_errors="replace")
-    if isinstance(path, Pipe):
-        return opened(path, options=limits | {"protocol_whitelist": "none"})
-    if isinstance(path, str):
-        return opened(path, options=limits, timeout=_PATIENCE_S)
-    if allow_network:
-        # An absolute path: FFmpeg takes what precedes a colon for a protocol.
-        options = limits | {"protocol_whitelist": _NETWORK, "allowed_extensions": "ALL"}
-        return opened(str(path.absolute()), options=options, timeout=_PATIENCE_S)
-    with path.open("rb") as file:  # FFmpeg duplicates it
-        options = limits | {"fd": str(file.fileno()), "protocol_whitelist": "fd"}
-        return opened("fd:", options=options)
-
-
-def _decoder_limits(max_pixels: int) -> dict[str, str]:
-    # Twice, for coded images have a margin. This is for sizes that a file's head does not tell.
-    return {"max_pixels": str(2 * max_pixels)}
-
-
-def _keep_quiet() -> None:
-    """Have FFmpeg's errors told to those who capture them, and to nobody else."""
-    av.logging.set_level(av.logging.ERROR)
-    av.logging.set_skip_repeated(False)
-    logging.getLogger("libav").setLevel(logging.CRITICAL + 1)
-
-
-def is_full_range(frame: av.VideoFrame) -> bool:
-    """Return whether luma spans 0..255 rather than 16..235.
-
-    What the stream says holds; where it says nothing, YUV is limited range, all else full.
-    """
-    if frame.color_range in (ColorRange.JPEG, ColorRange.MPEG):
-        return frame.color_range == ColorRange.JPEG
-    name = frame.format.name
-    return frame.format.is_rgb or name.startswith(("gray", "yuvj", "ya", "pal", "mono"))
-
-
-def grey_levels(frame: av.VideoFrame) -> Grey:
-    """Return the grey levels of a decoded frame, (height, width) uint8 0..255.
-
-    Luma of 8 bits in a plane of its own is taken as it is and, where limited range, looked up
-    in a table. Other YUV goes through FFmpeg's scaler, RGB through BT.601 in full range.
-    """
-    form, full = frame.format, is_full_range(frame)
-    if form.is_rgb or form.has_palette:
-        rgb = frame.to_ndarray(format="rgb24")
-        return np.asarray(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY), np.uint8)
-    plane_is_luma = form.is_planar or len(form.components) == 1
-    if not (plane_is_luma and form.components[0].is_luma and form.components[0].bits == 8):
-        source = ColorRange.JPEG if full else ColorRange.MPEG
-        frame = frame.reformat(
-            format="gray", src_color_range=source, dst_color_range=ColorRange.JPEG
-        )
-        full = True
-    plane = frame.planes[0]
-    rows = np.frombuffer(memoryview(plane), np.uint8).reshape(
-        -1, plane.line_size
-    )  # rows are padded
-    luma = rows[: frame.height, : frame.width]
-    return np.ascontiguousarray(luma if full else cv2.LUT(luma, _GREY_OF_LIMITED_LUMA), np.uint8)
+        last = round((last_pts * self._tick_s - self._file.begin_s) * self.frame_rate)
+        return max((self._places or 0) - 1 - last - len(self._failed), 0)
 
 
 def _rotated(grey: Grey, quarters: int) -> Grey:

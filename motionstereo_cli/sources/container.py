@@ -1,0 +1,248 @@
+"""A video file as FFmpeg opens it: what it may read, and which of its tracks is the recording."""
+
+from __future__ import annotations
+
+import functools
+import logging
+import re
+from collections import Counter
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import av
+import av.logging
+from av.format import Flags
+from av.stream import Disposition
+
+from motionstereo_cli.errors import InputError, SettingsError
+from motionstereo_cli.files.reading import HeldFile, open_regular
+from motionstereo_cli.sources.pipe import PATIENCE_S, Pipe
+
+_PIPE_ADVICE = "pipe yuv4mpegpipe, Matroska, or MP4 with its index in front (-movflags +faststart)"
+
+#: What a file may have FFmpeg open besides, where the network is allowed.
+_NETWORK = "file,crypto,data,http,https,httpproxy,tls,tcp,udp,rtp"
+
+#: FFmpeg gives streams without time this rate, so that nobody takes it for one that they state.
+_FILLER = Fraction(7919, 331)
+
+#: The flag of formats without time stamps.
+_NO_TIME: int = Flags.no_timestamps.value  # type: ignore[assignment]
+
+#: Tracks that are pictures, not recordings, and how many packets tell one that is a picture.
+_PICTURES = Disposition.attached_pic | Disposition.timed_thumbnails | Disposition.still_image
+_PROBED_PACKETS = 200
+
+#: The head of yuv4mpegpipe that states a rate.
+_Y4M_RATE = re.compile(rb"YUV4MPEG2[^\n]* F0*[1-9]")
+
+
+class Container:
+    """An open video.
+
+    Nothing but the file itself is read, whatever it holds: FFmpeg gets it as an open file, and
+    may open no other.
+
+    Args:
+        path: an existing file, a pipe, or a network address as text.
+        max_pixels: largest width times height of an image.
+        allow_network: let a playlist name files and network addresses.
+        track: which of the video tracks, from 1; 0 = the first.
+
+    Attributes:
+        source: as FFmpeg has it.
+        stream: the track.
+        track: its number, from 1.
+        tracks: how many video tracks there are that are recordings.
+        timeless: the container has no time stamps.
+
+    Raises:
+        InputError: it cannot be opened, has no such track, or is too large.
+    """
+
+    def __init__(
+        self, path: Path | Pipe | str, *, max_pixels: int, allow_network: bool, track: int
+    ) -> None:
+        self.path = path
+        self._max_pixels, self._allow_network = max_pixels, allow_network
+        self._held: HeldFile | None = None
+        _keep_quiet()
+        try:
+            if isinstance(path, Path):
+                self._held = HeldFile(path)
+            self.source = self._opened()
+        except (av.FFmpegError, OSError) as error:
+            self.close_file()
+            self.check()
+            raise InputError(
+                f"{path} is not a video that can be decoded ({error.strerror}): "
+                f"{self.advice or 'give a whole video file, or a folder of images'}"
+            ) from error
+        try:
+            tracks = self._tracks()
+            self.tracks, self.track = len(tracks), track or 1
+            if not tracks:
+                raise InputError(f"{path} has no video stream: give a video file")
+            if self.track > self.tracks:
+                raise SettingsError(
+                    f"{path} has no video track {track}: it has {self.tracks}, numbered from 1"
+                )
+            self.stream = tracks[self.track - 1]
+            self._prepare()
+        except BaseException:
+            self.close()
+            raise
+
+    @property
+    def advice(self) -> str:
+        """What to do where it cannot be decoded, empty if there is nothing special."""
+        return _PIPE_ADVICE if isinstance(self.path, Pipe) else ""
+
+    @property
+    def timeless(self) -> bool:
+        """Whether it has no time stamps."""
+        form = self.source.format
+        if form.name == "yuv4mpegpipe":
+            return _Y4M_RATE.match(self._head) is None
+        return bool(form.flags & _NO_TIME)
+
+    @property
+    def stated_rate(self) -> Fraction | None:
+        """The rate that a stream without time stamps states; to be asked once it is decoded."""
+        rate = self.stream.codec_context.framerate
+        return rate if rate and rate != _FILLER else None
+
+    @property
+    def begin_s(self) -> Fraction:
+        """Time at which the container says that it begins."""
+        return Fraction(self.source.start_time or 0, av.time_base)
+
+    @property
+    def size_bytes(self) -> int | None:
+        """Size in bytes, so far where it comes through a pipe; None at an address."""
+        if isinstance(self.path, Pipe):
+            return self.path.bytes_read
+        return None if self._held is None else self._held.size_bytes
+
+    @property
+    def changed(self) -> bool:
+        """Whether the file was written to since it was opened."""
+        return self._held is not None and self._held.changed
+
+    def fingerprint(self) -> dict[str, Any]:
+        """Return size in bytes and SHA-256 of the file opened, or of what came by the pipe."""
+        if isinstance(self.path, Pipe):
+            return {"bytes": self.path.bytes_read, "sha256": self.path.sha256}
+        if self._held is None:
+            return {"bytes": None, "sha256": None}
+        return {"bytes": self._held.size_bytes, "sha256": self._held.sha256()}
+
+    def check(self) -> None:
+        """Raise what a wait for the pipe ended by.
+
+        Raises:
+            InputError: nothing came.
+            KeyboardInterrupt: the user did not want to wait.
+        """
+        if isinstance(self.path, Pipe):
+            if self.path.interrupted:
+                raise KeyboardInterrupt from None
+            if self.path.silent:
+                raise InputError(
+                    f"{self.path}: nothing came for {PATIENCE_S:.0f} s: see that a program writes "
+                    "a video to it"
+                ) from None
+
+    def stop(self) -> None:
+        """End a wait for the pipe."""
+        if isinstance(self.path, Pipe):
+            self.path.stop()
+
+    def close(self) -> None:
+        """Close the file."""
+        self.source.close()
+        self.close_file()
+
+    def close_file(self) -> None:
+        """Close what FFmpeg did not open."""
+        if isinstance(self.path, Pipe):
+            self.path.close()
+        elif self._held is not None:
+            self._held.close()
+
+    def count(self) -> int | None:
+        """Return how many images the track has, by reading the whole file; None for a pipe."""
+        if self._held is None:
+            return None
+        try:
+            with self._opened() as again:
+                stream = again.streams[self.stream.index]
+                return sum(packet.size > 0 for packet in again.demux(stream))
+        except (av.FFmpegError, OSError):
+            return None
+
+    @property
+    def _head(self) -> bytes:
+        if isinstance(self.path, Pipe):
+            return self.path.head
+        return self._held.head if self._held is not None else b""
+
+    def _opened(self) -> av.container.InputContainer:
+        limits = self._limits() | {"framerate": str(_FILLER)}
+        # Titles and the like may be anything, and do not matter.
+        opened = functools.partial(av.open, mode="r", metadata_errors="replace")
+        path = self.path
+        if isinstance(path, Pipe):
+            return opened(path, options=limits | {"protocol_whitelist": "none"})
+        if isinstance(path, str):
+            return opened(path, options=limits, timeout=PATIENCE_S)
+        if self._allow_network:
+            # An absolute path: FFmpeg takes what precedes a colon for a protocol.
+            options = limits | {"protocol_whitelist": _NETWORK, "allowed_extensions": "ALL"}
+            return opened(str(path.absolute()), options=options, timeout=PATIENCE_S)
+        with open_regular(path) as file:  # FFmpeg duplicates it
+            if self._held is not None:
+                self._held.check_same(file)
+            options = limits | {"fd": str(file.fileno()), "protocol_whitelist": "fd"}
+            return opened("fd:", options=options)
+
+    def _limits(self) -> dict[str, str]:
+        # Twice, for coded images have a margin. This is for sizes that a head does not tell.
+        return {"max_pixels": str(2 * self._max_pixels)}
+
+    def _tracks(self) -> list[av.VideoStream]:
+        """Return the video tracks that are recordings: no covers, thumbnails and posters."""
+        tracks = [each for each in self.source.streams.video if not each.disposition & _PICTURES]
+        if len(tracks) < 2 or self._held is None:
+            return tracks
+        counts: Counter[int] = Counter()
+        with self._opened() as again:
+            videos = list(again.streams.video)
+            for number, packet in enumerate(again.demux(videos)):
+                counts[packet.stream_index] += packet.size > 0
+                if number == _PROBED_PACKETS:
+                    break
+        films = [each for each in tracks if counts[each.index] > 1]
+        return films or tracks
+
+    def _prepare(self) -> None:
+        codec = self.stream.codec_context
+        if codec is None:  # the type stub says otherwise
+            raise InputError(f"{self.path} is in a format that cannot be decoded: convert it")
+        if codec.width * codec.height > self._max_pixels:
+            raise InputError(
+                f"{self.path} is {codec.width}x{codec.height}: that is more than --max-pixels "
+                f"{self._max_pixels}, raise it if the video is to be trusted"
+            )
+        if self.stream.time_base is None:
+            raise InputError(f"{self.path} has no time base: convert it to MP4 or Matroska")
+        codec.thread_count = 1
+        codec.options = self._limits()
+
+
+def _keep_quiet() -> None:
+    """Have FFmpeg's errors told to those who capture them, and to nobody else."""
+    av.logging.set_level(av.logging.ERROR)
+    av.logging.set_skip_repeated(False)
+    logging.getLogger("libav").setLevel(logging.CRITICAL + 1)

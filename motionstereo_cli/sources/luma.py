@@ -1,0 +1,79 @@
+"""Grey levels of decoded video images."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import av
+import cv2
+import numpy as np
+from av.video.reformatter import ColorRange
+
+if TYPE_CHECKING:
+    from motionstereo_cli.types import Grey
+
+#: Grey level for each luma of a limited-range stream: 16..235 becomes 0..255.
+_GREY_OF_LIMITED_LUMA = np.clip(np.rint((np.arange(256) - 16) * (255 / 219)), 0, 255).astype(
+    np.uint8
+)
+
+
+def is_full_range(frame: av.VideoFrame) -> bool:
+    """Return whether luma spans 0..255 rather than 16..235.
+
+    What the stream says holds; where it says nothing, YUV is limited range, all else full.
+    """
+    if frame.color_range in (ColorRange.JPEG, ColorRange.MPEG):
+        return frame.color_range == ColorRange.JPEG
+    name = frame.format.name
+    return frame.format.is_rgb or name.startswith(("gray", "yuvj", "ya", "pal", "mono"))
+
+
+def bits_of(frame: av.VideoFrame) -> int:
+    """Return how many bits the levels of an image have."""
+    return max(int(component.bits) for component in frame.format.components)
+
+
+def brightest(frame: av.VideoFrame) -> int:
+    """Return the largest level in an image, of all that its bits can say."""
+    return int(_deep(frame).max()) * ((1 << bits_of(frame)) - 1) // 65535
+
+
+def grey_levels(frame: av.VideoFrame, white: int = 0) -> Grey:
+    """Return the grey levels of a decoded frame, (height, width) uint8 0..255.
+
+    Luma of 8 bits in a plane of its own is taken as it is and, where limited range, looked up
+    in a table. Other YUV goes through FFmpeg's scaler, RGB through BT.601 in full range.
+
+    Args:
+        frame: the frame.
+        white: level that becomes 255, of those that the bits of the stream can say; 0 = the
+            largest.
+    """
+    if white:
+        scale = ((1 << bits_of(frame)) - 1) / (257 * white)
+        return np.asarray(cv2.convertScaleAbs(_deep(frame), alpha=scale), np.uint8)
+    form, full = frame.format, is_full_range(frame)
+    if form.is_rgb or form.has_palette:
+        rgb = frame.to_ndarray(format="rgb24")
+        return np.asarray(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY), np.uint8)
+    plane_is_luma = form.is_planar or len(form.components) == 1
+    if not (plane_is_luma and form.components[0].is_luma and form.components[0].bits == 8):
+        frame = _reformatted(frame, "gray")
+        full = True
+    plane = frame.planes[0]
+    rows = np.frombuffer(memoryview(plane), np.uint8).reshape(
+        -1, plane.line_size
+    )  # rows are padded
+    luma = rows[: frame.height, : frame.width]
+    return np.ascontiguousarray(luma if full else cv2.LUT(luma, _GREY_OF_LIMITED_LUMA), np.uint8)
+
+
+def _deep(frame: av.VideoFrame) -> np.ndarray[tuple[int, ...], np.dtype[np.uint16]]:
+    """Return the luma in full range, 0..65535."""
+    return np.asarray(_reformatted(frame, "gray16le").to_ndarray(), np.uint16)
+
+
+def _reformatted(frame: av.VideoFrame, form: str) -> av.VideoFrame:
+    source = ColorRange.JPEG if is_full_range(frame) else ColorRange.MPEG
+    return frame.reformat(format=form, src_color_range=source, dst_color_range=ColorRange.JPEG)

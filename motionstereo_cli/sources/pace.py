@@ -1,0 +1,120 @@
+"""Where a constant rate has holes: images that should have come and did not."""
+
+from __future__ import annotations
+
+import itertools
+import statistics
+from collections.abc import Sequence
+from fractions import Fraction
+from typing import NamedTuple
+
+#: Time stamps keep a constant rate where steps are whole within this share of a period.
+_JITTER = 0.25
+
+#: Where more than this share of the steps leap, the rate varies and nothing is missing.
+_LEAPING_SHARE = 0.25
+
+#: A leap that is longer, in s, is a pause of the recording.
+_PAUSE_S = 10
+
+
+class Rhythm(NamedTuple):
+    """What an index of time stamps tells.
+
+    Attributes:
+        rate: images per second between which nothing is missing, None where they vary.
+        places: images and holes.
+    """
+
+    rate: Fraction | None
+    places: int
+
+
+def rhythm(stamps: Sequence[int], time_base: Fraction) -> Rhythm:
+    """Return the rhythm of time stamps in units of ``time_base``, in any order."""
+    ordered = sorted(stamps)
+    steps = [later - sooner for sooner, later in itertools.pairwise(ordered)]
+    period = statistics.median(steps) if steps else 0
+    if period <= 0:
+        return Rhythm(None, len(stamps))
+    paused = _PAUSE_S / time_base
+    counted = [(step, round(step / period)) for step in steps if step < paused]
+    leaps = sum(whole > 1 for _, whole in counted)
+    even = all(abs(step / period - whole) < _JITTER and whole for step, whole in counted)
+    if not even or leaps > _LEAPING_SHARE * len(counted):
+        return Rhythm(None, len(stamps))
+    wholes = sum(whole for _, whole in counted)
+    ticks = sum(step for step, _ in counted)
+    holes = sum(whole - 1 for _, whole in counted)
+    return Rhythm(Fraction(wholes) / (ticks * time_base), len(stamps) + holes)
+
+
+class Pace:
+    """Follows the time stamps of a stream, and tells where a constant rate has holes.
+
+    Args:
+        rate: images per second, None where nobody knows.
+        time_base: seconds per unit of the time stamps.
+        steady: the rate is known to be constant, or not to be; None = that is to be seen.
+        places: images and holes in all, None where nobody knows.
+
+    Attributes:
+        steady: as given, or what was seen so far.
+        missing: images missing so far.
+        pause: the first leap that is too long to be a hole: its length and begin in s.
+    """
+
+    def __init__(
+        self,
+        rate: Fraction | None,
+        time_base: Fraction,
+        *,
+        steady: bool | None,
+        places: int | None,
+    ) -> None:
+        self._rate, self._time_base = rate, time_base
+        self._known, self._places = steady is not None, places
+        self.steady = steady if rate else False
+        self.missing = 0
+        self.pause: tuple[float, float] | None = None
+        self._steps = self._leaps = 0
+
+    def hole(self, last_pts: int, pts: int, failed: int, last_number: int) -> int:
+        """Return how many images are missing between two that came.
+
+        Args:
+            last_pts, pts: time stamps of the two.
+            failed: how many came between them and could not be decoded.
+            last_number: number of the first of the two.
+        """
+        if not self.steady and (self._known or self.steady is False):
+            return 0
+        assert self._rate is not None
+        step_s = (pts - last_pts) * self._time_base
+        if step_s > _PAUSE_S:
+            self.pause = self.pause or (float(step_s), float(last_pts * self._time_base))
+            return 0
+        periods = float(step_s * self._rate)
+        steps = round(periods)
+        hole = steps - 1 - failed
+        if not self._known:
+            self._steps += 1
+            self._leaps += hole > 0
+            self.steady = self._still_steady(periods, hole, last_number)
+            if not self.steady:
+                return 0
+        self.missing += max(hole, 0)
+        return max(hole, 0)
+
+    def _still_steady(self, periods: float, hole: int, last_number: int) -> bool:
+        if self._leaps > max(2, _LEAPING_SHARE * self._steps):
+            self.missing = 0  # the rate varies: nothing was missing before either
+            return False
+        return (
+            abs(periods - round(periods)) < _JITTER
+            and hole >= 0
+            # A leap at the very first step means that the rate is mislabelled.
+            and not (hole and self.steady is None)
+            # A leap beyond the end is a damaged time stamp.
+            and (self._places is None or last_number + round(periods) < self._places)
+        )

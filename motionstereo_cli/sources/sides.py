@@ -1,0 +1,133 @@
+"""The two sides of a stereo source: the images of each, and what became of them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from fractions import Fraction
+from typing import TYPE_CHECKING, NamedTuple
+
+import cv2
+import numpy as np
+
+from motionstereo_cli.sources.recording import Recording
+
+if TYPE_CHECKING:
+    from motionstereo_cli.types import Grey
+
+#: Something moves where this share of an image changes by more than so many grey levels. A still
+#: scene may look the same twice to one camera, and through its encoder, and not to the other.
+_MOVING_SHARE = 0.01
+_MOTION_GREY = 12
+
+
+class Loss(NamedTuple):
+    """What a stream has lost up to some image.
+
+    It goes along with the image, for the thread that decodes is ahead by no fixed number.
+    """
+
+    lost: int
+    flawed: int
+    damage: tuple[str, ...]
+
+    @classmethod
+    def of(cls, stream: Recording) -> Loss:
+        """Return what a recording has lost so far."""
+        return cls(stream.lost, stream.flawed, tuple(stream.damage))
+
+
+class Shot(NamedTuple):
+    """One image of a recording, ready to be paired.
+
+    Attributes:
+        order: how many images came before it.
+        number, pts: as in :class:`~motionstereo_cli.sources.recording.Image`.
+        time_s: pts in s, None where there is no time.
+        views: the view, or the two views, in it.
+        repeats: the image is that before it, byte for byte.
+        loss: what was lost before it.
+    """
+
+    order: int
+    number: int
+    pts: int
+    time_s: Fraction | None
+    views: tuple[Grey, ...]
+    repeats: bool
+    loss: Loss
+
+
+class Side:
+    """One camera: its stream, which half of its images is meant, and what became of them.
+
+    Attributes:
+        paired: images used in pairs.
+        early: images that came before the first of those.
+        repeated: images used that were the one before, while things moved in the other view.
+        loss: what was lost up to the last image that came.
+        begin_s: time of the first image.
+    """
+
+    def __init__(self, stream: Recording, half: int = 0) -> None:
+        self.stream, self.half = stream, half
+        self.paired = self.early = self.repeated = 0
+        self.loss = Loss(0, 0, ())
+        self.begin_s = Fraction(0)
+        self._came = 0
+        self._last_used = -1
+        self._ended = False
+
+    def follow(self, feed: Iterator[Shot | Loss]) -> Iterator[Shot]:
+        """Pass the images on, and count them."""
+        for item in feed:
+            if isinstance(item, Loss):
+                self.loss, self._ended = item, True
+                return
+            if not self._came:
+                self.begin_s = item.time_s or Fraction(0)
+            self._came, self.loss = self._came + 1, item.loss
+            yield item
+
+    def use(self, shot: Shot) -> None:
+        """Note that an image has a partner."""
+        if not self.paired:
+            self.early = shot.order
+        self.paired += 1
+        self._last_used = shot.order
+
+    @property
+    def late(self) -> int:
+        """Images that came after the last pair, if there was one."""
+        return self._came - 1 - self._last_used if self.paired else 0
+
+    @property
+    def between(self) -> int:
+        """Images without partner between those that have one."""
+        return self._came - self.paired - self.early - self.late if self.paired else 0
+
+    @property
+    def counts(self) -> dict[str, int | None]:
+        """See :attr:`StereoSource.counts`."""
+        read = self._came + self.loss.lost
+        expected = self.stream.expected_images
+        unread = 0 if self._ended else expected and max(expected - read, 0)
+        return {
+            "read": read,
+            "paired": self.paired,
+            "unpaired": self._came - self.paired,
+            "damaged": self.loss.lost,
+            "flawed": self.loss.flawed,
+            "repeated": self.repeated,
+            "unread": unread,
+        }
+
+
+def same(one: Grey, other: Grey) -> bool:
+    """Return whether two images are equal; a few rows tell most that are not."""
+    return np.array_equal(one[::32], other[::32]) and np.array_equal(one, other)
+
+
+def moves(shot: Shot, last: Shot) -> bool:
+    """Return whether things move from one image to the next of the same camera."""
+    changed = cv2.absdiff(shot.views[-1], last.views[-1]) > _MOTION_GREY
+    return not shot.repeats and float(np.mean(changed)) > _MOVING_SHARE
