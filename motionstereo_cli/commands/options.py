@@ -13,7 +13,8 @@ import click
 from click.shell_completion import CompletionItem
 
 from motionstereo_cli.commands.grouped import GROUPS, GroupedOption
-from motionstereo_cli.errors import SettingsError
+from motionstereo_cli.errors import InputError, SettingsError
+from motionstereo_cli.files.reading import read_bytes
 from motionstereo_cli.params import Param, params
 from motionstereo_cli.rig.settings import PoseSettings
 from motionstereo_cli.settings import PRESETS, Settings
@@ -221,6 +222,9 @@ def _help(item: Param) -> str:
     return f"{item.help}  [{shown}]" if shown else item.help
 
 
+#: A configuration has a few hundred lines, and no option takes a larger number.
+_MAX_CONFIG_BYTES, _MAX_NUMBER = 1_000_000, 1e18
+
 config_option = click.option(
     "--config",
     type=click.Path(exists=True, dir_okay=False, path_type=Path),
@@ -232,11 +236,20 @@ config_option = click.option(
 )
 
 
+def _is_plain(value: object) -> bool:
+    """Return whether an option can have a value of TOML: no date, table, NaN or giant number."""
+    if isinstance(value, str):
+        return "\0" not in value
+    return isinstance(value, int | float) and abs(value) < _MAX_NUMBER  # NaN is not
+
+
 def _read_config(ctx: click.Context, path: Path) -> None:
     """Make the values of a configuration file the defaults of the command's options."""
     try:
-        values = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError) as error:
+        values = tomllib.loads(read_bytes(path, "a configuration", _MAX_CONFIG_BYTES).decode())
+    except InputError as error:
+        raise click.UsageError(str(error), ctx) from None
+    except (ValueError, RecursionError) as error:
         raise click.UsageError(f"{path}: cannot be read as TOML: {error}", ctx) from None
     options = {
         flag.removeprefix("--"): option
@@ -249,8 +262,16 @@ def _read_config(ctx: click.Context, path: Path) -> None:
     for key, value in values.items():
         flag = key.replace("_", "-")
         if flag not in options:
-            raise click.UsageError(f"{path}: unknown key {key!r}{near_match(flag, options)}", ctx)
+            raise click.UsageError(
+                f"{path}: unknown key {key[:60]!r}{near_match(flag, options)}", ctx
+            )
         option = options[flag]
+        if not _is_plain(value) and not (
+            option.multiple and isinstance(value, list) and all(map(_is_plain, value))
+        ):
+            wanted = "text, a finite number, true or false" + ", or a list" * option.multiple
+            shown = f"{value!r:.60}" if not isinstance(value, int) else "so large a number"
+            raise click.UsageError(f"{path}: {key} cannot be {shown}: give {wanted}", ctx)
         # click takes a lone text for a list of letters where an option may be repeated.
         default = [value] if option.multiple and isinstance(value, str) else value
         defaults[option.name] = default
