@@ -20,11 +20,11 @@ from motionstereo_cli.analysis.compare import (
     Report,
     WorstImage,
     compare,
-    draw_worst,
     format_json,
     format_junit,
     format_table,
 )
+from motionstereo_cli.analysis.picture import draw_worst
 from motionstereo_cli.analysis.settings import CompareSettings
 from motionstereo_cli.errors import InputError, SettingsError
 from motionstereo_cli.sinks.reading import read_table
@@ -463,9 +463,9 @@ def test_the_picture_shows_actual_golden_and_difference():
     actual[10:20, 100:], golden[10:20, 100:] = 4, math.nan
     actual[20:, :50] = 2.2
     actual[20:, 50:99] = golden[20:, 50:99] = math.nan
-    picture = draw_worst(WorstImage("depth/ frame 3", actual, golden, 0.1, 0.4))
+    picture = draw_worst(WorstImage("depth/ frame 3", actual, golden, 0.1, 0.4))[..., ::-1]
     assert picture.dtype == np.uint8
-    first, second, third = (picture[-30:, n * 304 : n * 304 + 300] for n in range(3))
+    first, second, third = (picture[52:82, n * 304 : n * 304 + 300] for n in range(3))
 
     def colours(panel, *pixels):
         return [tuple(int(level) for level in panel[pixel]) for pixel in pixels]

@@ -16,7 +16,6 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-import cv2
 import numpy as np
 
 from motionstereo_cli.analysis.settings import COLUMN_TOLERANCE, CompareSettings
@@ -272,7 +271,7 @@ class _Comparison:
                 output.differ("size", found, frame)
                 continue
             output.compared += 1
-            share = float(np.mean(_far(mine, theirs, tolerance) | _in_one_alone(mine, theirs)))
+            share = float(np.mean(differing(mine, theirs, tolerance) | _in_one_alone(mine, theirs)))
             if share > (self._worst.share if self._worst else 0):
                 self._worst = WorstImage(f"{name} frame {frame}", mine, theirs, tolerance, share)
             if share > self._settings.max_differing:
@@ -385,59 +384,8 @@ def format_junit(report: Report) -> bytes:
     return text + b"\n"
 
 
-_GAP_PX = 4
-_CAPTION_PX = 22
-_MIN_WIDTH_PX = 640
-_SAME_BGR = (90, 90, 90)
-_FAR_BGR = (40, 40, 230)
-_ACTUAL_ALONE_BGR = (60, 220, 250)
-_GOLDEN_ALONE_BGR = (230, 190, 60)
-
-
-def draw_worst(worst: WorstImage) -> NDArray[np.uint8]:
-    """Return a picture: actual, golden, and where they differ.
-
-    In the first two, red is near, blue far and black unknown, on one scale. In the third, grey is
-    alike, red differs, yellow is known in ACTUAL alone, light blue in GOLDEN alone.
-
-    Returns:
-        (height, width, 3) uint8 BGR.
-    """
-    actual, golden = worst.actual, worst.golden
-    difference = np.zeros((*actual.shape, 3), np.uint8)
-    difference[~np.isnan(actual) & ~np.isnan(golden)] = _SAME_BGR
-    difference[_far(actual, golden, worst.tolerance)] = _FAR_BGR
-    difference[~np.isnan(actual) & np.isnan(golden)] = _ACTUAL_ALONE_BGR
-    difference[np.isnan(actual) & ~np.isnan(golden)] = _GOLDEN_ALONE_BGR
-    nearness = np.stack([actual, golden])
-    if worst.name.startswith("depth"):
-        nearness = np.float32(1) / nearness
-    panels = [*_coloured(nearness), difference]
-    strip = np.hstack([np.pad(panel, ((0, 0), (0, _GAP_PX), (0, 0))) for panel in panels])
-    widening = max(_MIN_WIDTH_PX - strip.shape[1], 0)
-    strip = np.pad(strip, ((_CAPTION_PX, 0), (0, widening), (0, 0)))
-    caption = (
-        f"{worst.name}: actual, golden, difference {worst.share:.2%} "
-        "(red: off, yellow: actual alone, blue: golden alone)"
-    )
-    where, font = (_GAP_PX, _CAPTION_PX - 7), cv2.FONT_HERSHEY_SIMPLEX
-    cv2.putText(strip, caption, where, font, 0.4, (255, 255, 255), 1, cv2.LINE_AA)
-    return strip
-
-
-def _coloured(nearness: Real) -> NDArray[np.uint8]:
-    """Return images (n, height, width), NaN = unknown, in colour on one logarithmic scale."""
-    known = ~np.isnan(nearness)
-    levels = np.zeros(nearness.shape, np.uint8)
-    if known.any():
-        logs = np.log(nearness[known])
-        low, high = np.quantile(logs, [0.01, 0.99])
-        levels[known] = np.clip((logs - low) / max(high - low, 1e-6), 0, 1) * 223 + 32
-    colours = np.asarray(cv2.applyColorMap(levels.reshape(-1, 1), cv2.COLORMAP_TURBO), np.uint8)
-    return np.where(known[..., np.newaxis], colours.reshape(*nearness.shape, 3), np.uint8(0))
-
-
-def _far(actual: Real, golden: Real, tolerance: float) -> NDArray[np.bool_]:
+def differing(actual: Real, golden: Real, tolerance: float) -> NDArray[np.bool_]:
+    """Return where two images differ by more than a tolerance; what is unknown does not."""
     return np.asarray(np.abs(actual - golden) > tolerance + _ROUNDING_M)  # NaN is not
 
 

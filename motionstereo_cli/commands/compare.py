@@ -77,6 +77,7 @@ def compare(
     from tqdm import tqdm
 
     from motionstereo_cli.analysis import compare as library
+    from motionstereo_cli.analysis.picture import draw_worst
     from motionstereo_cli.files.atomic import write_whole
     from motionstereo_cli.files.images import encode_png
 
@@ -85,7 +86,7 @@ def compare(
             actual, golden, settings, tolerances=tolerance, progress=bar.update
         )
     if picture and report.worst_image:
-        write_whole(picture, encode_png(library.draw_worst(report.worst_image)))
+        write_whole(picture, encode_png(draw_worst(report.worst_image, golden)[..., ::-1]))
     if junit:
         write_whole(junit, library.format_junit(report))
     if json_path and json_path != _STDOUT:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -14,13 +12,16 @@ import numpy as np
 
 from motionstereo_cli.errors import InputError
 from motionstereo_cli.files.atomic import part_of
-from motionstereo_cli.sinks import RECORD
+from motionstereo_cli.sinks import OUTPUTS, RECORD
+from motionstereo_cli.sinks.reading import read_record, read_table
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 #: Columns of the steering table that the page shows over time.
 SERIES = ("steer", "steer_rad", "depth_m", "nearest_m", "charged", "matched")
+
+Rows = list[dict[str, str]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,12 +45,12 @@ class Steering:
 
 
 @dataclass(frozen=True, slots=True)
-class RunFolder:
+class Results:
     """What a run left.
 
     Attributes:
-        path: the folder.
-        record: what ``run.json`` says; of a run that is not complete, no more than its outputs.
+        path: its folder.
+        record: what ``run.json`` says or, of a run that is not complete, is going to.
         complete: the run came to its end.
     """
 
@@ -57,68 +58,60 @@ class RunFolder:
     record: Mapping[str, Any]
     complete: bool
 
-    def file(self, name: str) -> Path | None:
-        """Return an output's file, of a run that is not complete the part there is, or None."""
-        path = self.path / name
-        return next((each for each in (path, part_of(path)) if each.is_file()), None)
+    def has(self, output: str) -> bool:
+        """Return whether the run was to write an output."""
+        return output in self.record.get("outputs", {})
 
     def steering(self) -> Steering | None:
-        """Return the steering table, None where there is none.
+        """Return the steering table, None where there is none or it is empty.
 
         Raises:
             InputError: it cannot be read, or is not such a table.
         """
-        rows = self._rows("steering.csv") or self._lines("steering.jsonl")
+        rows = self._rows("steering") or self._lines("steering-jsonl")
         return _steering(self.path, rows) if rows else None
 
-    def objects(self) -> list[dict[str, str]] | None:
+    def objects(self) -> Rows | None:
         """Return the rows of the table of moving objects, None where there is none.
 
         Raises:
             InputError: it cannot be read.
         """
-        return self._rows("objects.csv")
+        return self._rows("objects")
 
-    def _rows(self, name: str) -> list[dict[str, str]] | None:
-        text = self._text(name)
-        if text is None:
+    def _rows(self, output: str) -> Rows | None:
+        path = self._file(output)
+        part = path.suffix == ".part"
+        return list(read_table(path, part=part).rows.values()) if path.is_file() else None
+
+    def _lines(self, output: str) -> Rows | None:
+        path = self._file(output)
+        if not path.is_file():
             return None
         try:
-            return list(csv.DictReader(io.StringIO(text, newline=""), restval=""))
-        except csv.Error as error:
-            raise InputError(f"cannot read {self.path / name}: {error}") from error
-
-    def _lines(self, name: str) -> list[dict[str, str]] | None:
-        try:
-            rows = [json.loads(line) for line in (self._text(name) or "").splitlines()]
+            lines = path.read_text(encoding="utf-8").split("\n")[:-1]
+            rows = [json.loads(line) for line in lines]
             return [{k: "" if v is None else str(v) for k, v in row.items()} for row in rows]
-        except (ValueError, AttributeError, RecursionError) as error:
-            raise InputError(f"cannot read {self.path / name}: {error}") from error
+        except (OSError, ValueError, AttributeError, RecursionError) as error:
+            raise InputError(f"cannot read the table {path}: {error}") from error
 
-    def _text(self, name: str) -> str | None:
-        """Return the whole lines of a file: the last one may have been cut off."""
-        if not (path := self.file(name)):
-            return None
-        try:
-            text = path.read_text(encoding="utf-8")
-        except (OSError, ValueError) as error:
-            raise InputError(f"cannot read {path}: {error}") from error
-        return text[: text.rfind("\n") + 1]
+    def _file(self, output: str) -> Path:
+        """Return an output's file or, where it is not complete, the part that there may be."""
+        path = self.path / OUTPUTS[output].path
+        return path if path.exists() else part_of(path)
 
 
-def read_run(path: Path) -> RunFolder:
+def read_results(path: Path) -> Results:
     """Return what a run left in a folder.
 
     Raises:
         InputError: no run wrote the folder.
     """
     for place in (path / RECORD, part_of(path / RECORD)):
-        try:
-            record = json.loads(place.read_bytes())
-            if record["program"] == "motionstereo":
-                return RunFolder(path, record, complete="counts" in record)
-        except (OSError, ValueError, LookupError, TypeError, RecursionError):
-            continue
+        if place.is_file():
+            record = read_record(place)
+            if record.get("program") == "motionstereo":
+                return Results(path, record, complete="counts" in record)
     raise InputError(f"{path} has no {RECORD} of a run: give the folder that run wrote (its --out)")
 
 
@@ -131,7 +124,7 @@ def numbers(texts: Iterable[str]) -> NDArray[np.float64]:
     return np.array([float(text) if text else np.nan for text in texts])
 
 
-def _steering(path: Path, rows: list[dict[str, str]]) -> Steering:
+def _steering(path: Path, rows: Rows) -> Steering:
     try:
         return Steering(
             frames=np.array([int(row["frame"]) for row in rows]),

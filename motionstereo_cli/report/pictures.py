@@ -88,13 +88,12 @@ def _frame_at(video: Path, time_s: float) -> NDArray[np.uint8] | None:
         return None if last is None else np.asarray(last.to_ndarray(format="rgb24"), np.uint8)
 
 
-def histogram(maps: Maps, scale: DepthScale, doffs: float) -> dict[str, Any] | None:
+def histogram(maps: Maps, scale: DepthScale) -> dict[str, Any] | None:
     """Return how often each depth was found, or each disparity where the scale has no m.
 
     Args:
         maps: the images; of many, some, evenly spread, are counted.
         scale: the columns are of equal width on it.
-        doffs: to add to disparities, in px.
 
     Returns:
         ``shares`` of the known pixels, 0..1, nearest first, ``images`` that were counted, and the
@@ -109,7 +108,7 @@ def histogram(maps: Maps, scale: DepthScale, doffs: float) -> dict[str, Any] | N
         values = maps.read(number)
         values = values[np.isfinite(values)]
         if maps.kind == "disparity":
-            values = values + np.float32(doffs)
+            values = values + np.float32(scale.doffs)
             if scale.px_m:
                 values = np.float32(scale.px_m) / values
         inside = np.clip(values, min(near, far), max(near, far))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 import os
 from collections import Counter
@@ -14,18 +13,15 @@ from urllib.parse import quote
 import cv2
 import numpy as np
 
-from motionstereo_cli.errors import InputError
-from motionstereo_cli.report.folder import RunFolder, Steering, read_run
+from motionstereo_cli.errors import InputError, SettingsError
+from motionstereo_cli.report.folder import Results, Steering, read_results
 from motionstereo_cli.report.pictures import Picture, encoded, histogram, poster
 from motionstereo_cli.report.render import render
 from motionstereo_cli.report.series import LATER_S, SOON_S, plotted, tracks
 from motionstereo_cli.report.words import changed, command, troubles
-from motionstereo_cli.settings import Settings
 from motionstereo_cli.sinks import OUTPUTS
 from motionstereo_cli.sinks.reading import Maps
 from motionstereo_cli.sinks.scale import DepthScale
-from motionstereo_cli.sinks.settings import OutputSettings
-from motionstereo_cli.types import Rig
 
 #: Widths of pictures within the page in px.
 _POSTER_PX, _MAP_PX = 640, 1000
@@ -48,10 +44,13 @@ def run_page(out: Path, page: Path, record: Mapping[str, Any] | None = None) -> 
     Raises:
         InputError: no run wrote the folder, or a table in it is damaged.
     """
-    run = RunFolder(out, record, complete=True) if record else read_run(out)
+    run = Results(out, record, complete=True) if record else read_results(out)
     said = run.record
     steering = run.steering()
-    scale, doffs = _scale(said)
+    try:
+        scale = DepthScale.recorded(said)
+    except (TypeError, SettingsError) as error:
+        raise InputError(f"{out / 'run.json'} is damaged: {error}") from error
     data: dict[str, Any] = {}
     facts: list[Fact] = []
     shares: dict[str, float] = {}
@@ -78,26 +77,13 @@ def run_page(out: Path, page: Path, record: Mapping[str, Any] | None = None) -> 
         objects=objects,
         soon_s=SOON_S,
         later_s=LATER_S,
-        histogram=_histogram(run, scale, doffs),
+        histogram=_histogram(run, scale),
         map=_map(run),
         troubles=troubles(said, shares),
         changed=list(changed(said)),
         command=command(said, out),
         outputs=_outputs(run),
     )
-
-
-def _scale(record: Mapping[str, Any]) -> tuple[DepthScale, float]:
-    """Return the scale of depth, and the rig's doffs in px."""
-    try:
-        rig = Rig(**record["rig"]) if record.get("rig") else None
-        settings = Settings(max_disparity=record.get("settings", {}).get("max_disparity", 64))
-        known = {item.name for item in dataclasses.fields(OutputSettings)}
-        said = record.get("output_settings", {})
-        output = OutputSettings(**{name: said[name] for name in known & said.keys()})
-    except TypeError as error:
-        raise InputError(f"run.json is damaged: {error}") from error
-    return DepthScale.of(settings, output, rig), rig.doffs if rig else 0.0
 
 
 def _drawn(scale: DepthScale) -> dict[str, Any]:
@@ -160,7 +146,7 @@ def _facts(steering: Steering, data: Mapping[str, Any]) -> list[Fact]:
 
 
 def _panels(
-    run: RunFolder,
+    run: Results,
     page: Path,
     steering: Steering | None,
     data: Mapping[str, Any],
@@ -198,7 +184,7 @@ def _panels(
     return shown
 
 
-def _own(run: RunFolder, name: str) -> Path:
+def _own(run: Results, name: str) -> Path:
     return run.path / f"{name}.mp4"
 
 
@@ -210,12 +196,12 @@ def _parts(video: Path | None) -> list[Path]:
     return [video, *segments[:1]]
 
 
-def _view(run: RunFolder, reference: str) -> tuple[Path | None, bool]:
+def _view(run: Results, reference: str) -> tuple[Path | None, bool]:
     """Return a video of the reference view, and whether browsers play it.
 
     That is the run's own or, if it shows the same, the recording.
     """
-    if "view-video" in run.record.get("outputs", {}):
+    if run.has("view-video"):
         return _own(run, "view"), True
     settings = run.record.get("input_settings", {})
     sides = ["left", "right"]
@@ -248,7 +234,7 @@ def _size(record: Mapping[str, Any]) -> tuple[int, int] | None:
     return (int(source["width"]), int(source["height"])) if source else None
 
 
-def _objects(run: RunFolder, steering: Steering, data: Mapping[str, Any]) -> dict[str, Any] | None:
+def _objects(run: Results, steering: Steering, data: Mapping[str, Any]) -> dict[str, Any] | None:
     rows = run.objects()
     if rows is None:
         return None
@@ -262,10 +248,10 @@ def _objects(run: RunFolder, steering: Steering, data: Mapping[str, Any]) -> dic
     return {"shown": shown, "count": count}
 
 
-def _histogram(run: RunFolder, scale: DepthScale, doffs: float) -> dict[str, Any] | None:
+def _histogram(run: Results, scale: DepthScale) -> dict[str, Any] | None:
     """Return the histogram of depth as the page draws it, None where there are no images."""
     try:
-        found = histogram(Maps(run.path), scale, doffs)
+        found = histogram(Maps(run.path), scale)
     except InputError:
         return None
     if not found:
@@ -287,10 +273,10 @@ def _histogram(run: RunFolder, scale: DepthScale, doffs: float) -> dict[str, Any
     return {**found, "bars": bars, "most": most, "width": 1 / count, "unit": scale.unit}
 
 
-def _map(run: RunFolder) -> dict[str, Any] | None:
+def _map(run: Results) -> dict[str, Any] | None:
     """Return the map from above, None where there is none."""
     path = run.path / "map.png"
-    if "map" not in run.record.get("outputs", {}) or not path.is_file():
+    if not (run.has("map") and path.is_file()):
         return None
     image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
     cell_m = run.record.get("output_settings", {}).get("map_cell_m", 0.05)
@@ -309,7 +295,7 @@ def _map(run: RunFolder) -> dict[str, Any] | None:
     }
 
 
-def _outputs(run: RunFolder) -> list[dict[str, str]]:
+def _outputs(run: Results) -> list[dict[str, str]]:
     """Return what the folder holds."""
     outputs = run.record.get("outputs", {})
     return [

@@ -24,11 +24,12 @@ from motionstereo_cli.rig import write_rig
 from motionstereo_cli.rig.poses import HEAD, format_pose
 from motionstereo_cli.settings import Settings
 from motionstereo_cli.simulate.drive_world import DriveWorld, Shot
-from motionstereo_cli.simulate.plan import Plan
+from motionstereo_cli.simulate.plan import Plan, plan_sheet
 from motionstereo_cli.simulate.settings import ROBOT_RADIUS_M
 from motionstereo_cli.sinks import RunContext
 from motionstereo_cli.sinks.map import MapFiles
-from motionstereo_cli.sinks.previews import depth_colours
+from motionstereo_cli.sinks.preview import framed, with_heading
+from motionstereo_cli.sinks.previews import depth_picture, grey_picture, reference_view
 from motionstereo_cli.sinks.steering import SteeringFile
 from motionstereo_cli.types import FrameResult, Pose, StereoFrame
 
@@ -80,7 +81,8 @@ def drive(
     rig = world.settings.rig
     _prepare(out, overwrite=overwrite)
     plan = Plan(world)
-    surroundings = MapFiles(out / "map.ply", RunContext(_TIME_BASE, settings, rig))
+    context = RunContext(_TIME_BASE, settings, rig)
+    surroundings = MapFiles(out / "map.ply", context)
     steering: SteeringFile | None = None
     videos: list[VideoWriter] = []
     poses = [HEAD]
@@ -98,7 +100,7 @@ def drive(
             images = [frame.left, frame.right]
             if view:
                 picture = plan.draw(surroundings.mapper.floor())
-                images.append(_view(result, picture, settings))
+                images.append(_view(result, picture, context))
             for video, image in zip(videos, images, strict=True):
                 video.write(image, frame.pts)
             world.act_on(result.steering)
@@ -110,7 +112,7 @@ def drive(
         write_rig(out / "rig.yaml", rig)
         write_whole(out / "poses.txt", "".join(poses).encode())
         picture = plan.draw(surroundings.mapper.floor())
-        write_whole(out / "plan.png", encode_png(picture[..., ::-1]))
+        write_whole(out / "plan.png", encode_png(plan_sheet(picture)[..., ::-1]))
         record = _record(world, settings)
         write_whole(out / RECORD, json.dumps(record, indent=2).encode() + b"\n")
     except BaseException:
@@ -167,17 +169,21 @@ def _record(world: DriveWorld, settings: Settings) -> dict[str, Any]:
     }
 
 
-def _view(result: FrameResult, picture: NDArray[np.uint8], settings: Settings) -> NDArray[np.uint8]:
-    """Return reference image, memory, depth and the plan's picture side by side, RGB."""
+def _view(result: FrameResult, plan: NDArray[np.uint8], context: RunContext) -> NDArray[np.uint8]:
+    """Return reference image, memory, depth and the plan side by side, RGB."""
     height = result.charge.shape[0]
-    width = 2 * math.ceil(picture.shape[1] * height / picture.shape[0] / 2)
-    columns = [
-        cv2.cvtColor(getattr(result.frame, settings.reference), cv2.COLOR_GRAY2RGB),
-        cv2.cvtColor(result.charge, cv2.COLOR_GRAY2RGB),
-        depth_colours(result.disparity_px, settings.max_disparity),
-        cv2.resize(picture, (width, height), interpolation=cv2.INTER_AREA),
+    width = 2 * math.ceil(plan.shape[1] * height / plan.shape[0] / 2)
+    small = cv2.resize(plan, (width, height), interpolation=cv2.INTER_AREA)
+    view = grey_picture(reference_view(result, context))
+    panels = [
+        with_heading(view, result.steering),
+        grey_picture(result.charge),
+        depth_picture(result, context),
+        np.asarray(small, np.uint8),
     ]
-    return np.hstack(columns).astype(np.uint8, copy=False)
+    reference = context.settings.reference.capitalize()
+    titles = (f"{reference} view, heading", "Charge", "Depth", "Plan: path blue, seen black")
+    return framed(panels, titles, result, context)
 
 
 def _prepare(out: Path, *, overwrite: bool) -> None:

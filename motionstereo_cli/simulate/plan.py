@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from motionstereo_cli.files.lettering import LIGHT, colour_key, length_bar, titled
 from motionstereo_cli.simulate.drive_world import DriveWorld
 from motionstereo_cli.simulate.settings import ROBOT_RADIUS_M
 from motionstereo_cli.simulate.walkers import RADIUS_M
@@ -30,6 +31,28 @@ _PATH = (20, 90, 200)
 _WALKER = (240, 150, 30)
 _TOUCH = (220, 0, 0)
 _WALKED = (250, 225, 180)
+
+
+def plan_sheet(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Return a plan with its title, the meaning of its colours and a bar of length, RGB."""
+    width = picture.shape[1]
+    entries = (
+        (_SEEN, "what the map holds as occupied"),
+        (_WALL, "wall"),
+        (_DOOR, "door"),
+        (_WINDOW, "window"),
+        (_PATH, "path of the robot"),
+        (_WALKER, "walker"),
+        (_WALKED, "where walkers were"),
+        (_TOUCH, "touch"),
+    )
+    return np.concatenate(
+        [
+            titled([picture], ["The drive from above"], LIGHT),
+            colour_key(width, entries, LIGHT),
+            length_bar(width, _PX_PER_M, LIGHT),
+        ]
+    )
 
 
 class Plan:

@@ -7,15 +7,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from motionstereo_cli.files.lettering import Label, lettered, text_width
+from motionstereo_cli.files.lettering import DARK, Label, lettered, text_width
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from motionstereo_cli.sinks.scale import DepthScale
     from motionstereo_cli.types import StereoFrame
-
-_GROUND = (24, 24, 27)
 
 #: Least height of a strip, and the width of picture for each px of it.
 _MIN_HEIGHT_PX, _WIDTH_PER_PX = 28, 36
@@ -57,7 +55,7 @@ def _ruler(width: int, scale: DepthScale, begin: int) -> NDArray[np.uint8]:
     height = max(_MIN_HEIGHT_PX, 2 * round(room / _WIDTH_PER_PX / 2))
     size_px, margin = _letters(height), height // 3
     left, right = begin + margin, max(width - margin, begin + margin + 2)
-    image = np.full((height, width, 3), _GROUND, np.uint8)
+    image = np.full((height, width, 3), DARK.ground, np.uint8)
     places = np.linspace(0, 1, right - left)
     top, bottom = round(0.16 * height), round(0.42 * height)
     ramp = np.array([scale.colour(place) for place in places], np.uint8)

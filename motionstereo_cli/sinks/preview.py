@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
 
-from motionstereo_cli.files.lettering import Label, lettered
+from motionstereo_cli.files.lettering import DARK, GAP_PX, titled
 from motionstereo_cli.sinks.legend import strip, time_text
 from motionstereo_cli.sinks.previews import (
     depth_picture,
@@ -25,9 +26,6 @@ if TYPE_CHECKING:
 
 #: Panels wider than this are made smaller.
 _MAX_WIDTH_PX = 640
-_GAP_PX = 4
-_HEAD_PX = 26
-_GROUND = (24, 24, 27)
 
 #: Colours of the heading by status, RGB.
 _ARROWS = {"ok": (60, 200, 110), "held": (240, 180, 40)}
@@ -43,25 +41,26 @@ def preview_picture(result: FrameResult, stream: RunContext) -> NDArray[np.uint8
         _small(depth_picture(result, stream)),
     ]
     titles = (f"{reference.capitalize()} view, heading", "Charge", "Depth")
-    picture = side_by_side(panels, titles)
+    return framed(panels, titles, result, stream)
+
+
+def framed(
+    panels: Sequence[NDArray[np.uint8]],
+    titles: Sequence[str],
+    result: FrameResult,
+    stream: RunContext,
+) -> NDArray[np.uint8]:
+    """Return view, charge, depth and what else there is beside each other, RGB.
+
+    Above each is its title; below them are time and heading, and the scale below depth.
+    """
+    picture = titled(panels, titles, DARK)
+    widths = [panel.shape[1] + GAP_PX for panel in panels]
+    begin, end = sum(widths[:2]), sum(widths[:3]) - GAP_PX
     text = f"{time_text(result.frame)}   {heading_text(result.steering)}"
-    begin = picture.shape[1] - panels[-1].shape[1]
-    return np.concatenate(
-        [picture, strip(picture.shape[1], depth_scale(stream), text, begin=begin)]
-    )
-
-
-def side_by_side(panels: list[NDArray[np.uint8]], titles: tuple[str, ...]) -> NDArray[np.uint8]:
-    """Return RGB images of one height beside each other, below their titles."""
-    gap = np.full((len(panels[0]), _GAP_PX, 3), _GROUND, np.uint8)
-    row = [part for panel in panels for part in (gap, panel)][1:]
-    body = np.concatenate(row, axis=1)
-    head = np.full((_HEAD_PX, body.shape[1], 3), _GROUND, np.uint8)
-    begins = np.cumsum([0, *(panel.shape[1] + _GAP_PX for panel in panels[:-1])])
-    labels = [
-        Label(float(x) + 8, _HEAD_PX / 2, title) for x, title in zip(begins, titles, strict=True)
-    ]
-    return np.concatenate([lettered(head, labels, size_px=13), body])
+    below = strip(end, depth_scale(stream), text, begin=begin)
+    rest = np.full((len(below), picture.shape[1] - end, 3), DARK.ground, np.uint8)
+    return np.concatenate([picture, np.concatenate([below, rest], axis=1)])
 
 
 def with_heading(view: NDArray[np.uint8], steering: Steering) -> NDArray[np.uint8]:

@@ -130,9 +130,8 @@ def depth_picture(result: FrameResult, stream: RunContext) -> NDArray[np.uint8]:
     if np.isnan(result.disparity_px).all():
         return grey_picture(reference_view(result, stream) // np.uint8(3))
     scale = depth_scale(stream)
-    doffs = stream.rig.doffs if stream.rig else 0.0
     return depth_colours(
-        result.disparity_px + np.float32(doffs), scale.near_px, scale.far_px, scale.colours
+        result.disparity_px + np.float32(scale.doffs), scale.near_px, scale.far_px, scale.colours
     )
 
 

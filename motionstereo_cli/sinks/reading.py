@@ -6,6 +6,7 @@ The encodings are those of :mod:`~motionstereo_cli.sinks.images`.
 from __future__ import annotations
 
 import csv
+import io
 import json
 import math
 import re
@@ -193,8 +194,12 @@ class Table(NamedTuple):
     rows: dict[tuple[int, str], dict[str, str]]
 
 
-def read_table(path: Path) -> Table:
+def read_table(path: Path, *, part: bool = False) -> Table:
     """Read a CSV table that ``run`` wrote.
+
+    Args:
+        path: the file.
+        part: it may be cut off: a last line without its end is left out.
 
     Raises:
         InputError: it cannot be read, has no or a second column of a name, no column ``frame``, a
@@ -202,7 +207,9 @@ def read_table(path: Path) -> Table:
     """
     try:
         with path.open(newline="", encoding="utf-8-sig", errors="replace") as file:
-            lines = list(csv.reader(file, strict=True))
+            text = file.read()
+        whole = text[: text.rfind("\n") + 1] if part else text
+        lines = list(csv.reader(io.StringIO(whole, newline=""), strict=True))
     except (OSError, csv.Error) as error:
         reason = error.strerror if isinstance(error, OSError) else error
         raise InputError(f"cannot read the table {path}: {reason}") from error

@@ -4,21 +4,25 @@ from __future__ import annotations
 
 import functools
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
 
+from motionstereo_cli.settings import Settings
+from motionstereo_cli.sinks.settings import OutputSettings
+from motionstereo_cli.types import Rig
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from motionstereo_cli.settings import Settings
-    from motionstereo_cli.sinks.settings import OutputSettings
-    from motionstereo_cli.types import Rig
-
 #: The darkest colours of the map are left out, because they are hard to tell from black.
 FARTHEST = 32
+
+#: Settings that the scale follows from: those of the processing, and of the output.
+_SAID = ("max_disparity",), ("near_m", "far_m", "colours")
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,12 +34,14 @@ class DepthScale:
             least twice far_px.
         px_m: depth in m times disparity in px: focal length times baseline; None without a rig.
         colours: name of an OpenCV colour map; near = its end.
+        doffs: what was added to the disparities, in px.
     """
 
     near_px: float
     far_px: float
     px_m: float | None
     colours: str
+    doffs: float = 0.0
 
     @classmethod
     def of(cls, settings: Settings, output: OutputSettings, rig: Rig | None) -> DepthScale:
@@ -47,7 +53,22 @@ class DepthScale:
             near_px = px_m / output.near_m
         if px_m and output.far_m:
             far_px = px_m / output.far_m
-        return cls(max(near_px, 2 * far_px), far_px, px_m, output.colours)
+        return cls(max(near_px, 2 * far_px), far_px, px_m, output.colours, doffs)
+
+    @classmethod
+    def recorded(cls, record: Mapping[str, Any]) -> DepthScale:
+        """Return the scale of a run by what its ``run.json`` says; the default where it does not.
+
+        Raises:
+            TypeError, SettingsError: it says nonsense.
+        """
+        rig = Rig(**record["rig"]) if record.get("rig") else None
+        said = record.get("settings", {}), record.get("output_settings", {})
+        settings, output = (
+            kind(**{name: found[name] for name in names if name in found})
+            for kind, found, names in zip((Settings, OutputSettings), said, _SAID, strict=True)
+        )
+        return cls.of(settings, output, rig)
 
     @property
     def unit(self) -> str:
