@@ -9,7 +9,17 @@ import av
 import numpy as np
 import pytest
 
-from motionstereo_cli.files.lettering import Label, lettered, text_width
+from motionstereo_cli.files.lettering import (
+    DARK,
+    GAP_PX,
+    LIGHT,
+    Label,
+    colour_key,
+    length_bar,
+    lettered,
+    text_width,
+    titled,
+)
 from motionstereo_cli.settings import Settings
 from motionstereo_cli.sinks import OUTPUTS, RunContext
 from motionstereo_cli.sinks.legend import strip
@@ -154,3 +164,33 @@ def test_letters_stand_where_they_should():
     columns = np.flatnonzero(drawn.any(axis=(0, 2)))
     assert columns.mean() == pytest.approx(100, abs=3)
     assert np.ptp(columns) == pytest.approx(text_width("mm", 16), abs=4)
+
+
+@pytest.mark.parametrize("style", [DARK, LIGHT])
+def test_titles_stand_above_their_panels(style):
+    panels = [np.full((20, width, 3), grey, np.uint8) for width, grey in ((60, 9), (40, 99))]
+    picture = titled(panels, ["one", "a title that is too wide"], style)
+    head = 2 * style.size_px
+    assert picture.shape == (head + 20, 60 + GAP_PX + 40, 3)
+    assert (picture[head:, :60] == 9).all()
+    assert (picture[head:, 60 + GAP_PX :] == 99).all()
+    assert (picture[:head, 60 : 60 + GAP_PX] == style.ground).all()
+    assert (picture[:head, :60] != style.ground).any()
+
+
+def test_a_key_shows_every_colour_even_where_it_takes_rows():
+    colours = [(200, 0, 0), (0, 200, 0), (0, 0, 200)]
+    for width in (50, 90, 400):
+        key = colour_key(width, [(colour, "some words") for colour in colours], LIGHT)
+        assert key.shape[0] % 2 == 0
+        for colour in colours:
+            assert (key == colour).all(axis=2).sum() > 50
+    assert len(colour_key(400, [((9, 9, 9), "a")] * 2, LIGHT)) < len(key) * 2
+
+
+@pytest.mark.parametrize(("px_per_m", "length_m"), [(32, 5), (1000, 0.2), (0.5, 200)])
+def test_a_bar_is_as_long_as_it_says(px_per_m, length_m):
+    row = length_bar(600, px_per_m, LIGHT)
+    line = np.flatnonzero((row[LIGHT.size_px] == LIGHT.ink).all(axis=1))
+    first = line[: np.argmax(np.diff(line) > 1) + 1] if (np.diff(line) > 1).any() else line
+    assert len(first) == pytest.approx(length_m * px_per_m, abs=1)
