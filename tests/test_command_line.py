@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import itertools
 import json
 import os
 import pty
@@ -25,6 +26,7 @@ import pytest
 from motionstereo_cli.__main__ import main
 from motionstereo_cli.batch.run import run as run_library
 from motionstereo_cli.commands import cli
+from motionstereo_cli.commands.messages import foretelling
 from motionstereo_cli.commands.options import settings_options
 from motionstereo_cli.errors import OutputError
 from motionstereo_cli.files.video import VideoWriter
@@ -650,3 +652,30 @@ def test_progress_shows_on_a_terminal_alone(run_args):
     assert "frame/s" in shown
     done = called(*run_args, "--save", "steering", "--overwrite")
     assert f"{FRAMES}/{FRAMES}" not in done.stderr
+
+
+class Bar:
+    """A progress bar that only takes its calls."""
+
+    def update(self):
+        pass
+
+    clear = refresh = update
+
+
+@pytest.mark.parametrize(
+    ("frames", "frame_s", "wanted"),
+    [
+        (20, 0.1, ""),
+        (100, 0.2, "note: about 100 frames, which take about 20 s\n"),
+        (10_000, 0.2, "note: about 10000 frames, which take about 33 minutes\n"),
+        (100_000, 0.2, "note: about 100000 frames, which take about 5.6 hours\n"),
+    ],
+)
+def test_long_work_says_soon_how_long_it_takes(frames, frame_s, wanted, monkeypatch, capsys):
+    clock = itertools.count()
+    monkeypatch.setattr("time.perf_counter", lambda: frame_s * next(clock))
+    advance = foretelling(frames, Bar())
+    for _ in range(10):
+        advance()
+    assert capsys.readouterr().err == wanted

@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 from motionstereo_cli.commands.grouped import GroupedCommand
-from motionstereo_cli.commands.messages import announce_compiling, say
+from motionstereo_cli.commands.messages import announce_compiling, foretelling, say
 from motionstereo_cli.commands.options import processing_options, world_options
 from motionstereo_cli.settings import Settings
 from motionstereo_cli.simulate.settings import DriveSettings
@@ -42,8 +42,10 @@ def drive(
     started_s = time.perf_counter()
     driven = DriveWorld(world_settings)
     announce_compiling()
-    with tqdm(unit="frame", disable=None) as bar:
-        record = library(out, driven, settings, view=view, overwrite=overwrite, progress=bar.update)
+    frames = driven.expected_frames
+    with tqdm(total=frames, unit="frame", disable=None) as bar:
+        progress = foretelling(frames, bar)
+        record = library(out, driven, settings, view=view, overwrite=overwrite, progress=progress)
     wall_s = time.perf_counter() - started_s
     say(
         "note",

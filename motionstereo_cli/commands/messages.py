@@ -1,10 +1,18 @@
-"""Talk on standard error."""
+"""Messages on standard error."""
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
 
 import click
+
+if TYPE_CHECKING:
+    from tqdm import tqdm
+
+_WARM_UP_FRAMES = 4
+_WORTH_SAYING_S = 5
 
 
 def say(kind: str, text: str) -> None:
@@ -17,6 +25,41 @@ def announce_compiling(tell: Callable[[str, str], object] = say) -> None:
     from motionstereo_cli.compiled import when_compiling
 
     when_compiling(lambda: tell("note", "compiling for this machine, once: a few seconds"))
+
+
+def foretelling(frames: int, bar: tqdm[Any]) -> Callable[[], None]:
+    """Return a function to call after each frame; soon after the first it says how long all take.
+
+    It stays silent where that is less than some seconds.
+
+    Args:
+        frames: how many frames there will be, about.
+        bar: advances with each frame.
+    """
+    times_s = []
+
+    def advance() -> None:
+        bar.update()
+        times_s.append(time.perf_counter())
+        # The first frames take longer: they load, and perhaps compile.
+        if len(times_s) == 2 * _WARM_UP_FRAMES:
+            frame_s = (times_s[-1] - times_s[_WARM_UP_FRAMES - 1]) / _WARM_UP_FRAMES
+            rest_s = frame_s * (frames - len(times_s))
+            if rest_s >= _WORTH_SAYING_S:
+                bar.clear()
+                say("note", f"about {frames} frames, which take {_duration(rest_s)}")
+                bar.refresh()
+
+    return advance
+
+
+def _duration(seconds: float) -> str:
+    """Return a time in words, as exact as an estimate can be."""
+    if seconds < 90:
+        return f"about {max(round(seconds, -1), 10):.0f} s"
+    if seconds < 5400:
+        return f"about {seconds / 60:.0f} minutes"
+    return f"about {seconds / 3600:.1f} hours"
 
 
 def printable(text: str) -> str:

@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from motionstereo_cli.commands.grouped import GroupedCommand
-from motionstereo_cli.commands.messages import say
+from motionstereo_cli.commands.messages import foretelling, say
 from motionstereo_cli.commands.options import settings_options
 from motionstereo_cli.simulate.settings import SimulateSettings
 
@@ -31,5 +31,5 @@ def simulate(out: Path, overwrite: bool, chosen: dict[str, Any]) -> None:
 
     frames = len(settings.frame_range)
     with tqdm(total=frames, unit="frame", disable=None) as bar:
-        write(out, settings, overwrite=overwrite, progress=bar.update)
+        write(out, settings, overwrite=overwrite, progress=foretelling(frames, bar))
     say("note", f"{frames} frames of the {settings.scene} in {out}")

@@ -115,9 +115,7 @@ class DriveWorld:
         )
         self._paint = WalkerPaint(settings.walkers, rng)
         self._cameras = stereo_cameras(settings.rig)
-        self._max_frames = settings.max_frames or math.ceil(
-            3 * settings.laps * self.lap_m / MAX_WAY_M
-        )
+        self._max_frames = settings.max_frames or 3 * self.expected_frames
         self.frames = 0
         self.path = [(self.robot.x_m, self.robot.y_m)]
         self.turned_rad = 0.0
@@ -125,6 +123,12 @@ class DriveWorld:
         self.nearest_pass_m = math.inf
         self.ended: str | None = None
         self._judge()
+
+    @property
+    def expected_frames(self) -> int:
+        """About how many frames the laps take, at full speed along the middle line."""
+        frames = math.ceil(self.settings.laps * self.lap_m / MAX_WAY_M)
+        return min(frames, self.settings.max_frames or frames)
 
     @property
     def laps(self) -> float:
