@@ -28,3 +28,7 @@ class InputError(MotionStereoError):
 
 class OutputError(MotionStereoError):
     """A result cannot be written where it should go."""
+
+
+class BusyError(OutputError):
+    """Another run is writing to the folder."""

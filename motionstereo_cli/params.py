@@ -6,8 +6,9 @@ fields are declared with :func:`param`.
 
 from __future__ import annotations
 
+import difflib
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, fields
 from typing import Any
 
@@ -122,3 +123,9 @@ def checked(settings: Any) -> None:
     """
     for item in params(type(settings)):
         object.__setattr__(settings, item.name, item.parse(getattr(settings, item.name)))
+
+
+def near_match(name: str, known: Iterable[str]) -> str:
+    """Return `` (did you mean ...?)`` for a mistyped name, or nothing."""
+    matches = difflib.get_close_matches(name, list(known), n=1)
+    return f" (did you mean {matches[0]!r}?)" if matches else ""

@@ -24,6 +24,7 @@ import numpy as np
 import pytest
 
 from motionstereo_cli.__main__ import main
+from motionstereo_cli.batch.plan import RunPlan
 from motionstereo_cli.batch.run import run as run_library
 from motionstereo_cli.commands import cli
 from motionstereo_cli.commands.messages import foretelling
@@ -33,7 +34,6 @@ from motionstereo_cli.files.video import VideoWriter
 from motionstereo_cli.params import param, params
 from motionstereo_cli.settings import Settings
 from motionstereo_cli.sinks import OUTPUTS
-from motionstereo_cli.sources import open_stereo
 
 COMMAND = [sys.executable, "-m", "motionstereo_cli"]
 #: Outputs that need poses as well.
@@ -282,8 +282,8 @@ class Head(io.BytesIO):
 
 
 def test_a_reader_that_has_seen_enough_leaves_what_is_complete(run_args, recording):
-    with open_stereo(*run_args[1:]) as source, pytest.raises(BrokenPipeError):
-        run_library(source, Path("out"), Settings(), table=Head())
+    with pytest.raises(BrokenPipeError):
+        run_library(RunPlan(*run_args[1:], Path("out"), table=Path("-")), stdout=Head())
     assert {"run.json.part", "steering.csv.part", "charge.0000.mp4.part"} <= names(Path("out"))
     assert images("disparity", 4) <= names(Path("out"))
     assert "run.json" not in names(Path("out"))

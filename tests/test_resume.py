@@ -17,13 +17,14 @@ import numpy as np
 import pytest
 
 from motionstereo_cli.__main__ import main
-from motionstereo_cli.batch.checkpoint import loads, read_checkpoint
-from motionstereo_cli.batch.folder import CHECKPOINT, locked
+from motionstereo_cli.batch.checkpoint import STATE_TYPES, loads, read_checkpoint
+from motionstereo_cli.batch.folder import CHECKPOINT
 from motionstereo_cli.batch.interrupts import finishing
 from motionstereo_cli.errors import OutputError
 from motionstereo_cli.files.atomic import part_of
+from motionstereo_cli.files.lock import locked
 from motionstereo_cli.files.video import SegmentedVideo, VideoWriter
-from motionstereo_cli.pipeline import process
+from motionstereo_cli.pipeline import State, process
 from motionstereo_cli.settings import Settings
 from motionstereo_cli.sinks import OUTPUTS
 from motionstereo_cli.sinks.writers import TableFile
@@ -38,6 +39,7 @@ RIG = Rig(width=WIDTH, height=HEIGHT, focal_px=80.0, baseline_m=0.1, cx=47.5, cy
 #: Runs the command and kills its own process: before a frame, or before the step that is named.
 KILLED = """
 import os, signal, sys
+import motionstereo_cli.batch.folder as folder
 import motionstereo_cli.batch.run as library
 from motionstereo_cli.__main__ import main
 
@@ -56,9 +58,8 @@ def until(*args, **options):
 
 library.process = until
 if when == "complete":
-    library.complete = kill
+    folder.complete = kill
 if when == "clear":
-    import motionstereo_cli.batch.folder as folder
     folder.clear = kill
 sys.exit(main(sys.argv[2:]))
 """
@@ -149,6 +150,7 @@ def test_an_interrupted_run_goes_on(command, undisturbed, tmp_path):
     """The frame at hand is finished: the table and the images have the same frames."""
     out = tmp_path / "out"
     args = [sys.executable, "-m", "motionstereo_cli", *command, "-o", str(out)]
+    args += ["--csv", str(tmp_path / "table.csv")]
     with subprocess.Popen([*args, "--jobs", "2"], stderr=subprocess.PIPE) as run:
         while not (out / "depth" / "000006.png").exists():
             time.sleep(0.005)
@@ -187,7 +189,7 @@ def test_another_run_is_not_taken_for_this_one(half_done, recording, tmp_path, c
     assert "with files.1.sha256 " in said(others)
     fewer = [*half_done[: half_done.index("--save")], *half_done[half_done.index("--save") + 2 :]]
     assert "is of another run, with outputs.age: give" in said(fewer)
-    assert "was begun with the outputs" in said([*half_done, "--csv", str(tmp_path / "new.csv")])
+    assert "without table" in said([*half_done, "--csv", str(tmp_path / "new.csv")])
     assert main(half_done) == 1
     assert (
         "is not empty: give another folder, or --overwrite, or --resume" in capsys.readouterr().err
@@ -257,7 +259,12 @@ def test_a_checkpoint_holds_nothing_of_others(name):
 def test_a_checkpoint_names_nothing_through_our_modules():
     with pytest.raises(pickle.UnpicklingError, match="it holds"):
         loads(b"cmotionstereo_cli.robot.guide\nmath\n.")
-    assert loads(pickle.dumps(Settings())) == Settings()
+    assert loads(pickle.dumps(State())) == State()
+
+
+@pytest.mark.parametrize("kind", STATE_TYPES, ids=lambda kind: kind.__name__)
+def test_a_class_that_moved_is_found_by_its_name(kind):
+    assert loads(f"cmotionstereo_cli.elsewhere\n{kind.__name__}\n.".encode()) is kind
 
 
 def test_two_runs_into_one_folder(command, tmp_path, capsys):
@@ -380,4 +387,4 @@ def test_interrupts_are_of_no_concern_to_other_threads():
 
 
 def test_there_may_be_no_checkpoint(tmp_path):
-    assert read_checkpoint(tmp_path / CHECKPOINT) is None
+    assert read_checkpoint(tmp_path / CHECKPOINT, {}) is None

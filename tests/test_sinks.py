@@ -413,7 +413,7 @@ try:
         video.write(noise.integers(0, 256, (48, 64), np.uint8), index)
     video.close()
 except OutputError as error:
-    video.close(keep=False)
+    video.abandon(keep=False)
     resource.setrlimit(resource.RLIMIT_FSIZE, (-1, -1))  # coverage writes at the end
     sys.exit(str(error))
 """

@@ -29,7 +29,9 @@ if TYPE_CHECKING:
     from motionstereo_cli.types import Real
 
 #: Parts of run.json that may differ without a word, or with a note, from machine to machine.
-_IGNORED = frozenset({"program", "outputs", "options", "shares", "warnings", "damage", "timing"})
+_IGNORED = frozenset(
+    {"program", "outputs", "table", "options", "shares", "warnings", "damage", "timing"}
+)
 _NOTED = frozenset({"versions", "inputs", "files"})
 
 #: What a difference of exactly the tolerance may exceed it by: in a table's decimals, in float32 m.

@@ -2,31 +2,41 @@
 
 from __future__ import annotations
 
+import hashlib
 import importlib
 import io
 import json
 import pickle
 from collections.abc import Mapping
 from concurrent.futures import Future
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from motionstereo_cli.batch.totals import Totals
 from motionstereo_cli.errors import OutputError
 from motionstereo_cli.files.atomic import write_whole
+from motionstereo_cli.memory import Memory
+from motionstereo_cli.pipeline import State
+from motionstereo_cli.robot.fused_map import Grid, Voxels
+from motionstereo_cli.robot.guide import ImageHeading, MapCourse
+from motionstereo_cli.robot.heading import Course
+from motionstereo_cli.robot.local_map import LocalMap
+from motionstereo_cli.robot.mapper import Surroundings
+from motionstereo_cli.robot.objects import Observation, Region, Track
+from motionstereo_cli.robot.tracker import Tracks
 from motionstereo_cli.sinks import Sink
+from motionstereo_cli.types import Pose
 
-#: What may stand in a checkpoint besides plain values: of this package what holds state, and
-#: NumPy's arrays. Nothing that could do harm, whoever wrote the file.
-_OUR_MODULES = (
-    "motionstereo_cli.memory",
-    "motionstereo_cli.pipeline",
-    "motionstereo_cli.batch.run",
-    "motionstereo_cli.robot.",
-    "motionstereo_cli.settings",
-    "motionstereo_cli.types",
+#: What may stand in a checkpoint besides plain values and NumPy's arrays: the classes of what is
+#: kept from frame to frame. They are stored by these names, wherever they are defined.
+STATE_TYPES: tuple[type, ...] = (
+    *(State, Memory, ImageHeading, MapCourse, Course, LocalMap, Tracks, Track, Observation, Region),
+    *(Surroundings, Grid, Voxels, Pose, Totals),
 )
+_NAMED = {each.__qualname__: each for each in STATE_TYPES}
 _OF_NUMPY = {"ndarray", "dtype", "scalar", "_reconstruct", "_frombuffer"}
+_HEAD = b"motionstereo checkpoint 2\n"
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,38 +47,43 @@ class Checkpoint:
         state: all that is kept from frame to frame.
         totals: sums over the frames so far.
         sinks: the checkpoint of each output.
-        identity: what makes it this run and no other, as ``run.json`` has it.
     """
 
-    state: Any
-    totals: Any
+    state: State
+    totals: Totals
     sinks: Mapping[str, Any]
-    identity: Mapping[str, Any] = field(default_factory=dict)
 
 
 def write_checkpoint(
-    path: Path,
-    identity: Mapping[str, Any],
-    state: Any,
-    totals: Any,
-    sinks: Mapping[str, Sink],
+    path: Path, identity: Mapping[str, Any], state: State, totals: Totals, sinks: Mapping[str, Sink]
 ) -> None:
     """Write a checkpoint in the place of the one before, once all outputs have made theirs.
+
+    Args:
+        path: where to.
+        identity: what makes it this run and no other, as the record has it.
+        state, totals: see :class:`Checkpoint`.
+        sinks: the outputs.
 
     Raises:
         OutputError: it, or what the outputs have so far, cannot be written.
     """
     marks = {name: sink.checkpoint() for name, sink in sinks.items()}
     made = {name: mark.result() for name, mark in marks.items() if isinstance(mark, Future)}
-    content = pickle.dumps((identity, pickle.dumps((state, totals)), made))
-    write_whole(path, content, durable=True)
+    content = pickle.dumps((_digest(identity), pickle.dumps((state, totals)), made))
+    checksum = hashlib.sha256(content).hexdigest().encode()
+    write_whole(path, _HEAD + checksum + b"\n" + content, durable=True)
 
 
-def read_checkpoint(path: Path) -> Checkpoint | None:
+def read_checkpoint(path: Path, identity: Mapping[str, Any]) -> Checkpoint | None:
     """Return a checkpoint, None where there is none.
 
+    Args:
+        path: where it is.
+        identity: that of the run which is to go on.
+
     Raises:
-        OutputError: the file is no checkpoint of this version.
+        OutputError: the file is no checkpoint of this version and this run, or was changed.
     """
     try:
         content = path.read_bytes()
@@ -77,14 +92,23 @@ def read_checkpoint(path: Path) -> Checkpoint | None:
     except OSError as error:
         raise OutputError(f"cannot read {path}: {error.strerror}") from error
     try:
-        identity, moment, sinks = loads(content)
+        checksum, body = content[len(_HEAD) :].split(b"\n", 1)
+        if not content.startswith(_HEAD) or hashlib.sha256(body).hexdigest().encode() != checksum:
+            raise ValueError("its checksum is wrong")
+        run, moment, sinks = loads(body)
+        if run != _digest(identity):
+            raise ValueError("it is of another run")
         state, totals = loads(moment)
         marks = {name: loads(mark) for name, mark in sinks.items()}
     except Exception as error:  # damaged pickles raise anything
         raise OutputError(
             f"{path} is no checkpoint that can be used ({error}): give --overwrite to begin anew"
         ) from error
-    return Checkpoint(state, totals, marks, identity)
+    return Checkpoint(state, totals, marks)
+
+
+def _digest(identity: Mapping[str, Any]) -> str:
+    return hashlib.sha256(json.dumps(identity, sort_keys=True).encode()).hexdigest()
 
 
 def check_same(out: Path, identity: Mapping[str, Any], found: Mapping[str, Any]) -> None:
@@ -129,10 +153,9 @@ def loads(content: bytes) -> Any:
 
 class _Reader(pickle.Unpickler):
     def find_class(self, module: str, name: str) -> Any:
-        ours = module.startswith(_OUR_MODULES) and "." not in name
-        numpys = module.partition(".")[0] == "numpy" and name in _OF_NUMPY
-        if ours or numpys:
-            found = getattr(importlib.import_module(module), name)
-            if numpys or (isinstance(found, type) and found.__module__ == module):
-                return found
+        package = module.partition(".")[0]
+        if package == "motionstereo_cli" and name in _NAMED:
+            return _NAMED[name]
+        if package == "numpy" and name in _OF_NUMPY:
+            return getattr(importlib.import_module(module), name)
         raise pickle.UnpicklingError(f"it holds {module}.{name}")

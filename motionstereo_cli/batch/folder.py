@@ -1,4 +1,4 @@
-"""The output folder: where a run may write, and what it may remove there."""
+"""The output folder: what may be written and removed there, and how it becomes complete."""
 
 from __future__ import annotations
 
@@ -7,51 +7,211 @@ import itertools
 import json
 import os
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from types import TracebackType
+from typing import Any, Self
 
+from motionstereo_cli.batch.checkpoint import check_same, read_checkpoint, write_checkpoint
+from motionstereo_cli.batch.sinks import Sinks
 from motionstereo_cli.errors import OutputError
-from motionstereo_cli.files.atomic import is_segment, part_of, reported, write_whole
+from motionstereo_cli.files.atomic import is_segment, part_of, remove, reported, write_whole
+from motionstereo_cli.files.lock import LOCK, locked
 from motionstereo_cli.sinks import OUTPUTS, RECORD
-
-try:
-    import fcntl
-except ImportError:  # Windows
-    fcntl = None  # type: ignore[assignment]
 
 #: What a run needs to go on after its process is gone; removed when it is complete.
 CHECKPOINT = "run.checkpoint"
-_PROGRAM = "motionstereo"
+
 _NUMBERED = re.compile(r"(\d{6,})(\.[a-z]+)(\.part)?")
 
 
+def _json(record: Mapping[str, Any]) -> bytes:
+    return json.dumps(record, indent=2, allow_nan=False).encode() + b"\n"
+
+
+@dataclass(frozen=True, slots=True)
+class FolderKind:
+    """What a command leaves in its output folder.
+
+    Attributes:
+        program: how its record says who wrote it.
+        record: name of the record, which is written last and removed last.
+        outputs: the files of each output by its name; ``{:06d}`` is the number of a frame.
+        keeps: what was done is kept when it ends early, for another process to go on.
+        format: makes a record.
+        parse: returns what a record says: ``program``, ``outputs`` (by name; all if missing) and,
+            where it is complete, ``counts.written``, the number of frames.
+    """
+
+    program: str
+    record: str
+    outputs: Mapping[str, tuple[str, ...]]
+    keeps: bool = False
+    format: Callable[[Mapping[str, Any]], bytes] = _json
+    parse: Callable[[bytes], Any] = json.loads
+
+
+RUN = FolderKind(
+    "motionstereo", RECORD, {name: each.paths for name, each in OUTPUTS.items()}, keeps=True
+)
+
+
+class RunFolder(Sinks):
+    """The output folder of a command, from its first file to its last.
+
+    Entering the block locks the folder, and prepares it or finds where to go on. The record is
+    written last, by :meth:`complete`: where it stands, everything beside it is complete. When the
+    block ends before that, the outputs are abandoned: what was done is kept, or nothing is left.
+
+    Args:
+        path: the folder; made where it is missing.
+        outputs: names of what is to be written, from ``kind``.
+        kind: whose folder it is.
+        identity: the :func:`head` of the record and all that the results follow from, as JSON-able
+            values. With ``resume`` it has to be the same as before. None: who wrote it, no more.
+        frames: how many images of a kind there will be; others in their folders do not matter.
+            None: none of others may be there.
+        overwrite: replace what a former run wrote; other files are never touched.
+        resume: go on where the same run was ended, or begin if it has not yet.
+        inputs: files and folders that must not be written to.
+
+    Raises:
+        BusyError: another run is writing there.
+        OutputError: the folder cannot be written, is not empty, or is of another run.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        outputs: Sequence[str],
+        kind: FolderKind = RUN,
+        *,
+        identity: Mapping[str, Any] | None = None,
+        frames: int | None = None,
+        overwrite: bool = False,
+        resume: bool = False,
+        inputs: Iterable[Path] = (),
+    ) -> None:
+        super().__init__()
+        self.path = path
+        self._outputs = outputs
+        self._kind = kind
+        self._identity = identity or {"program": kind.program}
+        self._frames = frames
+        self._overwrite = overwrite
+        self._resume = resume
+        self._inputs = tuple(inputs)
+        self._lock = contextlib.ExitStack()
+
+    def __enter__(self) -> Self:
+        with contextlib.ExitStack() as held:
+            held.enter_context(locked(self.path))
+            self._begin()
+            self._lock = held.pop_all()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        with self._lock:
+            if self.finished is None:
+                self._keep = self._keep and self._kind.keeps
+                super().__exit__(kind, error, traceback)
+                if not self._complete:
+                    tidy(self.path, self._kind)
+
+    def checkpoint(self) -> None:
+        """Leave what another process needs to go on after this frame.
+
+        Raises:
+            OutputError: it, or what the outputs have so far, cannot be written.
+        """
+        assert self.state is not None
+        path = self.path / CHECKPOINT
+        write_checkpoint(path, self._identity, self.state, self.totals, self._sinks)
+
+    def complete(self, record: Mapping[str, Any]) -> None:
+        """Write the record, after the outputs were closed.
+
+        Args:
+            record: what it says besides the identity.
+
+        Raises:
+            OutputError: it cannot be written.
+        """
+        complete(self.path, {**self._identity, **record}, self._kind)
+        super().complete(record)
+
+    def _begin(self) -> None:
+        overwrite = self._overwrite
+        if self._resume:
+            if finished := record_of(self.path, self._kind):
+                check_same(self.path, self._identity, finished)
+                clear(self.path, self._kind)
+                self.finished = finished
+                return
+            if begun := _read_record(part_of(self.path / self._kind.record), self._kind):
+                check_same(self.path, self._identity, begun)
+                overwrite = True
+                if since := read_checkpoint(self.path / CHECKPOINT, self._identity):
+                    self.state, self.totals = since.state, since.totals
+                    self._marks, self._keep = since.sinks, True
+                    return
+        prepare(
+            *(self.path, self._outputs, self._kind),
+            identity=self._identity,
+            frames=self._frames,
+            overwrite=overwrite,
+            inputs=self._inputs,
+        )
+
+
 def prepare(
-    out: Path, save: Sequence[str], *, overwrite: bool = False, inputs: Iterable[Path] = ()
+    out: Path,
+    outputs: Sequence[str],
+    kind: FolderKind = RUN,
+    *,
+    identity: Mapping[str, Any] | None = None,
+    frames: int | None = None,
+    overwrite: bool = False,
+    inputs: Iterable[Path] = (),
 ) -> None:
-    """Make the output folder ready for a run.
+    """Make the output folder ready.
 
     With ``overwrite``, exactly the files that a former run wrote are removed, as its record
-    has them. A file of anybody else is neither removed nor written over.
+    has them. A file of anybody else is neither removed nor written over. Killed in between, the
+    folder still says whose the rest is.
 
     Args:
         out: the folder; made where it is missing.
-        save: names of the outputs, from :data:`~motionstereo_cli.sinks.OUTPUTS`.
+        outputs: names of the outputs.
+        kind: whose folder it is.
+        identity: what the record says while it is incomplete; who wrote it if None.
+        frames: see :class:`RunFolder`.
         overwrite: accept a folder that is not empty.
-        inputs: files and folders that the run reads.
+        inputs: files and folders that are read.
 
     Raises:
         OutputError: the folder is not empty, cannot be written, or holds an input or somebody
-            else's file where the run would write.
+            else's file where something would be written.
     """
+    record, part = out / kind.record, part_of(out / kind.record)
     with reported(out):
         out.mkdir(parents=True, exist_ok=True)
-        if not overwrite and any(out.iterdir()):
-            advice = ", or --resume to go on" if part_of(out / RECORD).exists() else ""
+        if not overwrite and any(path.name != LOCK for path in out.iterdir()):
+            advice = ", or --resume to go on" if kind is RUN and part.exists() else ""
             raise OutputError(f"{out} is not empty: give another folder, or --overwrite{advice}")
-        former = _written(out)
-        paths = [path for name in save for path in OUTPUTS[name].paths]
-        present = _present(out, RECORD).union(*(_present(out, path) for path in paths))
+        former = _written(out, kind)
+        paths = [path for name in outputs for path in kind.outputs[name]]
+        present = _present(out, kind.record)
+        for target in paths:
+            there = _present(out, target)
+            numbered = "{" in target and frames is not None and (out / target).parent not in there
+            present |= _up_to(frames, there) if numbered else there
         for path in sorted(present - former):
             raise OutputError(f"{path} is not from a former run: move it or give another folder")
         taken = {path.resolve() for path in inputs}
@@ -59,123 +219,98 @@ def prepare(
             for place in (path, path.parent):
                 if place.resolve() in taken:
                     raise OutputError(f"{place} is an input of this run: give another folder")
-        for path in former:
-            path.unlink()
-        _remove_empty_folders(out)
-    write_whole(part_of(out / RECORD), _json(head(save)))
+        if record in former:  # no longer complete, and still ours
+            os.replace(record, part)
+        # From the last image to the first: of a run that was cut off, those up to a gap are its.
+        remove(out, sorted(former - {record, part}, reverse=True))
+        _remove_empty_folders(out, kind)
+    begun = identity or (head(outputs) if kind is RUN else {"program": kind.program})
+    write_whole(part, kind.format(begun))
 
 
-def complete(out: Path, record: Mapping[str, Any]) -> None:
+def complete(out: Path, record: Mapping[str, Any], kind: FolderKind = RUN) -> None:
     """Write the record of a run that is done.
 
     Args:
         out: the folder.
         record: what to say: the :func:`head`, and at least ``counts.written``, the frames.
+        kind: whose folder it is.
 
     Raises:
         OutputError: the record cannot be written.
     """
     # The .part stays what it is until all is on the disk: it says that this folder is ours.
-    part = part_of(out / RECORD)
-    write_whole(part, _json(record), durable=True)
-    with reported(out / RECORD):
-        os.replace(part, out / RECORD)
-    clear(out)
+    part = part_of(out / kind.record)
+    write_whole(part, kind.format(record), durable=True)
+    with reported(out / kind.record):
+        os.replace(part, out / kind.record)
+    clear(out, kind)
 
 
-def clear(out: Path) -> None:
+def clear(out: Path, kind: FolderKind = RUN) -> None:
     """Remove what a complete run needs no more: its checkpoint, and the segments of its videos."""
     with reported(out):
-        for path in _temporary(out):
-            path.unlink(missing_ok=True)
+        remove(out, sorted(_temporary(out, kind)))
 
 
-def record_of(out: Path) -> dict[str, Any] | None:
+def record_of(out: Path, kind: FolderKind = RUN) -> dict[str, Any] | None:
     """Return what a complete run says of itself, None where there is none."""
-    return _read_record(out / RECORD)
+    return _read_record(out / kind.record, kind)
 
 
-@contextlib.contextmanager
-def locked(out: Path) -> Iterator[None]:
-    """Make a folder, and keep other runs out of it until the block is done.
-
-    The lock goes with its process, whatever becomes of that. On systems and disks without such
-    locks there is none.
-
-    Raises:
-        OutputError: another run is writing there, or the folder cannot be made.
-    """
-    with reported(out):
-        out.mkdir(parents=True, exist_ok=True)
-        folder = os.open(out, os.O_RDONLY) if fcntl else -1
-    try:
-        if fcntl:
-            try:
-                fcntl.flock(folder, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
-                raise OutputError(
-                    f"{out} is being written by another run: wait for it, or give another folder"
-                ) from None
-            except OSError:
-                pass  # a network disk without locks
-        yield
-    finally:
-        if fcntl:
-            os.close(folder)
-
-
-def tidy(out: Path) -> None:
+def tidy(out: Path, kind: FolderKind = RUN) -> None:
     """Remove what a run that failed left, if it left nothing of use."""
+    part = part_of(out / kind.record)
     with contextlib.suppress(OSError):
-        if _written(out) == {part_of(out / RECORD)}:
-            part_of(out / RECORD).unlink()
-            _remove_empty_folders(out)
+        written = _written(out, kind)
+        if written == {part} or not kind.keeps:
+            remove(out, [*sorted(written - {part}, reverse=True), part])
+            _remove_empty_folders(out, kind)
 
 
 def head(save: Sequence[str]) -> dict[str, Any]:
-    """Return the beginning of a record: who wrote the folder, and what is in it."""
+    """Return the beginning of a run's record: who wrote the folder, and what is in it."""
     outputs = {
         name: {"path": OUTPUTS[name].path.format(0), "what": OUTPUTS[name].what} for name in save
     }
-    return {"program": _PROGRAM, "outputs": outputs}
+    return {"program": RUN.program, "outputs": outputs}
 
 
-def _json(record: Mapping[str, Any]) -> bytes:
-    return json.dumps(record, indent=2, allow_nan=False).encode() + b"\n"
-
-
-def _written(out: Path) -> set[Path]:
+def _written(out: Path, kind: FolderKind) -> set[Path]:
     """Return the files present that former runs wrote, complete or not."""
     written: set[Path] = set()
-    for path in (out / RECORD, part_of(out / RECORD)):
-        record = _read_record(path)
+    for path in (out / kind.record, part_of(out / kind.record)):
+        record = _read_record(path, kind)
         if record is None:
             continue
         try:
-            names = OUTPUTS.keys() & record["outputs"].keys()
+            names = kind.outputs.keys() & record.get("outputs", kind.outputs).keys()
             frames = int(record["counts"]["written"]) if "counts" in record else None
         except (ValueError, LookupError, TypeError, AttributeError):
             continue  # not a record of ours
         written.add(path)
-        written |= _temporary(out)
-        for target in (path for name in names for path in OUTPUTS[name].paths):
+        written |= _temporary(out, kind)
+        for target in (path for name in names for path in kind.outputs[name]):
             present = _present(out, target)
             written |= _up_to(frames, present) if "{" in target else present
     return written
 
 
-def _read_record(path: Path) -> dict[str, Any] | None:
+def _read_record(path: Path, kind: FolderKind) -> dict[str, Any] | None:
     try:
-        record = json.loads(path.read_bytes())
-        return record if record["program"] == _PROGRAM else None
+        if not path.is_file() or path.is_symlink():
+            return None
+        record = kind.parse(path.read_bytes())
+        return record if record["program"] == kind.program else None
     except (OSError, ValueError, LookupError, TypeError, RecursionError):
         return None  # not a record of ours
 
 
-def _temporary(out: Path) -> set[Path]:
+def _temporary(out: Path, kind: FolderKind) -> set[Path]:
     """Return the files present that a run needs only until it is complete."""
-    checkpoint, videos = out / CHECKPOINT, [Path(save.path) for save in OUTPUTS.values()]
-    names = {checkpoint.name, part_of(checkpoint).name, part_of(part_of(out / RECORD)).name}
+    checkpoint = out / CHECKPOINT
+    names = {checkpoint.name, part_of(checkpoint).name, part_of(part_of(out / kind.record)).name}
+    videos = [Path(path) for paths in kind.outputs.values() for path in paths]
     return {
         path
         for path in out.iterdir()
@@ -184,12 +319,12 @@ def _temporary(out: Path) -> set[Path]:
 
 
 def _present(out: Path, path: str) -> set[Path]:
-    """Return what stands where an output would go, complete or not."""
+    """Return what stands where an output would go, complete or not; a linked folder as such."""
     target = out / path
     if "{" not in path:
         return {place for place in (target, part_of(target)) if os.path.lexists(place)}
     folder = target.parent
-    if folder.is_dir():
+    if folder.is_dir() and not folder.is_symlink():
         return {
             place
             for place in folder.iterdir()
@@ -208,9 +343,9 @@ def _up_to(frames: int | None, present: set[Path]) -> set[Path]:
     return {path for path, number in numbers.items() if number < frames}
 
 
-def _remove_empty_folders(out: Path) -> None:
-    for save in OUTPUTS.values():
-        folder = (out / save.path).parent
+def _remove_empty_folders(out: Path, kind: FolderKind) -> None:
+    for paths in kind.outputs.values():
+        folder = (out / paths[0]).parent
         if folder != out:
-            with contextlib.suppress(OSError):  # missing, or not empty
+            with contextlib.suppress(OSError):  # missing, not empty, or a link
                 folder.rmdir()

@@ -1,15 +1,16 @@
-"""A run: from a stereo source to files."""
+"""A run: from two recordings to files."""
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
-import functools
 import itertools
+import os
 import platform
+import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from fractions import Fraction
+from functools import partial
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -19,36 +20,21 @@ import numpy as np
 
 from motionstereo_cli import __version__
 from motionstereo_cli.analysis.check import watched
-from motionstereo_cli.analysis.findings import Finding
-from motionstereo_cli.batch.checkpoint import (
-    Checkpoint,
-    check_same,
-    read_checkpoint,
-    write_checkpoint,
-)
-from motionstereo_cli.batch.folder import (
-    CHECKPOINT,
-    clear,
-    complete,
-    head,
-    locked,
-    prepare,
-    record_of,
-    tidy,
-)
+from motionstereo_cli.batch.folder import CHECKPOINT, RunFolder, head
 from motionstereo_cli.batch.interrupts import finishing
+from motionstereo_cli.batch.plan import RunPlan
+from motionstereo_cli.batch.sinks import Sinks
+from motionstereo_cli.batch.totals import Totals
 from motionstereo_cli.errors import InputError, OutputError
-from motionstereo_cli.files.atomic import part_of
 from motionstereo_cli.files.reading import sha256_of
-from motionstereo_cli.pipeline import State, process
+from motionstereo_cli.pipeline import process
 from motionstereo_cli.rig import rig_values
-from motionstereo_cli.rig.poses import Trajectory
-from motionstereo_cli.settings import Settings
-from motionstereo_cli.sinks import DEFAULT_OUTPUTS, OUTPUTS, RECORD, RunContext, Sink, available
-from motionstereo_cli.sinks.settings import OutputSettings
+from motionstereo_cli.rig.calibration import rectify_source
+from motionstereo_cli.rig.poses import Trajectory, read_poses
+from motionstereo_cli.sinks import OUTPUTS, RunContext, available
 from motionstereo_cli.sinks.steering import SteeringFile, SteeringStream
 from motionstereo_cli.sinks.threaded import Threaded
-from motionstereo_cli.sources import StereoSource
+from motionstereo_cli.sources import StereoSource, open_stereo
 from motionstereo_cli.sources.settings import adapted_rig
 from motionstereo_cli.types import FrameResult, Rig, StereoFrame
 
@@ -59,6 +45,9 @@ GREY = (
     "luma of the decoded video, expanded to 0..255 where the stream is limited range; "
     "BT.601 luma of still images"
 )
+
+#: The steering table that lies elsewhere, among the names of outputs.
+_TABLE = "table"
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -90,25 +79,27 @@ class RunReport:
         return (self.frames - self.resumed) / self.wall_s if self.wall_s else 0.0
 
 
-def run(
-    source: StereoSource,
-    out: Path | None,
-    settings: Settings,
-    rig: Rig | None = None,
-    *,
-    poses: Trajectory | None = None,
-    save: Sequence[str] = DEFAULT_OUTPUTS,
-    table: Path | BinaryIO | None = None,
-    output: OutputSettings | None = None,
-    jobs: int = 1,
-    overwrite: bool = False,
-    resume: bool = False,
-    inputs: Iterable[Path] = (),
-    options: Sequence[str] = (),
-    progress: Callable[[], object] = lambda: None,
-    warn: Callable[[Finding], object] | None = None,
-) -> RunReport:
-    """Process a stereo source and write the results.
+def _nothing(*_: object) -> None:
+    pass
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class Watcher:
+    """Who hears how a run goes; by default nobody.
+
+    Attributes:
+        say: called with a kind, ``note`` or ``warning``, and a line.
+        begin: called before the first frame with the number of frames, None if unknown.
+        progress: called after each frame.
+    """
+
+    say: Callable[[str, str], object] = _nothing
+    begin: Callable[[int | None], object] = _nothing
+    progress: Callable[[], object] = _nothing
+
+
+def run(plan: RunPlan, watcher: Watcher | None = None, stdout: BinaryIO | None = None) -> RunReport:
+    """Process recordings and write the results.
 
     ``run.json`` is written last: where it stands, everything beside it is complete. However the
     run ends before, what was done stays: images whole, tables and videos under ``.part`` names,
@@ -116,120 +107,96 @@ def run(
     same to the byte. An interrupt waits until all outputs have the frame at hand.
 
     Args:
-        source: an open source, not yet iterated.
-        out: the output folder; None if there is to be nothing but ``table``.
-        settings: parameters of the processing.
-        rig: the camera, as it is before the source's crop and scale; without one there are no
-            lengths and angles, and disparity images take the place of depth images.
-        poses: where the rig was, in the times of the source; needs a rig.
-        save: names of the outputs in ``out``, from :data:`~motionstereo_cli.sinks.OUTPUTS`.
-        table: where the steering table goes besides: a file, or a binary stream that gets each
-            row at once.
-        output: parameters of the output; the defaults if None.
-        jobs: frames matched at a time; results do not depend on it.
-        overwrite: replace the results of a former run in ``out``, and a file ``table``.
-        resume: go on where the same run was ended in ``out``, or begin if it has not yet.
-        inputs: files and folders that must not be written to. The content of those that are not
-            the source's own, such as calibration and poses, is part of what the run is.
-        options: what the command line has besides the input and the parameters, such as
-            ``--rig rig.yaml``: recorded, so that it can be given again.
-        progress: called after each frame.
-        warn: called with each mistake found in the first frames; they are not checked if None.
+        plan: what to do.
+        watcher: who hears how it goes.
+        stdout: where a table goes that is for standard output; the process's own if None.
 
     Raises:
-        InputError: the rig is for another size, the source has no frames, or a frame has no pose.
+        InputError: a recording, rig or pose cannot be used, or there are no frames.
         OutputError: the results cannot be written, or what is there is of another run.
         SettingsError: an output needs a rig, or poses.
-        BrokenPipeError: whoever read the stream ``table`` has gone.
+        BrokenPipeError: the reader of standard output has gone.
     """
-    if rig is not None:
-        check_size(rig, source)
-        rig = adapted_rig(rig, source.settings)
-    if poses is not None:
-        poses.check_covers(*(source.numbers if poses.by_number else source.span_s))
-    stream = RunContext(
-        source.time_base or DEFAULT_TIME_BASE, settings, rig, output or OutputSettings()
-    )
-    inputs = list(inputs)
-    if isinstance(table, Path):
-        ours = resume and out is not None and (out / CHECKPOINT).exists()
-        _check_free(table, out, overwrite=overwrite or ours, inputs=inputs)
-    save = () if out is None else _available(save, stream, poses)
-    identity = functools.cache(lambda: _identity(source, stream, save, inputs, poses))
-
-    with contextlib.ExitStack() as held:
-        since: Checkpoint | None = None
-        if out is not None:
-            held.enter_context(locked(out))
-            if resume and (finished := record_of(out)):
-                check_same(out, identity(), finished)
-                clear(out)
-                return _report_of(finished)
-            if resume:
-                since = _resumed(out, identity, [*save, *_table_name(table)])
-                overwrite = part_of(out / RECORD).exists()
-            if since is None:
-                prepare(out, save, overwrite=overwrite, inputs=inputs)
-        since = since or Checkpoint(State(), _Totals(), {})
-        totals: _Totals = since.totals
-        resumed = totals.frames
-
-        def checkpoint(state: State) -> None:
-            if out is not None and source.rereadable:
-                write_checkpoint(out / CHECKPOINT, identity(), state, totals, sinks)
-
-        sinks: dict[str, Sink] = {}
-        interrupted = False
+    watcher = watcher or Watcher()
+    stdout = stdout or _standard_output(plan)
+    with open_stereo(plan.left, plan.right, plan.input_settings) as source:
+        job = _job(plan, source, watcher)
+        watcher.begin(source.expected_frames)
+        sinks = _sinks(job)
         started_s = time.perf_counter()
+        resumed = 0
         try:
-            for name, sink in _opened(out, save, stream, table, since.sinks):
-                sinks[name] = sink  # one by one: should the next fail, this one is abandoned
-            frames = iter(_checked(source, settings, rig, warn))
-            for _ in itertools.islice(frames, resumed):
-                progress()
-            pose_of = None if poses is None else poses.of
-            results = process(
-                frames,
-                settings,
-                rig,
-                pose_of,
-                # They take time: only for whom it concerns.
-                with_objects="objects" in save or poses is not None,
-                jobs=jobs,
-                state=since.state,
-            )
-            _write(results, sinks, totals, checkpoint, stream.output.checkpoint_frames, progress)
-        except BaseException as error:
-            interrupted = isinstance(error, KeyboardInterrupt)
-            _end_early(sinks.values(), out, totals.frames, error)
-            if not interrupted:
-                raise
+            with sinks:
+                if sinks.finished is not None:
+                    return _report_of(sinks.finished)
+                resumed = sinks.totals.frames
+                _open(sinks, job, stdout)
+                _write(sinks, job, watcher)
+                report = _report(job, sinks.totals, resumed, started_s)
+                sinks.complete({"options": plan.options} | _outcome(source, report))
+                return report
+        except KeyboardInterrupt:
+            report = _report(job, sinks.totals, resumed, started_s)
+            return dataclasses.replace(report, interrupted=True)
+        except Exception as error:
+            if plan.folder is not None and sinks.totals.frames:
+                error.add_note(
+                    f"what was done is in {plan.folder}: with --resume the same command goes on "
+                    "from the last checkpoint"
+                )
+            raise
 
-        report = RunReport(
-            frames=totals.frames,
-            resumed=resumed,
-            charged=totals.charged / max(totals.frames, 1),
-            matched=totals.matched / max(totals.frames, 1),
-            wall_s=time.perf_counter() - started_s,
-            outputs=_shown(save),
-            damage=tuple(source.damage),
-            interrupted=interrupted,
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class _Job:
+    """A plan whose input is open."""
+
+    plan: RunPlan
+    source: StereoSource
+    context: RunContext
+    poses: Trajectory | None
+
+    @property
+    def save(self) -> tuple[str, ...]:
+        """The outputs, with a substitute for those that cannot be had."""
+        return available(
+            self.plan.outputs,
+            rig=self.context.rig is not None,
+            poses=self.poses is not None,
+            steering_format=self.context.output.steering_format,
         )
-        if out is not None and not interrupted:
-            complete(out, identity() | {"options": list(options)} | _results(source, report))
-    return report
 
 
-def _checked(
-    source: StereoSource,
-    settings: Settings,
-    rig: Rig | None,
-    warn: Callable[[Finding], object] | None,
-) -> Iterable[StereoFrame]:
-    if warn is None:
-        return source
-    doffs = rig.doffs if rig is not None else 0.0
-    return watched(source, settings.max_disparity, warn, doffs=doffs)
+def _standard_output(plan: RunPlan) -> BinaryIO | None:
+    if not plan.to_stdout:
+        return None
+    if sys.stdout is None:
+        raise OutputError("cannot write the steering table: standard output is closed")
+    return sys.stdout.buffer
+
+
+def _job(plan: RunPlan, source: StereoSource, watcher: Watcher) -> _Job:
+    """Have the source rectify, and read what is known before the first frame."""
+    for line in source.warnings:
+        watcher.say("warning", line)
+    if not plan.rig and available(plan.outputs, rig=False) != plan.outputs:
+        watcher.say("note", "depth in m needs --rig: disparity takes the place of depth")
+    calibration = rectify_source(source, plan.rig, plan.baseline_unit)
+    for line in calibration.warnings if calibration else ():
+        watcher.say("warning", line)
+    rig, poses = None, None
+    if calibration is not None:
+        check_size(calibration.rig, source)
+        rig = adapted_rig(calibration.rig, source.settings)
+        if plan.poses:
+            poses = read_poses(
+                *(plan.poses, plan.pose_settings, calibration.rig, calibration.body_from_left)
+            )
+            poses.check_covers(*(source.numbers if poses.by_number else source.span_s))
+    time_base = source.time_base or DEFAULT_TIME_BASE
+    return _Job(
+        plan, source, RunContext(time_base, plan.settings, rig, plan.output_settings), poses
+    )
 
 
 def check_size(rig: Rig, source: StereoSource) -> None:
@@ -245,142 +212,115 @@ def check_size(rig: Rig, source: StereoSource) -> None:
         )
 
 
-def _available(
-    save: Sequence[str], stream: RunContext, poses: Trajectory | None
-) -> tuple[str, ...]:
-    return available(
-        save,
-        rig=stream.rig is not None,
-        poses=poses is not None,
-        steering_format=stream.output.steering_format,
+def _sinks(job: _Job) -> Sinks:
+    """Return the folder for the results, or what is there without one; not yet entered."""
+    plan, source = job.plan, job.source
+    inputs = [*source.paths, *plan.rig, *([plan.poses] if plan.poses else []), *plan.reads]
+    if plan.table and not plan.to_stdout:
+        _check_free(plan.table, plan, inputs)
+    if plan.folder is None:
+        return Sinks()
+    return RunFolder(
+        *(plan.folder, job.save),
+        identity=_identity(job, inputs),
+        overwrite=plan.overwrite,
+        resume=plan.resume,
+        inputs=inputs,
     )
 
 
-def _resumed(
-    out: Path, identity: Callable[[], Mapping[str, Any]], sinks: Sequence[str]
-) -> Checkpoint | None:
-    """Return where the same run was ended in ``out``, None if it left nothing to go on from."""
-    since = read_checkpoint(out / CHECKPOINT)
-    if since is not None:
-        check_same(out, identity(), since.identity)
-        if set(since.sinks) != set(sinks):
-            raise OutputError(
-                f"{out} was begun with the outputs {', '.join(since.sinks)}: "
-                "give the same ones, or --overwrite to begin anew"
-            )
-    return since
-
-
-def _table_name(table: Path | BinaryIO | None) -> tuple[str, ...]:
-    return (str(table),) if isinstance(table, Path) else ()
-
-
-def _shown(save: Iterable[str]) -> tuple[str, ...]:
-    return tuple(shown for name in save for shown in (OUTPUTS[name].shown, *OUTPUTS[name].beside))
-
-
-def _check_free(table: Path, out: Path | None, *, overwrite: bool, inputs: Sequence[Path]) -> None:
+def _check_free(table: Path, plan: RunPlan, inputs: Sequence[Path]) -> None:
     """Make sure that a table is written over nothing that matters."""
     place = table.resolve()
     if place in {path.resolve() for path in inputs}:
         raise OutputError(f"{table} is an input of this run: give the table another name")
-    if out is not None and place.is_relative_to(out.resolve()):
+    if plan.folder is not None and place.is_relative_to(plan.folder.resolve()):
         raise OutputError(f"{table} is in the output folder: --save steering puts a table there")
-    if table.exists() and not overwrite:
+    ours = plan.resume and plan.folder is not None and (plan.folder / CHECKPOINT).exists()
+    if table.exists() and not plan.overwrite and not ours:
         raise OutputError(f"{table} is there already: give another name, or --overwrite")
 
 
-def _opened(
-    out: Path | None,
-    save: Sequence[str],
-    stream: RunContext,
-    table: Path | BinaryIO | None,
-    marks: Mapping[str, Any],
-) -> Iterator[tuple[str, Sink]]:
-    """Open the sinks, where there are ``marks`` to go on from them, and yield their names too."""
-    if isinstance(table, Path):
-        name = str(table)
-        file = SteeringFile(table, stream.output.steering_format, marks.get(name))
-        yield name, Threaded(file)
-    elif table is not None:
-        name = "the steering table"
-        yield name, SteeringStream(table, name, stream.output.steering_format)
-    if out is not None:
-        for name in save:
-            yield name, Threaded(OUTPUTS[name].open(out, stream, marks.get(name)))
+def _open(sinks: Sinks, job: _Job, stdout: BinaryIO | None) -> None:
+    """Open all outputs, from where a former process was ended."""
+    plan, table_format = job.plan, job.context.output.steering_format
+    if stdout is not None:
+        stream = SteeringStream(stdout, "the steering table", table_format)
+        sinks.add(_TABLE, lambda _: stream)
+    elif plan.table is not None:
+        path = plan.table
+        sinks.add(_TABLE, lambda since: Threaded(SteeringFile(path, table_format, since)))
+    if plan.folder is not None:
+        for name in job.save:
+            sinks.add(name, partial(_opened, name, plan.folder, job.context))
 
 
-@dataclasses.dataclass(slots=True)
-class _Totals:
-    frames: int = 0
-    charged: float = 0.0
-    matched: float = 0.0
-
-    def add(self, result: FrameResult) -> None:
-        self.frames += 1
-        self.charged += result.charged
-        self.matched += result.matched
+def _opened(name: str, folder: Path, context: RunContext, since: object) -> Threaded:
+    return Threaded(OUTPUTS[name].open(folder, context, since))
 
 
-def _write(
-    results: Iterable[FrameResult],
-    sinks: Mapping[str, Sink],
-    totals: _Totals,
-    checkpoint: Callable[[State], object],
-    checkpoint_frames: int,
-    progress: Callable[[], object],
-) -> None:
-    """Write the results to the sinks, and complete these."""
-    for result in results:
+def _write(sinks: Sinks, job: _Job, watcher: Watcher) -> None:
+    """Process the frames that are left, and complete the outputs."""
+    for result in _results(job, sinks, watcher):
         with finishing():
-            for sink in sinks.values():
-                sink.write(result)
-            totals.add(result)
-            if totals.frames % checkpoint_frames == 0:
-                assert result.state is not None
-                checkpoint(result.state)
-        progress()
-    if not totals.frames:
+            sinks.write(result)
+            due = sinks.totals.frames % job.context.output.checkpoint_frames == 0
+            if due and job.source.rereadable:
+                sinks.checkpoint()
+        watcher.progress()
+    if not sinks.totals.frames:
         raise InputError("the recordings have no frame in common: check that they are whole")
-    for sink in sinks.values():
-        sink.close()
+    sinks.close()
 
 
-def _end_early(sinks: Iterable[Sink], out: Path | None, frames: int, error: BaseException) -> None:
-    """Leave what was done in order, and say where it is."""
-    for sink in sinks:
-        with contextlib.suppress(OutputError):  # why the run ends matters more
-            sink.abandon(keep=frames > 0)
-    if out is not None and frames:
-        error.add_note(
-            f"what was done is in {out}: with --resume the same command goes on from the last "
-            "checkpoint"
+def _results(job: _Job, sinks: Sinks, watcher: Watcher) -> Iterator[FrameResult]:
+    """Yield the results that a former process did not give."""
+    plan, context = job.plan, job.context
+    frames: Iterable[StereoFrame] = job.source
+    if plan.with_check:
+        doffs = context.rig.doffs if context.rig is not None else 0.0
+        frames = watched(
+            job.source,
+            plan.settings.max_disparity,
+            lambda finding: watcher.say("warning", finding.text),
+            doffs=doffs,
         )
-    elif out is not None:
-        tidy(out)
+    frames = iter(frames)
+    for _ in itertools.islice(frames, sinks.totals.frames):
+        watcher.progress()
+    return process(
+        frames,
+        plan.settings,
+        context.rig,
+        None if job.poses is None else job.poses.of,
+        # They take time: only where they are asked for.
+        with_objects="objects" in job.save or job.poses is not None,
+        jobs=plan.jobs or (1 if plan.from_stdin else os.cpu_count()) or 1,
+        state=sinks.state,
+    )
 
 
-def _identity(
-    source: StereoSource,
-    stream: RunContext,
-    save: Sequence[str],
-    inputs: Iterable[Path],
-    poses: Trajectory | None,
-) -> dict[str, Any]:
+def _identity(job: _Job, inputs: Iterable[Path]) -> dict[str, Any]:
     """Return what ``run.json`` says of what the run is: its results follow from it."""
-    files = [path for path in inputs if path not in source.paths]
+    plan, source, context = job.plan, job.source, job.context
+    files = [path for path in inputs if path not in (*source.paths, *plan.reads)]
+    table = None
+    if plan.table and plan.folder and not plan.to_stdout:
+        # The same, however either is given.
+        table = os.path.relpath(plan.table.resolve(), plan.folder.resolve())
     return {
-        **head(save),
+        **head(job.save),
+        **({} if table is None else {"table": table}),
         "versions": versions(),
-        "settings": dataclasses.asdict(stream.settings),
+        "settings": dataclasses.asdict(plan.settings),
         "input_settings": dataclasses.asdict(source.settings),
-        "output_settings": dataclasses.asdict(stream.output),
+        "output_settings": dataclasses.asdict(context.output),
         "inputs": source.describe(),
         "files": [{"path": str(path), "sha256": sha256_of(path)} for path in files],
-        "rig": None if stream.rig is None else rig_values(stream.rig),
+        "rig": None if context.rig is None else rig_values(context.rig),
         "time_base": None if source.time_base is None else str(source.time_base),
         "grey": GREY,
-        **({"pose_settings": dataclasses.asdict(poses.settings)} if poses else {}),
+        **({"pose_settings": dataclasses.asdict(job.poses.settings)} if job.poses else {}),
     }
 
 
@@ -395,9 +335,24 @@ def versions() -> dict[str, str]:
     }
 
 
-def _results(source: StereoSource, report: RunReport) -> dict[str, Any]:
+def _report(job: _Job, totals: Totals, resumed: int, started_s: float) -> RunReport:
+    return RunReport(
+        frames=totals.frames,
+        resumed=resumed,
+        charged=totals.charged / max(totals.frames, 1),
+        matched=totals.matched / max(totals.frames, 1),
+        wall_s=time.perf_counter() - started_s,
+        outputs=_shown(job.save),
+        damage=tuple(job.source.damage),
+        interrupted=False,
+    )
+
+
+def _outcome(source: StereoSource, report: RunReport) -> dict[str, Any]:
     """Return what ``run.json`` says of what came of it; all but ``timing`` is repeatable."""
     return {
+        # What came through a pipe is known at its end.
+        **({} if source.rereadable else {"inputs": source.describe()}),
         "counts": {"written": report.frames, **source.counts},
         "shares": {"charged": report.charged, "matched": report.matched},
         "warnings": source.warnings,
@@ -422,3 +377,7 @@ def _report_of(record: Mapping[str, Any]) -> RunReport:
         damage=tuple(record["damage"]),
         interrupted=False,
     )
+
+
+def _shown(save: Iterable[str]) -> tuple[str, ...]:
+    return tuple(shown for name in save for shown in (OUTPUTS[name].shown, *OUTPUTS[name].beside))

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import difflib
 import functools
 import tomllib
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +14,7 @@ from click.shell_completion import CompletionItem
 from motionstereo_cli.commands.grouped import GROUPS, GroupedOption
 from motionstereo_cli.errors import InputError, SettingsError
 from motionstereo_cli.files.reading import read_bytes
-from motionstereo_cli.params import Param, params
+from motionstereo_cli.params import Param, near_match, params
 from motionstereo_cli.rig.settings import PoseSettings
 from motionstereo_cli.settings import PRESETS, Settings
 from motionstereo_cli.simulate.settings import DriveSettings
@@ -178,12 +177,6 @@ _preset_option = click.option(
     show_default=True,
     help="Values of the method's options that are not given.",
 )
-
-
-def near_match(name: str, known: Iterable[str]) -> str:
-    """Return `` (did you mean ...?)`` for a mistyped name, or nothing."""
-    matches = difflib.get_close_matches(name, list(known), n=1)
-    return f" (did you mean {matches[0]!r}?)" if matches else ""
 
 
 def _option(item: Param, group: str) -> Callable[[Callable[..., Any]], Callable[..., Any]]:

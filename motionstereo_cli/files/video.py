@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 
 from motionstereo_cli.errors import OutputError
-from motionstereo_cli.files.atomic import part_of, reported, segment_of, sync
+from motionstereo_cli.files.atomic import open_new, part_of, reported, segment_of, sync
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -93,6 +93,7 @@ class VideoWriter:
         self.last_pts = after
         self._spacing: int | None = None
         with _reported(path):
+            os.close(open_new(self._part))
             self._container = av.open(str(self._part), "w", **_container(path))
 
     def write(self, image: NDArray[np.uint8] | NDArray[np.uint16], pts: int) -> None:
@@ -131,21 +132,29 @@ class VideoWriter:
                 self._stream = None
                 self._container.close()
 
-    def close(self, *, keep: bool = True) -> None:
-        """Complete the file and give it its name; with ``keep=False``, remove it instead.
+    def close(self) -> None:
+        """Complete the file and give it its name.
+
+        Raises:
+            OutputError: the file cannot be written.
+        """
+        self.finish()
+        with _reported(self.path):
+            os.replace(self._part, self.path)
+
+    def abandon(self, *, keep: bool) -> None:
+        """Complete the file under its ``.part`` name or, without ``keep``, remove it.
 
         Raises:
             OutputError: the file cannot be written.
         """
         if keep:
             self.finish()
-            with _reported(self.path):
-                os.replace(self._part, self.path)
-        else:
-            with contextlib.suppress(OSError):  # what is left to write does not matter
-                self._container.close()
-            with _reported(self.path):
-                self._part.unlink(missing_ok=True)
+            return
+        with contextlib.suppress(OSError):  # what is left to write does not matter
+            self._container.close()
+        with _reported(self.path):
+            self._part.unlink(missing_ok=True)
 
     def _mux(self, frame: av.VideoFrame | None) -> None:
         for packet in self._stream.encode(frame):
@@ -248,10 +257,7 @@ class SegmentedVideo:
     def abandon(self, *, keep: bool) -> None:
         """Complete the last segment or, without ``keep``, remove all."""
         if self._writer is not None:
-            if keep:
-                self._writer.finish()
-            else:
-                self._writer.close(keep=False)
+            self._writer.abandon(keep=keep)
         if not keep:
             for segment in self._segments():
                 segment.unlink(missing_ok=True)
@@ -267,6 +273,7 @@ def join(segments: Sequence[Path], path: Path) -> None:
         OutputError: the file cannot be written, or a segment cannot be read.
     """
     with _reported(path):
+        os.close(open_new(part_of(path)))
         with av.open(str(part_of(path)), "w", **_container(path)) as joined:
             stream: Any = None
             for segment in segments:

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
-import json
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,8 +13,8 @@ import cv2
 import numpy as np
 
 from motionstereo_cli import __version__
-from motionstereo_cli.errors import OutputError
-from motionstereo_cli.files.atomic import part_of, reported, write_whole
+from motionstereo_cli.batch.folder import FolderKind, RunFolder
+from motionstereo_cli.files.atomic import write_whole
 from motionstereo_cli.files.images import encode_png
 from motionstereo_cli.files.video import VideoWriter
 from motionstereo_cli.pipeline import process
@@ -39,14 +37,13 @@ if TYPE_CHECKING:
 #: Matroska counts whole milliseconds.
 _TIME_BASE = Fraction(1, 1000)
 
-#: What a drive writes, in the order in which it is removed: the record goes last, for it tells
-#: whose the rest is.
+#: What a drive writes; the record is the last.
 RECORD = "drive.json"
 OUTPUTS = (
     *("left.mkv", "right.mkv", "rig.yaml", "steering.csv", "poses.txt", "plan.png"),
     *("map.ply", "map.png", "map.yaml", "drive.mp4", RECORD),
 )
-_PROGRAM = "motionstereo drive"
+_KIND = FolderKind("motionstereo drive", RECORD, {name: (name,) for name in OUTPUTS})
 
 
 def drive(
@@ -56,6 +53,7 @@ def drive(
     *,
     view: bool = False,
     overwrite: bool = False,
+    inputs: Iterable[Path] = (),
     progress: Callable[[], object] = lambda: None,
 ) -> dict[str, Any]:
     """Let the robot drive until it ends, write what happened, and return the record.
@@ -72,6 +70,7 @@ def drive(
         settings: parameters of the processing; the defaults for this robot if None.
         view: write drive.mp4.
         overwrite: replace a former drive in ``out``; other files are never touched.
+        inputs: files that must not be written to.
         progress: called after each frame.
 
     Raises:
@@ -79,23 +78,20 @@ def drive(
     """
     settings = settings or Settings(robot_radius_m=ROBOT_RADIUS_M)
     rig = world.settings.rig
-    _prepare(out, overwrite=overwrite)
     plan = Plan(world)
     context = RunContext(_TIME_BASE, settings, rig)
-    surroundings = MapFiles(out / "map.ply", context)
-    steering: SteeringFile | None = None
-    videos: list[VideoWriter] = []
     poses = [HEAD]
-    try:
-        for name in ("left.mkv", "right.mkv", *(("drive.mp4",) if view else ())):
-            videos.append(VideoWriter(out / name, _TIME_BASE))
-        steering = SteeringFile(out / "steering.csv")
+    with RunFolder(out, OUTPUTS, _KIND, overwrite=overwrite, inputs=inputs) as folder:
+        names = ("left.mkv", "right.mkv", *(("drive.mp4",) if view else ()))
+        videos = [folder.own(VideoWriter(out / name, _TIME_BASE)) for name in names]
+        surroundings = MapFiles(out / "map.ply", context)
+        folder.add("map", lambda _: surroundings)
+        folder.add("steering", lambda _: SteeringFile(out / "steering.csv"))
         for result in driven(world, settings):
             frame = result.frame
             assert result.pose is not None
             poses.append(format_pose(frame.pts * float(_TIME_BASE), result.pose))
-            steering.write(result)
-            surroundings.write(result)
+            folder.write(result)
             plan.add_walkers()
             images = [frame.left, frame.right]
             if view:
@@ -105,25 +101,13 @@ def drive(
                 video.write(image, frame.pts)
             world.act_on(result.steering)
             progress()
-        steering.close()
-        for video in videos:
-            video.close()
-        surroundings.close()
+        folder.close()
         write_rig(out / "rig.yaml", rig)
         write_whole(out / "poses.txt", "".join(poses).encode())
         picture = plan.draw(surroundings.mapper.floor())
         write_whole(out / "plan.png", encode_png(plan_sheet(picture)[..., ::-1]))
         record = _record(world, settings)
-        write_whole(out / RECORD, json.dumps(record, indent=2).encode() + b"\n")
-    except BaseException:
-        if steering is not None:
-            steering.abandon(keep=False)
-        for video in videos:
-            with contextlib.suppress(OutputError):
-                video.close(keep=False)
-        with contextlib.suppress(OSError):
-            _remove(out)
-        raise
+        folder.complete(record)
     return record
 
 
@@ -150,7 +134,7 @@ def _record(world: DriveWorld, settings: Settings) -> dict[str, Any]:
     touched = (world.ended or "").startswith("touched")
     collision = {"frame": world.frames, "x_m": world.robot.x_m, "y_m": world.robot.y_m}
     return {
-        "program": _PROGRAM,
+        "program": _KIND.program,
         "version": __version__,
         "settings": dataclasses.asdict(settings),
         "world": {
@@ -184,32 +168,3 @@ def _view(result: FrameResult, plan: NDArray[np.uint8], context: RunContext) -> 
     reference = context.settings.reference.capitalize()
     titles = (f"{reference} view, heading", "Charge", "Depth", "Plan: path blue, seen black")
     return framed(panels, titles, result, context)
-
-
-def _prepare(out: Path, *, overwrite: bool) -> None:
-    """Make an empty ``out``, or one in which none of the outputs exists."""
-    with reported(out):
-        out.mkdir(parents=True, exist_ok=True)
-        if any(out.iterdir()) and not overwrite:
-            raise OutputError(f"{out} is not empty: give another folder, or --overwrite")
-        if _is_former(out / RECORD):
-            _remove(out)
-        for name in OUTPUTS:
-            if (out / name).exists():
-                raise OutputError(
-                    f"{out / name} is in the way and no {RECORD} says that a drive wrote it: "
-                    "move it or give another folder"
-                )
-
-
-def _is_former(record: Path) -> bool:
-    try:
-        return bool(json.loads(record.read_bytes())["program"] == _PROGRAM)
-    except (OSError, ValueError, LookupError, TypeError):
-        return False
-
-
-def _remove(out: Path) -> None:
-    for name in OUTPUTS:
-        (out / name).unlink(missing_ok=True)
-        part_of(out / name).unlink(missing_ok=True)

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import contextlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
 from fractions import Fraction
 from pathlib import Path
+from typing import Any
 
-from motionstereo_cli.errors import OutputError
-from motionstereo_cli.files.atomic import reported, write_whole
+from motionstereo_cli.batch.folder import FolderKind, RunFolder
+from motionstereo_cli.files.atomic import make_folder, write_whole
 from motionstereo_cli.files.images import encode_png
 from motionstereo_cli.files.video import VideoWriter
 from motionstereo_cli.rig import write_rig
@@ -23,6 +23,7 @@ def simulate(
     settings: SimulateSettings,
     *,
     overwrite: bool = False,
+    inputs: Iterable[Path] = (),
     progress: Callable[[], object] = lambda: None,
 ) -> None:
     """Render a recording into a folder; the same settings give the same bytes.
@@ -43,75 +44,63 @@ def simulate(
         out: the folder, made if need be.
         settings: what to render.
         overwrite: replace a former simulation in ``out``; other files are never touched.
+        inputs: files that must not be written to.
         progress: called after each frame.
 
     Raises:
         OutputError: ``out`` is not empty, or cannot be written.
     """
     suffix = "mkv" if settings.lossless else "mp4"
-    sides = [out / f"left.{suffix}", out / f"right.{suffix}"]
-    truths = _disparities(out, len(settings.frame_range))
-    targets = [*sides, *truths, out / "rig.yaml", out / "poses.txt"]
-    _prepare(out, targets, overwrite=overwrite)
     time_base = 1 / Fraction(settings.frame_rate).limit_denominator(1001)
-    videos: list[VideoWriter] = []
-    poses = [HEAD]
-    try:
-        for path in sides:
-            videos.append(VideoWriter(path, time_base, quality=settings.crf))
+    poses = []
+    with RunFolder(
+        *(out, tuple(_KIND.outputs), _KIND),
+        frames=len(settings.frame_range),
+        overwrite=overwrite,
+        inputs=inputs,
+    ) as folder:
+        make_folder(out / "disparity")
+        videos = [
+            folder.own(VideoWriter(out / f"{side}.{suffix}", time_base, quality=settings.crf))
+            for side in ("left", "right")
+        ]
         for number, shot in enumerate(render_scene(settings)):
             for video, image in zip(videos, (shot.left, shot.right), strict=True):
                 video.write(image, number)
-            write_whole(truths[number], encode_png(disparity_png(shot.disparity_px)))
+            truth = out / _DISPARITY.format(number)
+            write_whole(truth, encode_png(disparity_png(shot.disparity_px)))
             poses.append(format_pose(number / settings.frame_rate, shot.pose.rig_pose))
             progress()
-        for video in videos:
-            video.close()
+        folder.close()
         write_rig(out / "rig.yaml", settings.rig)
-        write_whole(out / "poses.txt", "".join(poses).encode())
-    except BaseException:
-        for video in videos:
-            with contextlib.suppress(OutputError):
-                video.close(keep=False)
-        with contextlib.suppress(OSError):
-            _remove(out, targets)
-        raise
+        folder.complete({"poses": poses})
 
 
-def _disparities(out: Path, count: int) -> list[Path]:
-    return [out / "disparity" / f"{number:06d}.png" for number in range(count)]
+_DISPARITY = "disparity/{:06d}.png"
 
 
-def _prepare(out: Path, targets: list[Path], *, overwrite: bool) -> None:
-    """Make an empty ``out``, or one in which none of ``targets`` exists."""
-    with reported(out):
-        out.mkdir(parents=True, exist_ok=True)
-        if any(out.iterdir()):
-            if not overwrite:
-                raise OutputError(f"{out} is not empty: give another folder, or --overwrite")
-            _remove(out, _former(out))
-        (out / "disparity").mkdir(exist_ok=True)
-    for path in targets:
-        if path.exists():
-            raise OutputError(
-                f"{path} is in the way and no poses.txt says that a simulation wrote it: "
-                "move it or give another folder"
-            )
+def _format(record: Mapping[str, Any]) -> bytes:
+    return "".join([HEAD, *record.get("poses", [])]).encode()
 
 
-def _former(out: Path) -> list[Path]:
-    """Return what a former simulation wrote: as many images as its poses.txt has poses."""
-    poses = out / "poses.txt"
-    if not poses.is_file() or not poses.read_bytes().startswith(HEAD.encode()):
-        return []
-    videos = [out / f"{side}.{suffix}" for side in ("left", "right") for suffix in ("mp4", "mkv")]
-    images = _disparities(out, len(poses.read_bytes().splitlines()) - 1)
-    # The poses go last: until then the rest can still be told from other files.
-    return [*videos, *images, out / "rig.yaml", poses]
+def _parse(content: bytes) -> dict[str, Any]:
+    if not content.startswith(HEAD.encode()):
+        raise ValueError("not from a simulation")
+    poses = len(content.splitlines()) - 1
+    return {"program": _KIND.program, **({"counts": {"written": poses}} if poses else {})}
 
 
-def _remove(out: Path, paths: list[Path]) -> None:
-    for path in paths:
-        path.unlink(missing_ok=True)
-    with contextlib.suppress(OSError):  # other files are in it
-        (out / "disparity").rmdir()
+#: The poses are the record: they are written last, and there are as many as images.
+_KIND = FolderKind(
+    program="motionstereo simulate",
+    record="poses.txt",
+    outputs={
+        name: (name,)
+        for name in (
+            *("left.mp4", "right.mp4", "left.mkv", "right.mkv", "rig.yaml"),
+            _DISPARITY,
+        )
+    },
+    format=_format,
+    parse=_parse,
+)

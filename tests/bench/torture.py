@@ -30,11 +30,10 @@ from bench.children import Ended, call, fork, warm_up
 from bench.clips import Clip, rendered, repeated
 from bench.damage import DAMAGES, encoded, seen_in_image, seen_in_video
 from bench.markdown import table
-from motionstereo_cli.batch.run import run
-from motionstereo_cli.settings import Settings
+from motionstereo_cli.batch.plan import RunPlan
+from motionstereo_cli.batch.run import Watcher, run
 from motionstereo_cli.simulate.settings import SimulateSettings
 from motionstereo_cli.sinks import OUTPUTS
-from motionstereo_cli.sources import open_stereo
 
 #: A child that runs for so long hangs, whatever else the machine does.
 _PATIENCE_S = 60.0
@@ -522,9 +521,9 @@ def _watched(short: Clip, longer: Clip, folder: Path) -> dict[str, int]:
 
 
 def _steered(clip: Clip, out: Path, progress: Callable[[], object]) -> int:
-    with open_stereo(*clip.paths) as source:
-        report = run(source, out, Settings(), clip.rig, save=("steering",), progress=progress)
-    return report.frames
+    left, right = map(str, clip.paths)
+    plan = RunPlan(left, right, out, rig=(clip.rig_file,), save=("steering",))
+    return run(plan, Watcher(progress=progress)).frames
 
 
 # All of it.

@@ -1,0 +1,120 @@
+"""What a run is to do, as plain data."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from motionstereo_cli.errors import SettingsError
+from motionstereo_cli.params import near_match
+from motionstereo_cli.rig.settings import PoseSettings
+from motionstereo_cli.settings import Settings
+from motionstereo_cli.sinks import DEFAULT_OUTPUTS, OUTPUTS
+from motionstereo_cli.sinks.settings import OutputSettings
+from motionstereo_cli.sources.settings import InputSettings
+
+#: Names of standard input and output. Files of that name are ``./-``.
+_STANDARD = "-"
+
+
+@dataclass(frozen=True, slots=True)
+class RunPlan:
+    """All that a run follows from: paths and options, which can go to another process.
+
+    Attributes:
+        left: a video file, a folder of images, a pattern of images, or ``-`` for standard input.
+        right: the like; None where ``left`` holds both views.
+        out: folder for the results; ``-`` writes only the steering table, to standard output.
+        rig: calibration files, in any format that ``--rig`` takes; none: no lengths, no angles.
+        baseline_unit: unit of length in the calibration, ``m``, ``cm`` or ``mm``; None = the
+            format's.
+        poses: where the rig was; needs ``rig``.
+        pose_settings: how to understand the poses.
+        save: names of the outputs in ``out``, from :data:`~motionstereo_cli.sinks.OUTPUTS`.
+        table: a further place for the steering table; ``-`` is standard output, row by row.
+        overwrite: replace the results of a former run in ``out``, and a file ``table``.
+        resume: go on where the same run was ended in ``out``, or begin if it has not yet.
+        jobs: frames matched at a time; results do not depend on it. None: the number of cores,
+            1 with standard input.
+        with_check: look for mistakes in the first frames.
+        settings, input_settings, output_settings: parameters of processing, input and output.
+        reads: further files that were read for the plan, and must not be written to.
+
+    Raises:
+        SettingsError: two of the options contradict each other, or an output has no such name.
+    """
+
+    left: str
+    right: str | None = None
+    out: Path = Path("motionstereo_out")
+    rig: tuple[Path, ...] = ()
+    baseline_unit: str | None = None
+    poses: Path | None = None
+    pose_settings: PoseSettings = field(default_factory=PoseSettings)
+    save: tuple[str, ...] = ()
+    table: Path | None = None
+    overwrite: bool = False
+    resume: bool = False
+    jobs: int | None = None
+    with_check: bool = True
+    settings: Settings = field(default_factory=Settings)
+    input_settings: InputSettings = field(default_factory=InputSettings)
+    output_settings: OutputSettings = field(default_factory=OutputSettings)
+    reads: tuple[Path, ...] = ()
+
+    def __post_init__(self) -> None:
+        in_metres = self.output_settings.near_m or self.output_settings.far_m
+        no_metres = "need --rig: without it nothing is in metres"
+        clashes = {
+            "-o - writes the steering table alone: leave --save and --csv out": (
+                self.folder is None and (self.save or self.table)
+            ),
+            "--resume goes on, --overwrite begins anew: give one of them": (
+                self.resume and self.overwrite
+            ),
+            "--resume cannot go on with a table on standard output: give a file": (
+                self.resume and self.to_stdout
+            ),
+            "--resume cannot read standard input again: give files": (
+                self.resume and self.from_stdin
+            ),
+            f"--poses {no_metres}": self.poses and not self.rig,
+            f"--near-m and --far-m {no_metres}": in_metres and not self.rig,
+            f"--jobs cannot be {self.jobs}: give 1 or more": (
+                self.jobs is not None and self.jobs < 1
+            ),
+        }
+        for message, given in clashes.items():
+            if given:
+                raise SettingsError(message)
+        for name in self.save:
+            if name not in OUTPUTS:
+                advice = near_match(name, OUTPUTS) or f": choose from {', '.join(OUTPUTS)}"
+                raise SettingsError(f"--save knows no {name!r}{advice}")
+
+    @property
+    def folder(self) -> Path | None:
+        """The output folder; None where there is only a table on standard output."""
+        return None if str(self.out) == _STANDARD else self.out
+
+    @property
+    def outputs(self) -> tuple[str, ...]:
+        """The outputs to write into the folder."""
+        return () if self.folder is None else self.save or DEFAULT_OUTPUTS
+
+    @property
+    def to_stdout(self) -> bool:
+        """Whether the steering table goes to standard output."""
+        return self.folder is None or str(self.table) == _STANDARD
+
+    @property
+    def from_stdin(self) -> bool:
+        """Whether a recording comes from standard input."""
+        return _STANDARD in (self.left, self.right)
+
+    @property
+    def options(self) -> list[str]:
+        """The options that are neither parameters nor outputs, as a command line has them."""
+        words = [word for path in self.rig for word in ("--rig", str(path))]
+        words += ["--poses", str(self.poses)] if self.poses else []
+        return words + (["--baseline-unit", self.baseline_unit] if self.baseline_unit else [])

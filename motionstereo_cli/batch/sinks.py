@@ -1,0 +1,109 @@
+"""The open outputs of a command, as one."""
+
+from __future__ import annotations
+
+import contextlib
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Protocol, Self, TypeVar
+
+from motionstereo_cli.batch.totals import Totals
+from motionstereo_cli.errors import OutputError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from motionstereo_cli.pipeline import State
+    from motionstereo_cli.sinks import Sink
+    from motionstereo_cli.types import FrameResult
+
+
+class Ends(Protocol):
+    """An output that ends in one of two ways, see :class:`~motionstereo_cli.sinks.Sink`."""
+
+    def close(self) -> None:
+        """Complete the output and give it its final name."""
+
+    def abandon(self, *, keep: bool) -> None:
+        """End early, and keep what was done or remove it."""
+
+
+_Output = TypeVar("_Output", bound=Ends)
+
+
+class Sinks:
+    """Outputs that are completed together or, when the block ends before that, abandoned.
+
+    Attributes:
+        state: all that is kept from frame to frame, None before the first.
+        totals: sums over the frames so far; at first those that a former process did.
+        finished: what a former process said of itself that did all there is to do; None: none.
+    """
+
+    def __init__(self) -> None:
+        self.state: State | None = None
+        self.totals = Totals()
+        self.finished: Mapping[str, Any] | None = None
+        self._marks: Mapping[str, Any] = {}
+        self._sinks: dict[str, Sink] = {}
+        self._others: list[Ends] = []
+        self._keep = False
+        self._complete = False
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        if not self._complete:
+            for sink in (*self._sinks.values(), *self._others):
+                with contextlib.suppress(OutputError):  # why the block ends matters more
+                    sink.abandon(keep=self._keep)
+
+    def add(self, name: str, opened: Callable[[Any], Sink]) -> None:
+        """Open an output that gets the result of each frame.
+
+        Args:
+            name: what to call it.
+            opened: makes it from the checkpoint that it goes on from; None: from nothing.
+        """
+        self._sinks[name] = opened(self._marks.get(name))
+
+    def own(self, output: _Output) -> _Output:
+        """Take an output that is written otherwise, and return it."""
+        self._others.append(output)
+        return output
+
+    def write(self, result: FrameResult) -> None:
+        """Hand the result of a frame to the outputs.
+
+        Raises:
+            OutputError: it cannot be written.
+        """
+        for sink in self._sinks.values():
+            sink.write(result)
+        self.state, self.totals = result.state, self.totals.plus(result)
+        self._keep = True
+
+    def checkpoint(self) -> None:
+        """Do nothing: without a folder there is nothing to go on from."""
+
+    def close(self) -> None:
+        """Complete the outputs.
+
+        Raises:
+            OutputError: one cannot be completed.
+        """
+        for sink in (*self._sinks.values(), *self._others):
+            sink.close()
+
+    def complete(self, record: Mapping[str, Any]) -> None:
+        """Say that all is done.
+
+        Args:
+            record: what to say of it.
+        """
+        self._complete = True

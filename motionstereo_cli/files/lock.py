@@ -1,0 +1,76 @@
+"""A folder that one process at a time writes to."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import warnings
+from collections.abc import Iterator
+from pathlib import Path
+
+from motionstereo_cli.errors import BusyError
+from motionstereo_cli.files.atomic import reported
+
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None  # type: ignore[assignment]
+
+#: The file that is locked where folders cannot be.
+LOCK = "run.lock"
+
+
+@contextlib.contextmanager
+def locked(folder: Path) -> Iterator[None]:
+    """Make a folder, and keep other processes out of it until the block is done.
+
+    The lock ends with its process, however that ends. On disks without locks there is none.
+
+    Raises:
+        BusyError: another process is writing there.
+        OutputError: the folder cannot be made.
+    """
+    with reported(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+    with _folder_lock(folder) if fcntl else _file_lock(folder):
+        yield
+
+
+def _busy(folder: Path) -> BusyError:
+    return BusyError(
+        f"{folder} is being written by another run: wait for it, or give another folder"
+    )
+
+
+@contextlib.contextmanager
+def _folder_lock(folder: Path) -> Iterator[None]:
+    with reported(folder):
+        handle = os.open(folder, os.O_RDONLY)
+    try:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise _busy(folder) from None
+        except OSError:
+            pass  # a network disk without locks
+        yield
+    finally:
+        os.close(handle)
+
+
+@contextlib.contextmanager
+def _file_lock(folder: Path) -> Iterator[None]:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # that there is no fcntl is known
+        import filelock  # where it is needed: it takes a tenth of a second to load
+
+    lock = filelock.FileLock(folder / LOCK)
+    with reported(folder):
+        try:
+            lock.acquire(blocking=False)
+        except filelock.Timeout:
+            raise _busy(folder) from None
+    try:
+        yield
+    finally:
+        lock.release()  # which removes its file
