@@ -11,6 +11,7 @@ import pytest
 from click.testing import CliRunner
 
 from bench import drive as bench
+from motionstereo_cli.__main__ import main
 from motionstereo_cli.commands import cli
 from motionstereo_cli.errors import MotionStereoError, SettingsError
 from motionstereo_cli.settings import Settings
@@ -276,13 +277,11 @@ def test_poses_that_do_not_fit_are_named_and_nothing_is_whole(drive_out, tmp_pat
     assert not out.exists()
 
 
-def test_poses_need_a_rig(drive_out, tmp_path):
+def test_poses_need_a_rig(drive_out, tmp_path, capsys):
     recordings = (drive_out / "left.mkv", drive_out / "right.mkv")
-    done = motionstereo(
-        "run", *recordings, "--poses", drive_out / "poses.txt", "-o", tmp_path / "o"
-    )
-    assert done.exit_code == 2
-    assert "--poses need --rig" in done.stderr
+    given = ("--poses", drive_out / "poses.txt", "-o", tmp_path / "o")
+    assert main(["run", *map(str, (*recordings, *given))]) == 2
+    assert "--poses need --rig" in capsys.readouterr().err
 
 
 def test_only_a_former_drive_is_replaced(drive_out, tmp_path):
