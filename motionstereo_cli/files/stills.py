@@ -106,7 +106,7 @@ def read_still(path: Path, max_pixels: int = MAX_PIXELS) -> Still:
     if path.suffix.lower() == ".pfm":
         pixels, pages = _pfm(content, path, max_pixels), 1
     else:
-        pixels, pages = _decoded(content, path, max_pixels)
+        pixels, pages = decode(content, path, max_pixels)
     return Still(pixels, pages, len(content), hashlib.sha256(content).digest())
 
 
@@ -143,7 +143,18 @@ def pixel_format(pixels: NDArray[Any]) -> str:
     return f"{channels[count]} {bits} bit"
 
 
-def _decoded(content: bytes, path: Path, max_pixels: int) -> tuple[NDArray[Any], int]:
+def decode(content: bytes, path: Path, max_pixels: int = MAX_PIXELS) -> tuple[NDArray[Any], int]:
+    """Return the pixels of an encoded image, as :class:`Still` has them, and its pages.
+
+    Args:
+        content: PNG, JPEG, TIFF, BMP, PPM or WebP.
+        path: what to call it in messages.
+        max_pixels: largest width times height.
+
+    Raises:
+        DamagedImageError: it cannot be read, or is of another format.
+        InputError: it is too large, or has pixels of a kind that says nothing of grey levels.
+    """
     try:
         with Pillow.open(io.BytesIO(content), formats=_FORMATS) as image:
             if image.width * image.height > max_pixels:
