@@ -18,6 +18,8 @@ from motionstereo_cli.errors import InputError
 from motionstereo_cli.files.reading import MAX_PIXELS
 from motionstereo_cli.rig.cameras import Pair, checked_intrinsics
 from motionstereo_cli.rig.formats import read_files
+from motionstereo_cli.rig.slam import read_ros
+from motionstereo_cli.rig.structure import read_structure
 from motionstereo_cli.types import Rig
 
 if TYPE_CHECKING:
@@ -139,6 +141,16 @@ def read_calibration(
     read = read_files(paths, size, pair)
     if isinstance(read, Rig):
         return _of_rig(read, name, size, baseline_unit, max_pixels)
+    return _of_pair(read, name, size, baseline_unit, max_pixels)
+
+
+def _of_pair(
+    read: Pair,
+    name: str,
+    size: tuple[int, int] | None,
+    baseline_unit: str | None,
+    max_pixels: int,
+) -> Calibration:
     stated, size = read.size, _agreed_size(name, read.size, size, max_pixels)
     cameras = read.cameras
     if cameras is not None:
@@ -196,9 +208,14 @@ def rectify_source(
     Raises:
         InputError: as in :func:`read_calibration`.
     """
+    size = (source.view_width, source.view_height)
+    if not paths and source.camera_infos:
+        calibration = _recorded(source, size, baseline_unit)
+        if calibration.maps is not None:
+            source.rectify(*calibration.rectifiers())
+        return calibration
     if not paths:
         return None
-    size = (source.view_width, source.view_height)
     numbers = [re.findall(r"image_0?(\d)", str(path)) for path in source.paths]
     pair = (
         (int(numbers[0][-1]), int(numbers[1][-1])) if len(numbers) == 2 and all(numbers) else None
@@ -213,6 +230,18 @@ def rectify_source(
     if calibration.maps is not None:
         source.rectify(*calibration.rectifiers())
     return calibration
+
+
+def _recorded(
+    source: StereoSource, size: tuple[int, int], baseline_unit: str | None
+) -> Calibration:
+    """Return the calibration that was recorded beside the images of a source."""
+    files = [(Path(name), read_structure(Path(name), text)) for name, text in source.camera_infos]
+    pair = read_ros(files)
+    if source.rectified:
+        pair = dataclasses.replace(pair, cameras=None)
+    name = files[0][0].as_posix()
+    return _of_pair(pair, name, size, baseline_unit, source.settings.max_pixels)
 
 
 def _of_rig(

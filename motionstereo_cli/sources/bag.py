@@ -178,13 +178,9 @@ class BagRecording(Recording):
             rate = self._about.rate
             self.frame_rate = None if rate is None else Fraction(rate).limit_denominator(1001)
             self.camera_info = _camera_info(self._reader, topic)
+            self.rectified = "rect" in topic
             self._start(self._images_of(), f"{path} {topic}")
             self._opened = opened.pop_all()
-
-    @property
-    def rectified(self) -> bool:
-        """Whether the name of the topic says that its images are rectified."""
-        return "rect" in self._topic.rsplit("/", 1)[-1] or "_rect" in self._topic
 
     def close(self) -> None:
         """Close the bag."""
@@ -194,6 +190,11 @@ class BagRecording(Recording):
     def lost(self) -> int:
         """Messages that could not be decoded so far, and those behind a damaged place."""
         return self._lost
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """The bag."""
+        return (self._path,)
 
     @property
     def damage(self) -> list[str]:
@@ -389,11 +390,11 @@ def _camera_info(reader: AnyReader, topic: str) -> str | None:
             info = _first(reader, about.connections)
             if info is None:
                 return None
-            # ROS 1 writes these in capitals, ROS 2 does not.
-            fields = {
-                key: getattr(info, key if hasattr(info, key) else key.upper()) for key in "dkrp"
+            # ROS 1 writes the names of these in capitals, ROS 2 does not.
+            numbers = {
+                key: [float(value) for value in getattr(info, key, getattr(info, key.upper(), ()))]
+                for key in "dkrp"
             }
-            numbers = {key: [float(value) for value in field] for key, field in fields.items()}
             about_lens = {"distortion_model": info.distortion_model} if any(numbers["d"]) else {}
             return json.dumps({"width": info.width, "height": info.height, **about_lens, **numbers})
     return None

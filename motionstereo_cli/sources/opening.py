@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import glob
 import re
+from collections.abc import Sequence
 from pathlib import Path
 
 from motionstereo_cli.errors import InputError, SettingsError
+from motionstereo_cli.sources.bag import BagRecording, is_bag, stereo_topics
 from motionstereo_cli.sources.folder import FolderRecording
 from motionstereo_cli.sources.pipe import Pipe
 from motionstereo_cli.sources.recording import Recording
@@ -54,7 +56,7 @@ def named(left: str | Path, right: str | Path | None, settings: InputSettings) -
             raise SettingsError(f"--layout {layout} takes one recording: leave {right} out")
         return names * 2 if layout == "tracks" else names
     if right is None:
-        return _both_in(names[0])
+        return names * 2 if is_bag(Path(names[0])) else _both_in(names[0])
     one, other = (Path(name) for name in names)
     same = names[0] == names[1] or (one.exists() and other.exists() and one.samefile(other))
     if same:
@@ -65,18 +67,37 @@ def named(left: str | Path, right: str | Path | None, settings: InputSettings) -
     return names
 
 
-def open_recording(name: str, settings: InputSettings, track: int = 0) -> Recording:
+def topics_of(names: Sequence[str], settings: InputSettings) -> tuple[str, str]:
+    """Return the topics of the left and the right camera, empty where there is no bag.
+
+    Raises:
+        InputError: they are not to be found in the bag.
+        SettingsError: topics were given, and there is no bag or it does not have them.
+    """
+    if is_bag(Path(names[0])):
+        return stereo_topics(Path(names[0]), settings.topics)
+    if settings.topics:
+        raise SettingsError(f"--topics are those of a ROS bag, and {names[0]} is none")
+    return "", ""
+
+
+def open_recording(
+    name: str, settings: InputSettings, track: int = 0, topic: str = ""
+) -> Recording:
     """Open a recording.
 
     Args:
         name: of a file, folder, pattern, FIFO or address, or that of standard input.
         settings: what to make of it.
         track: which video track of it, from 1; 0 = the first.
+        topic: which topic of it, where it is a ROS bag.
 
     Raises:
         InputError: it cannot be decoded or has no images.
     """
     path = Path(name)
+    if topic:
+        return BagRecording(path, topic, max_pixels=settings.max_pixels)
     if not (name == STDIN or is_address(name)) and (path.is_dir() or not path.exists()):
         files = None if path.is_dir() else _files(name)
         return FolderRecording(

@@ -46,6 +46,9 @@ class Recording(ABC):
         names: the images' names without suffix by their place, where they are files.
         rereadable: another process can read the same again.
         warnings: what looks wrong before anything is lost, one line each.
+        camera_info: calibration that lies beside the images, the fields of
+            ``sensor_msgs/CameraInfo`` as JSON; None where there is none.
+        rectified: that calibration is of images that are rectified already.
         holes: the one of these that says that images are missing, empty if none does.
     """
 
@@ -62,6 +65,8 @@ class Recording(ABC):
     names: Sequence[str] = ()
     rereadable: bool = True
     warnings: tuple[str, ...] = ()
+    camera_info: str | None = None
+    rectified: bool = False
     holes: str = ""
 
     def __iter__(self) -> Iterator[Image]:

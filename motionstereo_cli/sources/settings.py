@@ -56,6 +56,11 @@ class InputSettings:
         "Video track to use where a file has several, from 1; LEFT,RIGHT for those of the two "
         "views (none given: the first, with --layout tracks 1,2).",
     )
+    topics: str = param(
+        "",
+        "Topics of the left and the right camera in a ROS bag, as LEFT,RIGHT (none given: found by "
+        "name).",
+    )
     swap: bool = param(False, "Exchange the left and the right view, for cross-eyed recordings.")
     sync_offset: int = param(
         0,

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from motionstereo_cli.errors import InputError, SettingsError
 from motionstereo_cli.sources import layout
-from motionstereo_cli.sources.opening import named, open_recording
+from motionstereo_cli.sources.opening import named, open_recording, topics_of
 from motionstereo_cli.sources.pairing import pair
 from motionstereo_cli.sources.prefetch import prefetch
 from motionstereo_cli.sources.recording import Recording, images
@@ -222,6 +222,18 @@ class StereoSource:
             for name, stream in zip(names, streams, strict=True)
         }
 
+    @property
+    def camera_infos(self) -> tuple[tuple[str, str], ...]:
+        """Name and calibration of the left and the right recording, none where one lacks it."""
+        found = [(side.stream.name, side.stream.camera_info) for side in self._sides]
+        given = tuple((name, info) for name, info in found if info is not None)
+        return given if len(given) == len(found) else ()
+
+    @property
+    def rectified(self) -> bool:
+        """Whether that calibration is of images that are rectified already."""
+        return all(side.stream.rectified for side in self._sides)
+
     def count(self) -> None:
         """Put the true numbers of images in the place of estimates; may read all of the files."""
         for stream in self._streams:
@@ -373,8 +385,8 @@ def open_stereo(
 
     Args:
         left: a video file, a folder of images, a glob pattern of images, or ``-`` for standard
-            input; without ``right`` also a KITTI or EuRoC folder. With ``allow_network`` in the
-            settings also an address.
+            input; without ``right`` also a KITTI or EuRoC folder, or a ROS bag. With
+            ``allow_network`` in the settings also an address.
         right: the like; None where ``left`` has both views.
         settings: how the views lie, which images belong together, and what to use of them.
 
@@ -385,10 +397,11 @@ def open_stereo(
     """
     settings = settings or InputSettings()
     names = named(left, right, settings)
+    topics = topics_of(names, settings)
     with ExitStack() as opened:
         streams = [
-            opened.enter_context(closing(open_recording(name, settings, track)))
-            for name, track in zip(names, settings.tracks, strict=False)
+            opened.enter_context(closing(open_recording(name, settings, track, topic)))
+            for name, track, topic in zip(names, settings.tracks, topics, strict=False)
         ]
         if settings.frame_rate and not any(each.timeless for each in streams):
             raise SettingsError(

@@ -1,0 +1,270 @@
+"""ROS bags: found, read and paired as the images that were put into them."""
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from bags import Bag
+
+from motionstereo_cli.__main__ import main
+from motionstereo_cli.errors import InputError, SettingsError
+from motionstereo_cli.rig.calibration import rectify_source
+from motionstereo_cli.sources import open_stereo
+from motionstereo_cli.sources.bag import BagRecording, is_bag, stereo_topics
+from motionstereo_cli.sources.settings import InputSettings
+from motionstereo_cli.types import Rig
+
+KINDS = (".bag", ".db3", ".mcap")
+RIG = Rig(width=64, height=48, focal_px=50.0, baseline_m=0.1, cx=31.5, cy=23.5)
+PERIOD_NS = 10**8
+
+
+def greys(count=6):
+    """Left and right images: a texture that moves 2 px a frame, 4 px apart."""
+    texture = np.random.default_rng(0).integers(0, 256, (48, 120), np.uint8)
+    return [
+        (texture[:, 2 * n : 2 * n + 64], texture[:, 2 * n + 4 : 2 * n + 68]) for n in range(count)
+    ]
+
+
+def written(folder: Path, kind: str, *, left="/cam/left/image_raw", right="/cam/right/image_raw"):
+    path = folder / ("drive.bag" if kind == ".bag" else "drive")
+    with Bag(path, kind) as bag:
+        for n, pair in enumerate(greys()):
+            stamp_ns = 5 * 10**9 + n * PERIOD_NS
+            for side, topic, grey in zip(("left", "right"), (left, right), pair, strict=True):
+                bag.image(topic, grey, stamp_ns + (n % 3) * 10**5, padding=5)
+                info = f"{topic.rpartition('/')[0]}/camera_info"
+                bag.camera_info(info, RIG, stamp_ns, right=side == "right")
+    return path
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_bag_gives_the_images_and_times_put_into_it(tmp_path, kind):
+    path = written(tmp_path, kind)
+    with open_stereo(path) as source:
+        assert source.expected_frames == 6
+        frames = list(source)
+        assert not source.damage
+    for frame, (left, right) in zip(frames, greys(), strict=True):
+        np.testing.assert_array_equal(frame.left, left)
+        np.testing.assert_array_equal(frame.right, right)
+    assert frames[1].pts == 5 * 10**9 + PERIOD_NS + 10**5
+    assert frames[1].time_s == pytest.approx(5.1001)
+
+
+@pytest.mark.parametrize("kind", [".db3", ".mcap"])
+def test_the_file_in_the_folder_is_a_bag_too(tmp_path, kind):
+    (file,) = written(tmp_path, kind).glob(f"*{kind}")
+    assert is_bag(file)
+    with open_stereo(file) as source:
+        assert len(list(source)) == 6
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_calibration_in_a_bag_is_that_of_the_run(tmp_path, kind):
+    with open_stereo(written(tmp_path, kind)) as source:
+        calibration = rectify_source(source, ())
+        assert calibration is not None
+        rig = calibration.rig
+    assert (rig.focal_px, rig.baseline_m, rig.cx, rig.cy) == pytest.approx((50, 0.1, 31.5, 23.5))
+
+
+@pytest.mark.parametrize(
+    ("names", "found"),
+    [
+        (["/left/image_raw", "/right/image_raw"], ("/left/image_raw", "/right/image_raw")),
+        (["/infra1/image_rect_raw", "/infra2/image_rect_raw"], None),
+        (["/cam0/image", "/cam1/image"], None),
+        (["/left/image_raw", "/right/image_raw", "/left/image_rect", "/right/image_rect"], "rect"),
+    ],
+)
+def test_left_and_right_are_found_by_name(tmp_path, names, found):
+    path = tmp_path / "a.bag"
+    with Bag(path, ".bag") as bag:
+        for name in names:
+            bag.image(name, greys()[0][0], 10**9)
+    left, right = stereo_topics(path)
+    if found == "rect":
+        assert (left, right) == ("/left/image_rect", "/right/image_rect")
+    else:
+        assert [left, right] == names
+
+
+def test_where_names_do_not_tell_the_topics_are_listed_and_can_be_given(tmp_path):
+    path = tmp_path / "a.bag"
+    with Bag(path, ".bag") as bag:
+        for n in range(2):
+            for name in ("/front/image", "/back/image"):
+                bag.image(name, greys()[0][0], 10**9 + n * PERIOD_NS)
+    with pytest.raises(InputError, match=r"--topics LEFT,RIGHT.*/back/image \(64x48 px, mono8, 2 "):
+        stereo_topics(path)
+    with open_stereo(path, settings=InputSettings(topics="/front/image,/back/image")) as source:
+        assert source.describe()["left"]["topic"] == "/front/image"
+        assert len(list(source)) == 2
+    with pytest.raises(SettingsError, match="give two topics"):
+        stereo_topics(path, "/front/image,/side/image")
+    folders = [tmp_path / "left", tmp_path / "right"]
+    for folder in folders:
+        folder.mkdir()
+    with pytest.raises(SettingsError, match="is none"):
+        open_stereo(*folders, InputSettings(topics="/a,/b"))
+
+
+COLOUR = np.random.default_rng(1).integers(0, 256, (48, 64, 3), np.uint8)
+RGB_LUMA = cv2.cvtColor(COLOUR, cv2.COLOR_RGB2GRAY)
+GREY = COLOUR[:, :, 0]
+OPAQUE = np.full((48, 64, 1), 255, np.uint8)
+
+
+@pytest.mark.parametrize(
+    ("encoding", "pixels", "grey"),
+    [
+        ("mono8", GREY, GREY),
+        ("mono16", GREY.astype(np.uint16) * 257, GREY),
+        ("rgb8", COLOUR, RGB_LUMA),
+        ("bgr8", COLOUR[:, :, ::-1], RGB_LUMA),
+        ("rgba8", np.dstack([COLOUR, OPAQUE]), RGB_LUMA),
+        ("bgra8", np.dstack([COLOUR[:, :, ::-1], OPAQUE]), RGB_LUMA),
+        ("yuv422", np.dstack([np.full_like(GREY, 128), GREY]), GREY),
+        ("yuv422_yuy2", np.dstack([GREY, np.full_like(GREY, 128)]), GREY),
+    ],
+)
+def test_every_encoding_becomes_grey(tmp_path, encoding, pixels, grey):
+    path = tmp_path / "a.bag"
+    with Bag(path, ".bag") as bag:
+        bag.image("/left", pixels, 10**9, encoding)
+    (image,) = BagRecording(path, "/left")
+    np.testing.assert_array_equal(image.grey, grey)
+
+
+@pytest.mark.parametrize(
+    ("encoding", "places"),
+    [
+        ("bayer_rggb8", {(0, 0): 2, (0, 1): 1, (1, 0): 1, (1, 1): 0}),
+        ("bayer_bggr8", {(0, 0): 0, (0, 1): 1, (1, 0): 1, (1, 1): 2}),
+        ("bayer_gbrg8", {(0, 0): 1, (0, 1): 0, (1, 0): 2, (1, 1): 1}),
+        ("bayer_grbg8", {(0, 0): 1, (0, 1): 2, (1, 0): 0, (1, 1): 1}),
+    ],
+)
+def test_bayer_patterns_are_told_apart(tmp_path, encoding, places):
+    """Of a picture of one colour, each pattern gives the luma of that colour."""
+    blue, green, red = 30, 90, 220
+    pixels = np.zeros((48, 64), np.uint8)
+    for (row, column), channel in places.items():
+        pixels[row::2, column::2] = (blue, green, red)[channel]
+    path = tmp_path / "a.bag"
+    with Bag(path, ".bag") as bag:
+        bag.image("/left", pixels, 10**9, encoding)
+    (image,) = BagRecording(path, "/left")
+    luma = 0.299 * red + 0.587 * green + 0.114 * blue
+    assert np.abs(image.grey[4:-4, 4:-4] - luma).max() < 2
+
+
+def test_compressed_images_and_ones_that_are_not(tmp_path):
+    path = tmp_path / "a.bag"
+    content = cv2.imencode(".png", GREY)[1].tobytes()
+    with Bag(path, ".bag") as bag:
+        for n, data in enumerate((content, b"none", content)):
+            bag.compressed("/left/image_raw/compressed", data, 10**9 + n, "png")
+    recording = BagRecording(path, "/left/image_raw/compressed")
+    assert [image.number for image in recording] == [0, 2]
+    assert recording.lost == 1
+    assert "1 image could not be read" in recording.damage[0]
+
+
+def test_an_unknown_encoding_is_named(tmp_path):
+    path = tmp_path / "a.bag"
+    with Bag(path, ".bag") as bag:
+        bag.image("/left", GREY, 10**9, "nv21")
+    with pytest.raises(InputError, match="encoding 'nv21'"):
+        BagRecording(path, "/left")
+
+
+def test_without_stamps_the_time_of_recording_counts_and_stamps_that_go_back_are_said(tmp_path):
+    path = tmp_path / "a.bag"
+    with Bag(path, ".bag") as bag:
+        for n in range(3):
+            bag.image("/left", GREY, 0, recorded_ns=10**9 + n * PERIOD_NS)
+        for stamp in (3, 1, 2):
+            bag.image("/right", GREY, stamp * 10**9, recorded_ns=10**9)
+    assert [image.pts for image in BagRecording(path, "/left")] == [
+        10**9 + n * PERIOD_NS for n in range(3)
+    ]
+    recording = BagRecording(path, "/right")
+    list(recording)
+    assert "go back" in recording.damage[0]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_cut_bag_is_one_line_or_damage(tmp_path, kind, capsys):
+    path = written(tmp_path, kind)
+    file = path if path.is_file() else next(path.glob(f"*{kind}"))
+    content = file.read_bytes()
+    file.write_bytes(content[: int(len(content) * 0.6)])
+    assert main(["run", str(path), "-o", str(tmp_path / "out"), "--no-check"]) in (1, 3)
+    said = capsys.readouterr().err
+    assert "internal" not in said
+    assert str(path) in said
+
+
+def test_a_bag_without_images_is_said(tmp_path):
+    path = tmp_path / "a.bag"
+    with Bag(path, ".bag") as bag:
+        bag.camera_info("/camera_info", RIG, 10**9, right=False)
+    with pytest.raises(InputError, match=r"no pair of a left and a right camera.*none"):
+        open_stereo(path)
+
+
+def test_a_bag_of_another_writer(tmp_path):
+    """mcap_ros2 shares no code with what reads it."""
+    from mcap_ros2.writer import Writer
+
+    schema = """std_msgs/Header header
+uint32 height
+uint32 width
+string encoding
+uint8 is_bigendian
+uint32 step
+uint8[] data
+================================================================================
+MSG: std_msgs/Header
+builtin_interfaces/Time stamp
+string frame_id
+================================================================================
+MSG: builtin_interfaces/Time
+int32 sec
+uint32 nanosec"""
+    path = tmp_path / "theirs.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file)
+        kind = writer.register_msgdef("sensor_msgs/msg/Image", schema)
+        for n, pair in enumerate(greys()):
+            for side, grey in zip(("left", "right"), pair, strict=True):
+                stamp = {"sec": 1, "nanosec": n * PERIOD_NS}
+                message = {
+                    "header": {"stamp": stamp, "frame_id": ""},
+                    "height": 48,
+                    "width": 64,
+                    "encoding": "mono8",
+                    "is_bigendian": 0,
+                    "step": 64,
+                    "data": np.ascontiguousarray(grey).tobytes(),
+                }
+                writer.write_message(f"/{side}/image_raw", kind, message, 10**9 + n * PERIOD_NS)
+        writer.finish()
+    with open_stereo(path) as source:
+        frames = list(source)
+    np.testing.assert_array_equal(frames[5].left, greys()[5][0])
+
+
+def test_info_and_run_take_a_bag(tmp_path, capsys):
+    path = written(tmp_path, ".mcap")
+    assert main(["info", str(path), "--json"]) == 0
+    facts = json.loads(capsys.readouterr().out)
+    assert facts["left"]["topic"] == "/cam/left/image_raw"
+    assert facts["rig"]["focal_px"] == pytest.approx(50)
+    assert main(["run", str(path), "-o", str(tmp_path / "out"), "--save", "steering,depth"]) == 0
+    assert (tmp_path / "out/depth/000005.png").exists()
