@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from motionstereo_cli.compiled import kernel
+from motionstereo_cli.compiled import confidence as loops
 
 #: Logistic regression on what is known of a match: constant, log2 of votes, residual in grey
 #: levels, age in frames. Fitted to whether disparities are within 1 px of the truth, on the
@@ -33,7 +33,6 @@ _STEPS = np.float32(64)
 _LOGISTIC = (1 / (1 + np.exp(10 - np.arange(2 * 10 * 64 + 1) / 64))).astype(np.float32)
 
 
-@kernel
 def confidence(
     disparity_px: NDArray[np.float32],
     matched_px: NDArray[np.float32],
@@ -53,21 +52,14 @@ def confidence(
         residual: difference of grey between the views, (height, width) float32.
         age_frames: frames since something moved there, (height, width) uint8.
     """
-    height, width = disparity_px.shape
-    chance = np.empty((height, width), np.float32)
-    for y in range(height):
-        for x in range(width):
-            if np.isnan(disparity_px[y, x]):
-                chance[y, x] = np.nan
-                continue
-            count, grey = votes[y, x], residual[y, x]
-            if np.isnan(matched_px[y, x]):
-                count, grey = _FILLED_VOTES, _FILLED_RESIDUAL
-            logit = (
-                _PER_VOTE[min(int(count), _MAX_VOTES)]
-                + _PER_GREY_LEVEL * grey
-                + _PER_FRAME * np.float32(age_frames[y, x])
-            )
-            step = int((logit + _LARGEST_LOGIT) * _STEPS)
-            chance[y, x] = _LOGISTIC[max(min(step, len(_LOGISTIC) - 1), 0)]
+    chance = np.empty(disparity_px.shape, np.float32)
+    loops.confidence(
+        np.ascontiguousarray(disparity_px),
+        np.ascontiguousarray(matched_px),
+        np.ascontiguousarray(votes),
+        np.ascontiguousarray(residual),
+        np.ascontiguousarray(age_frames),
+        *(_PER_VOTE, _PER_GREY_LEVEL, _PER_FRAME, _FILLED_VOTES, _FILLED_RESIDUAL),
+        *(_LOGISTIC, _LARGEST_LOGIT, _STEPS, chance),
+    )
     return chance
