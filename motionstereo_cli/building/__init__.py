@@ -1,1 +1,0 @@
-"""How the package is built; not used when it runs."""
