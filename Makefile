@@ -54,7 +54,7 @@ torture: $(READY)  ## damage input, kill runs, fill disks, run for long: half an
 coverage: $(READY)  ## measure which branches of the package the tests pass through
 	$(BIN)/coverage erase
 	$(BIN)/coverage run -m pytest
-	NUMBA_DISABLE_JIT=1 $(BIN)/coverage run -m pytest tests/test_matching.py tests/test_stages.py \
+	MOTIONSTEREO_UNCOMPILED=1 $(BIN)/coverage run -m pytest tests/test_matching.py tests/test_stages.py \
 		-k "not TestUnits"
 	$(BIN)/coverage combine --quiet
 	$(BIN)/coverage report
@@ -101,7 +101,7 @@ renew: $(READY)  ## accept what the code gives now: the tables of the documentat
 clean:  ## remove everything that make made
 	rm -rf .venv out build *.egg-info .coverage*
 
-$(READY): pyproject.toml
+$(READY): pyproject.toml $(wildcard motionstereo_cli/compiled/*.py)
 	@echo "Installing into .venv, once: this takes one or two minutes."
 	$(PYTHON) -m venv .venv
 	$(BIN)/pip install --disable-pip-version-check --editable ".[dev]"

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from motionstereo_cli.memory import Memory
     from motionstereo_cli.settings import Settings
-    from motionstereo_cli.types import MatchKeys, Real
+    from motionstereo_cli.types import Real
 
 
 def _trails(right: Memory, left: Memory, settings: Settings) -> tuple[Real, Real]:
@@ -20,21 +20,10 @@ def _trails(right: Memory, left: Memory, settings: Settings) -> tuple[Real, Real
     from motionstereo_cli.stages.cleaning import filled, without_speckles
     from motionstereo_cli.stages.confidence import confidence
     from motionstereo_cli.stages.residual import residual
-
-    s, wanted = settings, keys_of(right, settings)
-    disparity, votes = _of_trails(wanted, left, s)
-    differs = residual(disparity, right.grey, left.grey)
-    matched = without_speckles(disparity, differs <= s.max_residual, s.speckle_px)
-    disparity = filled(matched, wanted > 0, s.gap_px)
-    return disparity, confidence(disparity, matched, votes, differs, age_of(right, s))
-
-
-def _of_trails(wanted: MatchKeys, left: Memory, settings: Settings) -> tuple[Real, Real]:
-    from motionstereo_cli.memory import keys_of
     from motionstereo_cli.stages.trails import match_trails
 
-    s = settings
-    return match_trails(
+    s, wanted = settings, keys_of(right, settings)
+    disparity, votes = match_trails(
         wanted,
         keys_of(left, s),
         s.max_disparity,
@@ -42,31 +31,10 @@ def _of_trails(wanted: MatchKeys, left: Memory, settings: Settings) -> tuple[Rea
         max_ratio=s.max_ratio,
         min_votes=s.min_votes,
     )
-
-
-def _dense(right: Memory, left: Memory, settings: Settings) -> tuple[Real, Real]:
-    import numpy as np
-
-    from motionstereo_cli.memory import age_of, keys_of
-    from motionstereo_cli.stages.balance import balanced
-    from motionstereo_cli.stages.cleaning import filled, without_speckles
-    from motionstereo_cli.stages.confidence import confidence_by_margin
-    from motionstereo_cli.stages.dense import match_dense
-
-    s, wanted, ages = settings, keys_of(right, settings), age_of(right, settings)
-    charged = wanted > 0
-    disparity, margin = match_dense(
-        right.grey,
-        balanced(right.grey, left.grey, s.max_disparity),
-        charged,
-        _of_trails(wanted, left, s)[0],
-        ages == 0,
-        s.max_disparity,
-    )
-    matched = without_speckles(disparity, ~np.isnan(disparity), s.speckle_px)
-    disparity = filled(matched, charged, s.gap_px)
-    disparity[~charged] = np.nan
-    return disparity, confidence_by_margin(disparity, matched, margin, ages)
+    differs = residual(disparity, right.grey, left.grey)
+    matched = without_speckles(disparity, differs <= s.max_residual, s.speckle_px)
+    disparity = filled(matched, wanted > 0, s.gap_px)
+    return disparity, confidence(disparity, matched, votes, differs, age_of(right, s))
 
 
 def _regions(right: Memory, left: Memory, settings: Settings) -> tuple[Real, Real]:
@@ -99,10 +67,6 @@ class Matcher:
 
 MATCHERS = {
     "trails": Matcher("pair runs of equal charge by their ends", _trails),
-    "dense": Matcher(
-        "semi-global matching of what both views show now, trails where grey does not tell",
-        _dense,
-    ),
     "regions": Matcher(
         "largest connected region of equal charge at each displacement",
         _regions,

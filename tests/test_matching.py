@@ -7,9 +7,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+from motionstereo_cli.compiled import trails
 from motionstereo_cli.stages.cleaning import filled, without_speckles
 from motionstereo_cli.stages.regions import match_regions
-from motionstereo_cli.stages.trails import find_trails, match_trails
+from motionstereo_cli.stages.trails import match_trails
 
 rows = arrays(np.uint16, (5, 13), elements=st.integers(0, 3), fill=st.nothing())
 
@@ -18,20 +19,24 @@ def match_keys(*rows):
     return np.array(rows, np.uint16)
 
 
-def listed(trails):
-    """All (row, start, stop, unit) of trails."""
-    row = np.repeat(np.arange(len(trails.first) - 1), np.diff(trails.first))
-    return list(zip(row.tolist(), *(each.tolist() for each in trails[1:]), strict=True))
+def listed(image):
+    """All (row, start, stop, key) of an image's trails."""
+    work = trails.Workspace(*image.shape, 1, 1, 1)
+    trails.find_trails(image, 0, work)
+    first = np.array(work.first[0])
+    row = np.repeat(np.arange(len(first) - 1), np.diff(first))
+    each = (np.array(values[0])[: len(row)] for values in (work.start, work.stop, work.key))
+    return list(zip(row.tolist(), *(one.tolist() for one in each), strict=True))
 
 
 class TestTrails:
     def test_a_trail_is_a_maximal_run_of_one_unit(self):
-        found = find_trails(match_keys([0, 5, 5, 7, 0, 7], [7, 7, 7, 7, 7, 7]))
-        assert listed(found) == [(0, 1, 3, 5), (0, 3, 4, 7), (0, 5, 6, 7), (1, 0, 6, 7)]
+        found = listed(match_keys([0, 5, 5, 7, 0, 7], [7, 7, 7, 7, 7, 7]))
+        assert found == [(0, 1, 3, 5), (0, 3, 4, 7), (0, 5, 6, 7), (1, 0, 6, 7)]
 
     @given(rows)
     def test_trails_are_the_oracles(self, image):
-        assert listed(find_trails(image)) == oracles.trails_of(image)
+        assert listed(image) == oracles.trails_of(image)
 
     def test_a_slanted_trail_runs_from_one_disparity_to_another(self):
         right = match_keys([0, 0, 9, 9, 9, 9, 0, 0, 0, 0, 0, 0])

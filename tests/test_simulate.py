@@ -14,6 +14,7 @@ from hypothesis import given, reject
 from hypothesis import settings as profile
 from hypothesis import strategies as st
 
+from motionstereo_cli.compiled.surfaces import mean_grey
 from motionstereo_cli.errors import OutputError, SettingsError
 from motionstereo_cli.rig import read_rig
 from motionstereo_cli.simulate import write as write_module
@@ -25,7 +26,7 @@ from motionstereo_cli.simulate.scenes import render_scene
 from motionstereo_cli.simulate.settings import SimulateSettings
 from motionstereo_cli.simulate.street import Street
 from motionstereo_cli.simulate.surfaces import rectangle, render
-from motionstereo_cli.simulate.texture import Texture, mean_grey
+from motionstereo_cli.simulate.texture import Texture
 from motionstereo_cli.simulate.write import simulate
 from motionstereo_cli.types import Rig
 
@@ -360,7 +361,7 @@ def test_a_texture_gives_the_mean_of_any_block():
     texture = Texture.of(picture)
 
     def mean(*block):
-        return mean_grey(texture.levels, texture.rows, texture.columns, *block)
+        return mean_grey(texture.levels, texture.rows, texture.columns, *block[0], *block[1])
 
     # Blocks of the ripmap itself: rows 8 and 9, columns 4..7 and 28..31; a period further.
     for column in (4, 28):

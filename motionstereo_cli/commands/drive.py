@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 from motionstereo_cli.commands.grouped import GroupedCommand
-from motionstereo_cli.commands.messages import announce_compiling, foretelling, say
+from motionstereo_cli.commands.messages import foretelling, say
 from motionstereo_cli.commands.options import processing_options, world_options
 from motionstereo_cli.settings import Settings
 from motionstereo_cli.simulate.settings import DriveSettings
@@ -41,7 +41,6 @@ def drive(
 
     started_s = time.perf_counter()
     driven = DriveWorld(world_settings)
-    announce_compiling()
     frames = driven.expected_frames
     with tqdm(total=frames, unit="frame", disable=None) as bar:
         progress = foretelling(frames, bar)

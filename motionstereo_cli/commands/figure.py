@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from motionstereo_cli.commands.grouped import GroupedCommand
-from motionstereo_cli.commands.messages import announce_compiling, say
+from motionstereo_cli.commands.messages import say
 from motionstereo_cli.commands.options import input_options, processing_options
 from motionstereo_cli.errors import DAMAGED_EXIT_CODE
 from motionstereo_cli.settings import Settings
@@ -62,7 +62,6 @@ def figure(
     from motionstereo_cli.files.images import encode_png
     from motionstereo_cli.sources import open_stereo
 
-    announce_compiling()
     with open_stereo(left, right, input_settings) as source:
         write_whole(out, encode_png(draw_figure(source, numbers, settings)))
         damage = source.damage

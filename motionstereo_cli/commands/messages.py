@@ -20,13 +20,6 @@ def say(kind: str, text: str) -> None:
     click.echo(f"{kind}: {printable(' '.join(text.split()))}", err=True)
 
 
-def announce_compiling(tell: Callable[[str, str], object] = say) -> None:
-    """Say so when the first run on a machine takes longer."""
-    from motionstereo_cli.compiled import when_compiling
-
-    when_compiling(lambda: tell("note", "compiling for this machine, once: a few seconds"))
-
-
 def foretelling(frames: int, bar: tqdm[Any]) -> Callable[[], None]:
     """Return a function to call after each frame; soon after the first it says how long all take.
 
@@ -41,7 +34,7 @@ def foretelling(frames: int, bar: tqdm[Any]) -> Callable[[], None]:
     def advance() -> None:
         bar.update()
         times_s.append(time.perf_counter())
-        # The first frames take longer: they load, and perhaps compile.
+        # The first frames take longer: they load.
         if len(times_s) == 2 * _WARM_UP_FRAMES:
             frame_s = (times_s[-1] - times_s[_WARM_UP_FRAMES - 1]) / _WARM_UP_FRAMES
             rest_s = frame_s * (frames - len(times_s))

@@ -10,7 +10,7 @@ import click
 
 from motionstereo_cli.batch.plan import RunPlan
 from motionstereo_cli.commands.grouped import GroupedCommand, GroupedOption
-from motionstereo_cli.commands.messages import announce_compiling, say
+from motionstereo_cli.commands.messages import say
 from motionstereo_cli.commands.options import (
     input_options,
     output_options,
@@ -108,11 +108,7 @@ def run(**given: Any) -> int:
             say(kind, text)
             bar.refresh()
 
-        def begin(frames: int | None) -> None:
-            bar.reset(frames)
-            announce_compiling(tell)
-
-        report = library(plan, Watcher(tell, begin, bar.update))
+        report = library(plan, Watcher(tell, bar.reset, bar.update))
     return _say_what_came(plan, report)
 
 

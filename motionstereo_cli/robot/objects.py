@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from motionstereo_cli.compiled import kernel
+from motionstereo_cli.compiled import objects as loops
 
 Reals = NDArray[np.float32]
 
@@ -132,29 +132,15 @@ def regions(nearness_px: Reals, fresh: NDArray[np.bool_], min_share: float) -> t
     )
 
 
-@kernel
 def _in_cells(nearness_px: Reals, fresh: NDArray[np.bool_]) -> tuple[Reals, Reals]:
     """Return the known share of each cell and its mean nearness, NaN = unknown or mixed."""
-    height, width = nearness_px.shape
-    rows, columns = max(height // CELL_PX, 1), max(width // CELL_PX, 1)
-    share = np.zeros((rows, columns), np.float32)
-    mean = np.full((rows, columns), np.nan, np.float32)
-    for row in range(rows):
-        for column in range(columns):
-            count, total, squares = 0, 0.0, 0.0
-            for y in range(row * CELL_PX, min((row + 1) * CELL_PX, height)):
-                for x in range(column * CELL_PX, min((column + 1) * CELL_PX, width)):
-                    near = nearness_px[y, x]
-                    if fresh[y, x] and near > 0:
-                        count += 1
-                        total += near
-                        squares += near * near
-            share[row, column] = count / CELL_PX**2
-            if share[row, column] >= _MIN_SHARE:
-                middle = total / count
-                jump = max(_JUMP_PX, _JUMP_SHARE * middle)
-                if squares / count - middle**2 <= jump**2:
-                    mean[row, column] = middle
+    shape = tuple(max(size // CELL_PX, 1) for size in nearness_px.shape)
+    share, mean = np.empty(shape, np.float32), np.empty(shape, np.float32)
+    loops.in_cells(
+        np.ascontiguousarray(nearness_px),
+        np.ascontiguousarray(fresh).view(np.uint8),
+        *(CELL_PX, _MIN_SHARE, _JUMP_PX, _JUMP_SHARE, share, mean),
+    )
     return share, mean
 
 
@@ -199,23 +185,13 @@ def _neighbours(
     )
 
 
-@kernel
-def _boxes(labels: NDArray[np.int32], count: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def _boxes(labels: NDArray[np.int32], count: int) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
     """Return the cells of each region, (count,), and its box (left, top, right, bottom).
 
     Right and bottom are those of the first cell outside.
     """
-    size = np.zeros(count, np.intp)
-    boxes = np.zeros((count, 4), np.intp)
-    boxes[:, 0], boxes[:, 1] = labels.shape[1], labels.shape[0]
-    for row in range(labels.shape[0]):
-        for column in range(labels.shape[1]):
-            label = labels[row, column]
-            size[label] += 1
-            boxes[label, 0] = min(boxes[label, 0], column)
-            boxes[label, 1] = min(boxes[label, 1], row)
-            boxes[label, 2] = max(boxes[label, 2], column + 1)
-            boxes[label, 3] = max(boxes[label, 3], row + 1)
+    size, boxes = np.zeros(count, np.int32), np.empty((count, 4), np.int32)
+    loops.boxes(np.ascontiguousarray(labels), size, boxes)
     return size, boxes
 
 

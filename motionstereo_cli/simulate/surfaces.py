@@ -8,7 +8,6 @@ edge on which a ray passes are all linear: see :class:`_Seen`.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -16,9 +15,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from motionstereo_cli.compiled import kernel
+from motionstereo_cli.compiled import surfaces as loops
 from motionstereo_cli.simulate.camera import EYE_HEIGHT_M, Camera, FloorPose, View
-from motionstereo_cli.simulate.texture import Texture, mean_grey
+from motionstereo_cli.simulate.texture import Texture
 
 if TYPE_CHECKING:
     Vector = NDArray[np.float64]
@@ -118,82 +117,15 @@ class _Seen:
     def enter(self, nearness: NDArray[np.float64], owner: NDArray[np.int32], number: int) -> None:
         """Enter its samples that nothing nearer hides, in place."""
         forms = self.nearness, self.right, self.down
-        _enter(nearness, owner, number, self.bounds, *forms, self.edges, self.surface.texture.holes)
+        holes = self.surface.texture.holes.view(np.uint8)
+        loops.enter(nearness, owner, number, self.bounds, *forms, self.edges, holes)
 
     def paint(self, grey: NDArray[np.float32], owner: NDArray[np.int32], number: int) -> None:
         """Add its share of each pixel's grey, in place."""
         texture = self.surface.texture
         picture = texture.levels, texture.rows, texture.columns
         forms = self.nearness, self.right, self.down
-        _paint(grey, owner, number, self.bounds, *forms, *picture, self.surface.gain)
-
-
-@kernel
-def _enter(
-    nearness: NDArray[np.float64],
-    owner: NDArray[np.int32],
-    number: int,
-    bounds: NDArray[np.intp],
-    near: Vector,
-    right: Vector,
-    down: Vector,
-    edges: Vector,
-    holes: NDArray[np.bool_],
-) -> None:
-    """See :meth:`_Seen.enter`."""
-    high, wide = holes.shape
-    for row in range(bounds[0] * _SAMPLES, bounds[2] * _SAMPLES):
-        v = (row + 0.5) / _SAMPLES - 0.5
-        for column in range(bounds[1] * _SAMPLES, bounds[3] * _SAMPLES):
-            u = (column + 0.5) / _SAMPLES - 0.5
-            here = near[0] + near[1] * u + near[2] * v
-            if here <= nearness[row, column]:
-                continue
-            inside = True
-            for edge in range(len(edges)):
-                if edges[edge, 0] + edges[edge, 1] * u + edges[edge, 2] * v < 0:
-                    inside = False
-                    break
-            if inside and high:
-                x = math.floor((right[0] + right[1] * u + right[2] * v) / here)
-                y = math.floor((down[0] + down[1] * u + down[2] * v) / here)
-                inside = not holes[y % high, x % wide]
-            if inside:
-                nearness[row, column] = here
-                owner[row, column] = number
-
-
-@kernel
-def _paint(
-    grey: NDArray[np.float32],
-    owner: NDArray[np.int32],
-    number: int,
-    bounds: NDArray[np.intp],
-    near: Vector,
-    right: Vector,
-    down: Vector,
-    levels: NDArray[np.float32],
-    level_rows: NDArray[np.intp],
-    level_columns: NDArray[np.intp],
-    gain: float,
-) -> None:
-    """See :meth:`_Seen.paint`."""
-    for v in range(bounds[0], bounds[2]):
-        for u in range(bounds[1], bounds[3]):
-            mine = 0
-            for row in range(v * _SAMPLES, (v + 1) * _SAMPLES):
-                for column in range(u * _SAMPLES, (u + 1) * _SAMPLES):
-                    mine += owner[row, column] == number
-            if not mine:
-                continue
-            here = max(near[0] + near[1] * u + near[2] * v, 1e-6)
-            x = (right[0] + right[1] * u + right[2] * v) / here
-            y = (down[0] + down[1] * u + down[2] * v) / here
-            # The derivative of a ratio of linear forms.
-            wide = math.hypot(right[1] - x * near[1], right[2] - x * near[2]) / here
-            high = math.hypot(down[1] - y * near[1], down[2] - y * near[2]) / here
-            seen = mean_grey(levels, level_rows, level_columns, (y, x), (high, wide))
-            grey[v, u] += np.float32(gain * seen * mine / _SAMPLES**2)
+        loops.paint(grey, owner, number, self.bounds, *forms, *picture, self.surface.gain)
 
 
 def _see(surfaces: Sequence[Surface], pose: FloorPose, camera: Camera) -> list[_Seen]:

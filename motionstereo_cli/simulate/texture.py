@@ -9,8 +9,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from motionstereo_cli.compiled import kernel
-
 if TYPE_CHECKING:
     from motionstereo_cli.types import Real
 
@@ -56,41 +54,6 @@ class Texture:
     def holes(self) -> NDArray[np.bool_]:
         """(height, width), True where there is a hole; (0, 0) where there is none."""
         return np.zeros((0, 0), bool) if self.solid is None else ~self.solid
-
-
-@kernel
-def mean_grey(
-    levels: Real,
-    rows: NDArray[np.intp],
-    columns: NDArray[np.intp],
-    place: tuple[float, float],
-    size: tuple[float, float],
-) -> float:
-    """Return the mean grey of a block of a texture.
-
-    Args:
-        levels, rows, columns: as :class:`Texture` has them.
-        place: row and column of the block's middle, in texels.
-        size: its sides.
-    """
-    total = 0.0
-    high, wide = len(rows) - 1, len(columns) - 1
-    level_down = min(max(math.log2(max(size[0], 1e-9)), 0.0), float(high))
-    level_across = min(max(math.log2(max(size[1], 1e-9)), 0.0), float(wide))
-    # Between the levels below and above, and between texels, it is interpolated linearly.
-    for down in range(int(level_down), min(int(level_down) + 2, high + 1)):
-        y = (place[0] % 2.0**high) / 2.0**down - 0.5
-        top = math.floor(y)
-        for across in range(int(level_across), min(int(level_across) + 2, wide + 1)):
-            x = (place[1] % 2.0**wide) / 2.0**across - 0.5
-            left = math.floor(x)
-            share = (1 - abs(level_down - down)) * (1 - abs(level_across - across))
-            row, column = rows[down] + int(top), columns[across] + int(left)
-            upper = levels[row, column] * (left + 1 - x) + levels[row, column + 1] * (x - left)
-            row += 1
-            lower = levels[row, column] * (left + 1 - x) + levels[row, column + 1] * (x - left)
-            total += share * (upper * (top + 1 - y) + lower * (y - top))
-    return total
 
 
 def _begins(size: int) -> NDArray[np.intp]:

@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from motionstereo_cli.compiled import kernel
+from motionstereo_cli.compiled import match_keys as loops
 
 
-@kernel
 def match_keys(
     charge: NDArray[np.uint8],
     charge_min: int = 0,
@@ -25,10 +24,10 @@ def match_keys(
         charge_min: the charge at rest.
         bands: bands 1..256, (height, width), or None.
     """
-    height, width = charge.shape
-    unit = np.zeros((height, width), np.uint16)
-    for y in range(height):
-        for x in range(width):
-            band = 0 if bands is None else bands[y, x] - 1
-            unit[y, x] = charge[y, x] * 256 + band if charge[y, x] > charge_min else 0
-    return unit
+    charge = np.ascontiguousarray(charge)
+    key = np.empty(charge.shape, np.uint16)
+    if bands is None:
+        loops.by_charge(charge, charge_min, key)
+    else:
+        loops.by_charge_and_band(charge, charge_min, np.ascontiguousarray(bands - 1, np.uint8), key)
+    return key

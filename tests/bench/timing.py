@@ -72,7 +72,7 @@ def on_cores(cores: int) -> Iterator[None]:
     Where the system knows no affinity (it is not Linux), cv2 and the libraries that read the
     environment are held to as many threads.
     """
-    names = [f"{name}_NUM_THREADS" for name in ("OMP", "OPENBLAS", "NUMBA")]
+    names = [f"{name}_NUM_THREADS" for name in ("OMP", "OPENBLAS")]
     environment = {name: os.environ.get(name) for name in names}
     os.environ.update(dict.fromkeys(names, str(cores)))
     cv2_threads = cv2.getNumThreads()

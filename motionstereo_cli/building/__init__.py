@@ -1,0 +1,1 @@
+"""How the package is built; not used when it runs."""

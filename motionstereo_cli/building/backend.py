@@ -1,0 +1,138 @@
+"""The build backend: setuptools, and Cython for the loops in ``motionstereo_cli/compiled``.
+
+Where there is no C compiler, that of the package ``ziglang`` is used and required for the build.
+"""
+
+from __future__ import annotations
+
+import glob
+import os
+import platform
+import shlex
+import shutil
+import sys
+import sysconfig
+import zlib
+from pathlib import Path
+from typing import Any
+
+from setuptools import Extension
+from setuptools.build_meta import *  # noqa: F403  # the hooks that stay as they are
+from setuptools.build_meta import (
+    get_requires_for_build_editable as _setuptools_for_editable,
+)
+from setuptools.build_meta import get_requires_for_build_wheel as _setuptools_for_wheel
+from setuptools.command.build_ext import build_ext
+
+LOOPS = "motionstereo_cli/compiled"
+
+#: What the loops have in common, compiled once.
+SHARED = "motionstereo_cli.compiled.shared"
+
+#: Of Cython: indices are not checked, and division is C's.
+DIRECTIVES = {
+    "language_level": "3",
+    "boundscheck": False,
+    "wraparound": False,
+    "cdivision": True,
+    "initializedcheck": False,
+}
+
+
+def get_requires_for_build_wheel(config_settings: Any = None) -> list[str]:
+    """Return what a build needs: ziglang too where there is no C compiler."""
+    return [*_setuptools_for_wheel(config_settings), *_zig()]
+
+
+def get_requires_for_build_editable(config_settings: Any = None) -> list[str]:
+    """Return the same for an editable install."""
+    return [*_setuptools_for_editable(config_settings), *_zig()]
+
+
+def _zig() -> list[str]:
+    return ["ziglang>=0.13"] if _compiler() is None else []
+
+
+def _compiler() -> str | None:
+    """Return the C compiler that is installed, "" for the one of Windows; None without one."""
+    if sys.platform == "win32":
+        return ""  # setuptools looks for it, and says where to get it
+    configured = os.environ.get("CC") or sysconfig.get_config_var("CC") or "cc"
+    for command in (configured, "cc", "gcc", "clang"):
+        if shutil.which(shlex.split(command)[0]):
+            return command
+    return None
+
+
+def _variants(*, zig: bool) -> dict[str, list[str]]:
+    """Return the options of the compiler for each build of the loops, by its folder.
+
+    Sums of products stay what they are, never fused: results are the same on every machine.
+    """
+    if sys.platform == "win32":
+        return {"baseline": ["/O2", "/fp:precise"]}
+    common = ["-O3", "-g0", "-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math"]
+    variants = {"baseline": [*common, *["-mcpu=baseline"] * zig]}
+    if sys.platform == "linux" and platform.machine() == "x86_64":
+        variants["v3"] = [*common, "-mcpu=x86_64_v3" if zig else "-march=x86-64-v3"]
+    return variants
+
+
+def _name(module: str) -> str:
+    return f"{LOOPS.replace('/', '.')}.{module}"
+
+
+class BuildLoops(build_ext):
+    """Compiles each loop file for every kind of machine; ``build_ext`` of setuptools."""
+
+    def finalize_options(self) -> None:
+        """Find and translate the loop files."""
+        from Cython.Build import cythonize
+
+        compiler = _compiler()
+        if compiler:
+            os.environ["CC"] = compiler
+        names = [Path(path).stem for path in glob.glob(f"{LOOPS}/*.py")]
+        translated = cythonize(
+            [
+                Extension(SHARED, ["build/cython/shared.c"]),
+                *(Extension(_name(n), [f"{LOOPS}/{n}.py"]) for n in names if n != "__init__"),
+            ],
+            build_dir="build/cython",
+            shared_utility_qualified_name=SHARED,
+            compiler_directives=DIRECTIVES,
+            quiet=True,
+        )
+        self.distribution.ext_modules = [
+            Extension(
+                _name(f"{variant}.{extension.name.rsplit('.', 1)[1]}"),
+                extension.sources,
+                extra_compile_args=options,
+            )
+            for variant, options in _variants(zig=compiler is None).items()
+            for extension in translated
+            if variant == "baseline" or extension.name != SHARED
+        ]
+        super().finalize_options()
+
+    def run(self) -> None:
+        """Compile, and note of what."""
+        for variant in _variants(zig=False):
+            os.makedirs(f"{LOOPS}/{variant}", exist_ok=True)
+        super().run()
+        sources = b"".join(Path(path).read_bytes() for path in sorted(glob.glob(f"{LOOPS}/*.py")))
+        first = Path(self.get_ext_fullpath(_name("baseline.shared")))
+        (first.parent / "checksum").write_text(str(zlib.crc32(sources)), encoding="ascii")
+
+    def build_extensions(self) -> None:
+        """Compile by zig if there is nothing else."""
+        if _compiler() is None:
+            os.environ.setdefault("ZIG_GLOBAL_CACHE_DIR", os.path.abspath("build/zig"))
+            zig = [sys.executable, "-m", "ziglang", "cc"]
+            shared = ["-shared"]
+            if sys.platform == "darwin":
+                shared = ["-bundle", "-undefined", "dynamic_lookup"]
+            self.compiler.set_executables(
+                compiler_so=[*zig, "-fPIC", "-DNDEBUG", "-w"], linker_so=[*zig, *shared]
+            )
+        super().build_extensions()
