@@ -75,7 +75,7 @@ def test_nothing_comes_from_elsewhere(copy):
 
 def test_names_are_text(copy):
     page = page_of(copy)
-    assert page.count("<script") == 3
+    assert page.count("<script") == 4
     assert "alert(1)<b>" not in page
     assert "alert(1)" in html.unescape(page)
 
@@ -204,3 +204,54 @@ def test_the_histogram_counts_known_pixels(copy):
     median = float(re.search(r"Histogram of depth: median ([\d.]+) m", page)[1])
     assert median == pytest.approx(1, rel=0.05)
     assert page.count("100.0%</title>") == 1
+
+
+BATCH = """\
+name,status,frames,seconds,charged,matched,damage,reason,worker
+good,done,24,1.5,0.5,0.4,,,1
+bad <i>,failed,,,,,,left.mp4: cannot be read,2
+torn,damaged,20,1.0,0.5,0.25,left.mp4: 3 images lost,,1
+gone,lost,3,,,,,,2
+../out,done,24,1.5,0.5,0.4,,,1
+"""
+
+
+@pytest.fixture
+def batch(run, tmp_path):
+    out = tmp_path / "batch"
+    shutil.copytree(run, out / "good")
+    shutil.copytree(run, tmp_path / "out")
+    (out / "good" / "report.html").write_text("<p>")
+    (out / "torn").mkdir()
+    (out / "batch.csv").write_text(BATCH)
+    return out
+
+
+def test_a_batch_has_a_row_for_each_recording_failures_first(batch):
+    page = page_of(batch)
+    found = re.findall(r'<tr data-status="(\w+)">(.*?)</tr>', page, re.DOTALL)
+    assert [status for status, _ in found] == ["failed", "lost", "damaged", "done", "done"]
+    failed, lost, torn, good, outside = (row for _, row in found)
+    assert "bad &lt;i&gt;" in failed
+    assert "left.mp4: cannot be read" in failed
+    assert "<a" not in failed + lost + outside
+    assert 'href="torn"' in torn
+    assert "3 images lost" in torn
+    assert 'href="good/report.html"' in good
+    assert "data:image/jpeg" in good
+    points = re.search(r'polyline points="([^"]*)"', good)[1].split()
+    rows = rows_of(batch / "good" / "steering.csv")
+    assert len(points) == sum(bool(row["steer"]) for row in rows)
+    assert "3 of 5" in page
+
+
+@pytest.mark.parametrize("content", ["", "a,b\n1,2\n", "name\nx\n"])
+def test_a_batch_table_of_another_kind_is_one_line(tmp_path, capsys, content):
+    (tmp_path / "batch.csv").write_text(content)
+    assert main(["report", str(tmp_path)]) == 1
+    assert "has no columns name and status" in capsys.readouterr().err
+
+
+def test_a_batch_with_few_columns_is_shown(tmp_path):
+    (tmp_path / "batch.csv").write_text("name,status\nx,new kind\n")
+    assert "new kind" in page_of(tmp_path)

@@ -142,3 +142,27 @@ def test_without_the_videos_it_shows_a_frame_of_each(browser, run, tmp_path):
     text = browser.find_element("tag name", "body").text
     assert text.count("the video is not beside this page") == 3
     assert browser.execute_script("return document.querySelectorAll('video[poster]').length") == 3
+
+
+def test_a_batch_is_sorted_and_filtered_by_a_click(browser, tmp_path):
+    (tmp_path / "batch.csv").write_text(
+        "name,status,frames,seconds,charged,matched,damage,reason,worker\n"
+        "b,done,9,1,0.5,0.4,,,1\na,done,100,1,0.5,0.4,,,1\nc,failed,,,,,,broken,1\n"
+    )
+    assert main(["report", str(tmp_path)]) == 0
+    browser.get_log("browser")  # of the pages before
+    browser.get((tmp_path / "report.html").as_uri())
+    rows = "document.querySelectorAll('tbody tr:not([hidden]) .name')"
+    shown = f"return [...{rows}].map(cell => cell.innerText)"
+
+    def after_click_on(text):
+        browser.find_element("xpath", f"//button[contains(., '{text}')]").click()
+        return browser.execute_script(shown)
+
+    assert browser.execute_script(shown) == ["c", "b", "a"]
+    assert after_click_on("frames") == ["b", "a", "c"]
+    assert after_click_on("frames") == ["a", "b", "c"]
+    assert after_click_on("recording") == ["a", "b", "c"]
+    assert after_click_on("failed") == ["c"]
+    assert after_click_on("failed") == ["a", "b", "c"]
+    assert browser.get_log("browser") == []

@@ -20,18 +20,22 @@ from motionstereo_cli.commands.messages import say
     "[default: report.html in OUT]",
 )
 def report(*, out: Path, page: Path | None) -> int:
-    """Show a run as one page, to be opened in a browser.
+    """Show a run, or a batch of runs, as one page to be opened in a browser.
 
-    OUT is a folder that run wrote, complete or not. The page needs no network; it plays the
-    videos of OUT as long as they lie where they are, and shows one frame of each where not.
+    OUT is a folder that run wrote, complete or not, or that of a batch. The page needs no
+    network. That of a run plays the videos of OUT as long as they lie where they are, and shows
+    one frame of each where not. That of a batch has a row for each recording, failures first.
     """
-    from motionstereo_cli.report import write_report
+    from motionstereo_cli.report import PAGE, write_report
+    from motionstereo_cli.report.batch_page import TABLE, batch_page
     from motionstereo_cli.report.run_page import run_page
 
-    if page and str(page) == "-":
-        click.echo(run_page(out, Path("report.html")), nl=False)
+    place = out / PAGE if page is None else Path(PAGE) if str(page) == "-" else page
+    show = batch_page if (out / TABLE).is_file() else run_page
+    html = show(out, place)
+    if str(page) == "-":
+        click.echo(html, nl=False)
         return 0
-    page = page or out / "report.html"
-    write_report(page, run_page(out, page))
-    say("note", f"{page}: open it in a browser")
+    write_report(place, html)
+    say("note", f"{place}: open it in a browser")
     return 0

@@ -7,6 +7,9 @@ from pathlib import Path
 from motionstereo_cli.errors import OutputError
 from motionstereo_cli.files.atomic import reported, write_whole
 
+#: Its name in a folder.
+PAGE = "report.html"
+
 #: What every page has near its begin.
 GENERATOR = '<meta name="generator" content="motionstereo'
 

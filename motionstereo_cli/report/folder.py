@@ -13,6 +13,7 @@ import numpy as np
 from motionstereo_cli.errors import InputError
 from motionstereo_cli.files.atomic import part_of
 from motionstereo_cli.sinks import OUTPUTS, RECORD
+from motionstereo_cli.sinks.previews import EPOCH_S
 from motionstereo_cli.sinks.reading import read_record, read_table
 
 if TYPE_CHECKING:
@@ -20,6 +21,15 @@ if TYPE_CHECKING:
 
 #: Columns of the steering table that the page shows over time.
 SERIES = ("steer", "steer_rad", "depth_m", "nearest_m", "charged", "matched")
+
+#: Time from frame to frame in the videos where the source has no time, in s.
+FRAME_S = 1 / 25
+
+#: Parts of a record that have parts themselves.
+_PARTS = ("outputs", "inputs", "settings", "input_settings", "output_settings", "shares")
+
+#: Pixel formats of H.264 that browsers play.
+_PLAYED = ("yuv420p", "yuvj420p")
 
 Rows = list[dict[str, str]]
 
@@ -43,6 +53,27 @@ class Steering:
     def __len__(self) -> int:
         return len(self.status)
 
+    @property
+    def timed(self) -> bool:
+        """Whether the source has times."""
+        return not np.isnan(self.time_s).any()
+
+    @property
+    def places(self) -> NDArray[np.float64]:
+        """The place of each frame on the axis of the plots in s: its time, if the source has it."""
+        return self.time_s if self.timed else np.asarray(self.frames * FRAME_S, np.float64)
+
+    @property
+    def video_begin(self) -> float:
+        """The place on the axis where the videos begin: 0, or the first of times since an epoch."""
+        first = float(self.places[0])
+        return first if first > EPOCH_S else 0.0
+
+    @property
+    def best(self) -> int:
+        """The row of the frame in which most of the image was matched."""
+        return int(np.nan_to_num(self.series["matched"]).argmax())
+
 
 @dataclass(frozen=True, slots=True)
 class Results:
@@ -61,6 +92,42 @@ class Results:
     def has(self, output: str) -> bool:
         """Return whether the run was to write an output."""
         return output in self.record.get("outputs", {})
+
+    @property
+    def height(self) -> int | None:
+        """Height of the images in px: below them a video may have a strip. None if unknown."""
+        source = self.record.get("rig")
+        given = self.record.get("input_settings", {})
+        if not source and not given.get("crop") and given.get("scale", 1.0) == 1.0:
+            both = self.record.get("inputs", {})
+            source = both.get("right") or both.get("left")
+        return int(source["height"]) if source else None
+
+    @property
+    def reference(self) -> str:
+        """The camera whose view the outputs show, ``right`` or ``left``."""
+        return str(self.record.get("settings", {}).get("reference", "right"))
+
+    def video(self, output: str) -> Path:
+        """Return where the video of an output is, if it is there."""
+        return self.path / OUTPUTS[output].path
+
+    def view(self) -> tuple[Path | None, bool]:
+        """Return a video of the reference view, and whether browsers play it.
+
+        That is the run's own or, if it shows the same, the recording.
+        """
+        if self.has("view-video"):
+            return self.video("view-video"), True
+        given = self.record.get("input_settings", {})
+        side = ["left", "right"][(self.reference == "right") != bool(given.get("swap"))]
+        said = self.record.get("inputs", {}).get(side, {})
+        whole = not given.get("crop") and given.get("scale", 1.0) == 1.0
+        if said.get("kind") != "video" or said.get("rotation_deg") or not whole:
+            return None, False
+        path = Path(str(said["path"]))
+        known = said.get("codec") == "h264" and said.get("pixel_format") in _PLAYED
+        return path, known and path.suffix.lower() in (".mp4", ".m4v", ".mov")
 
     def steering(self) -> Steering | None:
         """Return the steering table, None where there is none or it is empty.
@@ -110,7 +177,8 @@ def read_results(path: Path) -> Results:
     for place in (path / RECORD, part_of(path / RECORD)):
         if place.is_file():
             record = read_record(place)
-            if record.get("program") == "motionstereo":
+            sound = all(isinstance(record.get(name, {}), dict) for name in _PARTS)
+            if sound and record.get("program") == "motionstereo":
                 return Results(path, record, complete="counts" in record)
     raise InputError(f"{path} has no {RECORD} of a run: give the folder that run wrote (its --out)")
 

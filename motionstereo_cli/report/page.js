@@ -5,15 +5,7 @@
   const colour = (name) => getComputedStyle(root).getPropertyValue(`--${name}`).trim();
   const plots = [];
 
-  // Light and dark: as the system has it, until the button says otherwise.
-  const system = matchMedia("(prefers-color-scheme: dark)");
-  const paint = (dark) => {
-    root.classList.toggle("dark", dark);
-    plots.forEach((plot) => plot.redraw(false, true));
-  };
-  paint(system.matches);
-  system.addEventListener("change", () => paint(system.matches));
-  $("theme").addEventListener("click", () => paint(!root.classList.contains("dark")));
+  document.addEventListener("theme", () => plots.forEach((plot) => plot.redraw(false, true)));
 
   if ($("copy")) {
     $("copy").addEventListener("click", async () => {

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import base64
+import os
 from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
+from urllib.parse import quote
 
 import av
 import cv2
@@ -52,6 +54,15 @@ def poster(
     except (av.FFmpegError, OSError, ValueError, IndexError):
         return None
     return None if image is None else encoded(image[:rows], max_width)
+
+
+def address_of(file: Path, page: Path) -> str:
+    """Return a file's address as seen from the page."""
+    try:
+        relative = os.path.relpath(file, page.parent)
+    except ValueError:  # another drive of Windows
+        return file.resolve().as_uri()
+    return quote(relative.replace(os.sep, "/"))
 
 
 def encoded(image: NDArray[np.uint8], max_width: int, suffix: str = ".jpg") -> Picture:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import hashlib
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,13 +16,18 @@ from motionstereo_cli import __version__
 _HOME = Path(__file__).parent
 
 
-def render(template: str, **values: Any) -> str:
+def render(template: str, scripts: Sequence[str], **values: Any) -> str:
     """Return a template of this folder filled in; all text is escaped.
 
     The page obeys no script but its own, and loads nothing but pictures and videos: its
     Content-Security-Policy says so.
+
+    Args:
+        template: name of the template.
+        scripts: names of the page's scripts, in order.
+        values: what the template shows.
     """
-    scripts = [_read(name) for name in ("uPlot.iife.min.js", "page.js")]
+    texts = [_read(name) for name in scripts]
     environment = Environment(
         loader=FileSystemLoader(_HOME),
         autoescape=True,
@@ -32,8 +38,8 @@ def render(template: str, **values: Any) -> str:
     return environment.get_template(template).render(
         **values,
         version=__version__,
-        scripts=[Markup(text) for text in scripts],
-        hashes=" ".join(_hash(text) for text in scripts),
+        scripts=[Markup(text) for text in texts],
+        hashes=" ".join(_hash(text) for text in texts),
         styles=[Markup(_read(name)) for name in ("uPlot.min.css", "page.css")],
     )
 

@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 import math
-import os
 from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
-from urllib.parse import quote
 
 import cv2
 import numpy as np
 
 from motionstereo_cli.errors import InputError, SettingsError
-from motionstereo_cli.report.folder import Results, Steering, read_results
-from motionstereo_cli.report.pictures import Picture, encoded, histogram, poster
+from motionstereo_cli.report.folder import FRAME_S, Results, Steering, read_results
+from motionstereo_cli.report.pictures import Picture, address_of, encoded, histogram, poster
 from motionstereo_cli.report.render import render
 from motionstereo_cli.report.series import LATER_S, SOON_S, plotted, tracks
 from motionstereo_cli.report.words import changed, command, troubles
@@ -25,12 +23,6 @@ from motionstereo_cli.sinks.scale import DepthScale
 
 #: Widths of pictures within the page in px.
 _POSTER_PX, _MAP_PX = 640, 1000
-
-#: Time stamps that begin beyond this count from an epoch; the videos then begin at 0.
-_EPOCH_S = 86_400
-
-#: Time from frame to frame in the videos where the source has no time, in s.
-_FRAME_S = 1 / 25
 
 
 def run_page(out: Path, page: Path, record: Mapping[str, Any] | None = None) -> str:
@@ -55,22 +47,20 @@ def run_page(out: Path, page: Path, record: Mapping[str, Any] | None = None) -> 
     facts: list[Fact] = []
     shares: dict[str, float] = {}
     objects = None
-    if steering and len(steering):
-        data = plotted(steering, _FRAME_S)
-        begin = data["x"][0] if data["x"][0] > _EPOCH_S else 0.0
-        data["videoBegin"] = begin
+    if steering:
+        data = plotted(steering)
         shares = {name: n / len(steering) for name, n in Counter(steering.status).items()}
-        facts = _facts(steering, data)
-        objects = _objects(run, steering, data)
-    reference = said.get("settings", {}).get("reference", "right")
+        facts = _facts(steering)
+        objects = _objects(run, steering)
     return render(
         "run.html",
+        ("theme.js", "uPlot.iife.min.js", "page.js"),
         data=data,
         name=out.resolve().name,
         run=run,
-        reference=reference,
+        reference=run.reference,
         about=_about(said),
-        panels=_panels(run, page, steering, data, reference),
+        panels=_panels(run, page, steering),
         scale=_drawn(scale),
         facts=facts,
         shares=shares,
@@ -123,9 +113,9 @@ class Fact(NamedTuple):
     frame: int | None = None
 
 
-def _facts(steering: Steering, data: Mapping[str, Any]) -> list[Fact]:
+def _facts(steering: Steering) -> list[Fact]:
     count = len(steering)
-    lasts = f"{data['x'][-1] - data['x'][0]:.1f} s" if data["timed"] else ""
+    lasts = f"{np.ptp(steering.time_s):.1f} s" if steering.timed else ""
     ok = steering.status.count("ok") / count
     facts = [
         Fact("Frames", f"{count:,}", lasts),
@@ -145,47 +135,33 @@ def _facts(steering: Steering, data: Mapping[str, Any]) -> list[Fact]:
     return facts
 
 
-def _panels(
-    run: Results,
-    page: Path,
-    steering: Steering | None,
-    data: Mapping[str, Any],
-    reference: str,
-) -> list[dict[str, Any]]:
+def _panels(run: Results, page: Path, steering: Steering | None) -> list[dict[str, Any]]:
     """Return the three videos with their posters."""
     when_s, number = 0.0, 0
-    if steering and len(steering):
-        best = int(np.nan_to_num(steering.series["matched"]).argmax())
-        number = int(steering.frames[best])
-        x = steering.time_s[best] if data["timed"] else number * _FRAME_S
-        when_s = float(x) - data["videoBegin"]
-    view, plays = _view(run, reference)
-    size = _size(run.record)
+    if steering:
+        when_s = float(steering.places[steering.best]) - steering.video_begin
+        number = int(steering.frames[steering.best])
+    view, plays = run.view()
     shown = []
     panels: list[tuple[str, str, str, Path | None, bool]] = [
-        ("view", f"{reference.capitalize()} view", "what the camera saw", view, plays),
-        ("charge", "Charge", "white moved just now, darker longer ago", _own(run, "charge"), True),
-        ("depth", "Depth", "black is unknown", _own(run, "depth"), True),
+        ("view", f"{run.reference.capitalize()} view", "what the camera saw", view, plays),
+        ("charge", "Charge", "white moved just now, darker longer ago", run.video("charge"), True),
+        ("depth", "Depth", "black is unknown", run.video("depth-video"), True),
     ]
     for key, title, what, video, played in panels:
         source = next((each for each in _parts(video) if each.is_file()), None)
-        rows = size and size[1]  # below them there may be a strip
-        address = _address(source, page) if source and played and source == video else None
+        address = address_of(source, page) if source and played and source == video else None
         shown.append(
             {
                 "key": key,
                 "title": title,
                 "what": what,
                 "src": address,
-                "poster": source and poster(source, when_s, max_width=_POSTER_PX, rows=rows),
+                "poster": source and poster(source, when_s, max_width=_POSTER_PX, rows=run.height),
                 "alt": f"{title} of frame {number}: {what}",
             }
         )
     return shown
-
-
-def _own(run: Results, name: str) -> Path:
-    return run.path / f"{name}.mp4"
 
 
 def _parts(video: Path | None) -> list[Path]:
@@ -196,50 +172,12 @@ def _parts(video: Path | None) -> list[Path]:
     return [video, *segments[:1]]
 
 
-def _view(run: Results, reference: str) -> tuple[Path | None, bool]:
-    """Return a video of the reference view, and whether browsers play it.
-
-    That is the run's own or, if it shows the same, the recording.
-    """
-    if run.has("view-video"):
-        return _own(run, "view"), True
-    settings = run.record.get("input_settings", {})
-    sides = ["left", "right"]
-    side = sides[(reference == "right") != bool(settings.get("swap"))]
-    said = run.record.get("inputs", {}).get(side, {})
-    whole = not settings.get("crop") and settings.get("scale", 1.0) == 1.0
-    if said.get("kind") != "video" or said.get("rotation_deg") or not whole:
-        return None, False
-    path = Path(str(said["path"]))
-    known = said.get("codec") == "h264" and said.get("pixel_format") in ("yuv420p", "yuvj420p")
-    return path, known and path.suffix.lower() in (".mp4", ".m4v", ".mov")
-
-
-def _address(video: Path, page: Path) -> str:
-    """Return a video's address as seen from the page."""
-    try:
-        relative = os.path.relpath(video, page.parent)
-    except ValueError:  # another drive of Windows
-        return video.resolve().as_uri()
-    return quote(relative.replace(os.sep, "/"))
-
-
-def _size(record: Mapping[str, Any]) -> tuple[int, int] | None:
-    """Return width and height of the images in px: below them a video may have a strip."""
-    source = record.get("rig")
-    settings = record.get("input_settings", {})
-    if not source and not settings.get("crop") and settings.get("scale", 1.0) == 1.0:
-        both = record.get("inputs", {})
-        source = both.get("right") or both.get("left")
-    return (int(source["width"]), int(source["height"])) if source else None
-
-
-def _objects(run: Results, steering: Steering, data: Mapping[str, Any]) -> dict[str, Any] | None:
+def _objects(run: Results, steering: Steering) -> dict[str, Any] | None:
     rows = run.objects()
     if rows is None:
         return None
-    places = steering.time_s if data["timed"] else steering.frames * _FRAME_S
-    step = float(np.median(np.diff(places))) if len(steering) > 1 else _FRAME_S
+    places = steering.places
+    step = float(np.median(np.diff(places))) if len(steering) > 1 else FRAME_S
     x_of = dict(zip(steering.frames.tolist(), places.tolist(), strict=True))
     try:
         shown, count = tracks(rows, x_of, step)

@@ -58,20 +58,15 @@ def kept_rows(
     return np.array(sorted(kept), np.intp)
 
 
-def plotted(steering: Steering, frame_s: float) -> dict[str, Any]:
-    """Return the steering table for the plots, as JSON-able values.
-
-    Args:
-        steering: the table.
-        frame_s: time from frame to frame in the videos where the source has no time.
-    """
-    timed = not np.isnan(steering.time_s).any()
+def plotted(steering: Steering) -> dict[str, Any]:
+    """Return the steering table for the plots, as JSON-able values."""
     names = list(dict.fromkeys(("ok", "held", "blind", *steering.status)))
     codes = np.array([names.index(status) for status in steering.status])
     kept = kept_rows(steering.series.values(), codes)
     return {
-        "timed": timed,
-        "x": (steering.time_s if timed else steering.frames * frame_s)[kept].tolist(),
+        "timed": steering.timed,
+        "videoBegin": steering.video_begin,
+        "x": steering.places[kept].tolist(),
         "frame": None if len(kept) == len(steering) else steering.frames[kept].tolist(),
         "firstFrame": int(steering.frames[0]),
         "statuses": names,

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from motionstereo_cli.types import Grey, Real
 
 #: Time stamps that begin beyond this count from an epoch; no player waits for that long.
-_EPOCH_S = 86_400
+EPOCH_S = 86_400
 
 
 class ResultVideo:
@@ -59,7 +59,7 @@ class ResultVideo:
         """Append the image of a frame."""
         pts = result.frame.pts
         if self._begin is None:
-            self._begin = pts if pts * self._stream.time_base > _EPOCH_S else 0
+            self._begin = pts if pts * self._stream.time_base > EPOCH_S else 0
         self._video.write(self._image(result, self._stream), pts - self._begin)
 
     def checkpoint(self) -> tuple[tuple[int, int | None], int | None]:

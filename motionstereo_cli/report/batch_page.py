@@ -1,0 +1,135 @@
+"""The page of a batch: a row for each recording, those that failed first."""
+
+from __future__ import annotations
+
+import contextlib
+import csv
+import io
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from motionstereo_cli.errors import InputError
+from motionstereo_cli.report import PAGE
+from motionstereo_cli.report.folder import Results, Steering, read_results
+from motionstereo_cli.report.pictures import Picture, address_of, poster
+from motionstereo_cli.report.render import render
+from motionstereo_cli.report.series import kept_rows
+
+#: The table that the command batch leaves in its folder.
+TABLE = "batch.csv"
+
+#: How a recording may have ended, the worst first; what is not known stands before them.
+STATUSES = ("failed", "lost", "interrupted", "damaged", "done")
+
+_MAX_BYTES = 64_000_000
+
+#: Recordings that have a picture and a plot: with more, the page would grow too large.
+_MAX_PICTURES = 400
+_POSTER_PX, _PLOT_ROWS = 144, 160
+
+
+@dataclass(frozen=True, slots=True)
+class Recording:
+    """A row of the page.
+
+    Attributes:
+        cells: what the table says, by column.
+        rank: 0 for the worst status.
+        address: of its own page, or else its folder; None where there is neither.
+        poster: a frame of its reference view.
+        plot: its heading over time as points of a polyline in a box of 100 by 20; empty if unknown.
+    """
+
+    cells: Mapping[str, str]
+    rank: int
+    address: str | None
+    poster: Picture | None
+    plot: str
+
+    def number(self, column: str) -> float | None:
+        """Return a number of the table, None where it has none."""
+        with contextlib.suppress(KeyError, ValueError):
+            return float(self.cells[column])
+        return None
+
+
+def batch_page(out: Path, page: Path) -> str:
+    """Return the page of a batch, HTML that needs nothing besides.
+
+    Args:
+        out: the folder, with ``batch.csv`` and, by their names, the folders of the runs.
+        page: where the page will be: the addresses of the runs' pages are relative to it.
+
+    Raises:
+        InputError: the table cannot be read.
+    """
+    rows = sorted(_rows(out / TABLE), key=lambda row: _rank(row["status"]))
+    recordings = [
+        _recording(out, row, page, with_picture=index < _MAX_PICTURES)
+        for index, row in enumerate(rows)
+    ]
+    counts = Counter(row["status"] for row in rows)
+    return render(
+        "batch.html",
+        ("theme.js", "table.js"),
+        name=out.resolve().name,
+        recordings=recordings,
+        counts=sorted(counts.items(), key=lambda item: _rank(item[0])),
+        bad=sum(each.rank < STATUSES.index("done") for each in recordings),
+        frames=sum(each.number("frames") or 0 for each in recordings),
+        seconds=sum(each.number("seconds") or 0 for each in recordings),
+        statuses=STATUSES,
+    )
+
+
+def _rows(path: Path) -> list[dict[str, str]]:
+    try:
+        with path.open(encoding="utf-8-sig", errors="replace", newline="") as file:
+            text = file.read(_MAX_BYTES)
+        table = csv.DictReader(io.StringIO(text, newline=""), restval="")
+        if not {"name", "status"} <= set(table.fieldnames or ()):
+            raise InputError(f"{path} has no columns name and status: give a folder of batch")
+        return [{name: row[name] for name in row if name} for row in table]
+    except (OSError, csv.Error) as error:
+        raise InputError(f"cannot read {path}: {error}") from error
+
+
+def _rank(status: str) -> int:
+    return STATUSES.index(status) if status in STATUSES else -1
+
+
+def _recording(out: Path, row: Mapping[str, str], page: Path, *, with_picture: bool) -> Recording:
+    name = row["name"]
+    folder = out / name
+    address, picture, plot = None, None, ""
+    if name and folder.resolve().is_relative_to(out.resolve()) and folder.is_dir():
+        own = folder / PAGE
+        address = address_of(own if own.is_file() else folder, page)
+        if with_picture:
+            with contextlib.suppress(InputError):  # a run that failed early left nothing to show
+                picture, plot = _shown(read_results(folder))
+    return Recording(row, _rank(row["status"]), address, picture, plot)
+
+
+def _shown(run: Results) -> tuple[Picture | None, str]:
+    """Return a frame of a run's view, and its heading over time."""
+    steering = run.steering()
+    if not steering:
+        return None, ""
+    when_s = float(steering.places[steering.best]) - steering.video_begin
+    view, _ = run.view()
+    picture = poster(view, when_s, max_width=_POSTER_PX) if view else None
+    return picture, _polyline(steering)
+
+
+def _polyline(steering: Steering) -> str:
+    heading = steering.series["steer"]
+    kept = kept_rows([heading], np.zeros(len(heading), np.int64), most=_PLOT_ROWS)
+    known = kept[~np.isnan(heading[kept])]
+    x = 100 * known / max(len(heading) - 1, 1)
+    y = 10 - 9.5 * np.clip(heading[known], -1, 1)
+    return " ".join(f"{a:.1f},{b:.1f}" for a, b in zip(x.tolist(), y.tolist(), strict=True))
