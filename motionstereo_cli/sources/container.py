@@ -108,6 +108,12 @@ class Container:
         return bool(form.flags & _NO_TIME)
 
     @property
+    def clock(self) -> str:
+        """The format where it says when each image was; empty where it may begin at any time."""
+        name = self.source.format.name
+        return name if name.startswith(("mov,", "matroska,")) else ""
+
+    @property
     def stated_rate(self) -> Fraction | None:
         """The rate that a stream without time stamps states; to be asked once it is decoded."""
         rate = self.stream.codec_context.framerate

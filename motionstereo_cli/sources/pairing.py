@@ -2,11 +2,166 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from fractions import Fraction
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
+
+from motionstereo_cli.errors import SettingsError
+from motionstereo_cli.sources.times import natural_key
+
+if TYPE_CHECKING:
+    from motionstereo_cli.sources.recording import Recording
+    from motionstereo_cli.sources.settings import InputSettings
+    from motionstereo_cli.sources.sides import Shot
 
 T = TypeVar("T")
+
+#: Rates further apart, as a share, are those of recordings that time pairs badly: one of the two
+#: is mislabelled, or they are not of one rig.
+_RATES_APART = 0.1
+
+#: Recordings that begin further apart, in s, have clocks of their own.
+_CLOCKS_APART_S = 1.0
+
+#: How fast the difference of two clocks is followed: share of a new difference.
+_FOLLOWING = 0.2
+
+
+@dataclass(frozen=True, slots=True)
+class Pairing:
+    """How to tell which images belong together.
+
+    Attributes:
+        lead: how much earlier a left image is than a right one; negative where it is later.
+        tolerance: largest difference in a pair.
+        by_time: the differences are times.
+        note: is told each pair.
+        warning: what contradicts it, empty if nothing does.
+    """
+
+    lead: Callable[[Shot, Shot], Fraction]
+    tolerance: Fraction = Fraction(0)
+    by_time: bool = False
+    note: Callable[[Shot, Shot], object] = lambda *_: None
+    warning: str = ""
+
+
+def pairing(left: Recording, right: Recording, settings: InputSettings) -> Pairing:
+    """Return how images of two recordings are paired.
+
+    What is asked for holds. Otherwise: time stamps that both cameras took; numbers in the file
+    names of both; names that both have; times of both containers; or else places.
+
+    Raises:
+        SettingsError: the settings need times that a recording does not have.
+    """
+    tolerance, offset = Fraction(str(settings.sync_tolerance)), settings.sync_offset
+    if tolerance:
+        need_time("--sync-tolerance", left)
+        need_time("--sync-tolerance", right)
+        return Pairing(_time_lead, tolerance, by_time=True)
+    half_period = _half_period(left, right)
+    if left.stamped and right.stamped and not offset and half_period:
+        return Pairing(_time_lead, half_period, by_time=True)
+    if left.numbered and right.numbered:
+        return Pairing(lambda one, other: Fraction(other.pts - offset - one.pts))
+    if not offset and _share_names(left.names, right.names):
+        return Pairing(_NameLead(left.names, right.names))
+    if left is not right and not offset and half_period and left.timed and right.timed:
+        return _by_containers(left, right, half_period)
+    return Pairing(lambda one, other: Fraction(other.number - offset - one.number))
+
+
+def _half_period(left: Recording, right: Recording) -> Fraction | None:
+    if left.frame_rate and right.frame_rate:
+        return 1 / (2 * max(left.frame_rate, right.frame_rate))
+    return None
+
+
+def need_time(flag: str, recording: Recording) -> None:
+    """Make sure that a recording has times, for an option.
+
+    Raises:
+        SettingsError: it has none.
+    """
+    if recording.time_base is None:
+        raise SettingsError(f"{flag}: {recording.name} has no time stamps: give --frame-rate")
+
+
+def _time_lead(one: Shot, other: Shot) -> Fraction:
+    return (other.time_s or Fraction(0)) - (one.time_s or Fraction(0))
+
+
+def _share_names(left: Sequence[str], right: Sequence[str]) -> bool:
+    """Return whether most names of the shorter side are names of the other."""
+    common = len(set(left) & set(right))
+    return common > 0 and 2 * common >= min(len(left), len(right))
+
+
+class _NameLead:
+    """Puts the names of both sides in one order."""
+
+    def __init__(self, left: Sequence[str], right: Sequence[str]) -> None:
+        self._left, self._right = left, right
+        ordered = sorted({*left, *right}, key=natural_key)
+        self._places = {name: place for place, name in enumerate(ordered)}
+
+    def __call__(self, one: Shot, other: Shot) -> Fraction:
+        left, right = self._left[one.number], self._right[other.number]
+        return Fraction(self._places[right] - self._places[left])
+
+
+def _by_containers(left: Recording, right: Recording, half_period: Fraction) -> Pairing:
+    """Pair by the containers' times; where these have clocks of their own, from equal numbers on.
+
+    A lost image is a leap of one time against the other, which is more than half a period. What
+    is less, and what comes slowly, is jitter and drift, and is followed.
+    """
+    one, other = left.frame_rate or 0, right.frame_rate or 0
+    if max(one, other) > (1 + _RATES_APART) * min(one, other):
+        return Pairing(
+            lambda one, other: Fraction(other.number - one.number),
+            warning=f"{left.name} has {float(one):.6g} images per second and {right.name} "
+            f"{float(other):.6g}: they are paired by number; if both rates are right, give "
+            "--sync-tolerance",
+        )
+    apart_s = float(right.begin_s - left.begin_s)
+    same_clock = bool(left.clock) and left.clock == right.clock and abs(apart_s) < _CLOCKS_APART_S
+    step = _Step(0.0 if same_clock else None, 2 * half_period)
+    warning = ""
+    if left.clock and left.clock == right.clock and abs(apart_s) >= half_period:
+        later, sooner = (right, left) if apart_s > 0 else (left, right)
+        warning = f"{later.name} begins {abs(apart_s):.3f} s after {sooner.name}: " + (
+            "images before that have no partner"
+            if same_clock
+            else "their first images are paired all the same; if their clocks agree, give "
+            f"--sync-tolerance {float(half_period):.3f}"
+        )
+    return Pairing(step.lead, half_period, by_time=True, note=step.note, warning=warning)
+
+
+class _Step:
+    """Follows the difference of two clocks.
+
+    Args:
+        offset_s: right time minus left time where both are of one moment; None = not yet known.
+        period_s: time from image to image.
+    """
+
+    def __init__(self, offset_s: float | None, period_s: Fraction) -> None:
+        self._offset_s, self._period_s = offset_s, period_s
+
+    def lead(self, one: Shot, other: Shot) -> Fraction:
+        if self._offset_s is None:
+            return (other.number - one.number) * self._period_s
+        return _time_lead(one, other) - Fraction(self._offset_s)
+
+    def note(self, one: Shot, other: Shot) -> None:
+        apart_s = float(_time_lead(one, other))
+        if self._offset_s is None:
+            self._offset_s = apart_s
+        self._offset_s += _FOLLOWING * (apart_s - self._offset_s)
 
 
 def pair(

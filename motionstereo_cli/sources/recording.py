@@ -42,6 +42,9 @@ class Recording(ABC):
         numbered: the time stamps are numbers from file names, which tell better than places
             which images belong together.
         stamped: the time stamps were taken by the camera, and do so as well.
+        timed: its time stamps are those of a container, which wrote them as images came.
+        clock: what time stamps count from, by a name: those of one name may be compared.
+        begin_s: time of the first image, 0 where there is no time.
         timeless: nothing but a rate given makes a time of the images' numbers.
         names: the images' names without suffix by their place, where they are files.
         rereadable: another process can read the same again.
@@ -61,6 +64,9 @@ class Recording(ABC):
     begin_pts: int
     numbered: bool = False
     stamped: bool = False
+    timed: bool = False
+    clock: str = ""
+    begin_s: Fraction = Fraction(0)
     timeless: bool = False
     names: Sequence[str] = ()
     rereadable: bool = True
@@ -84,6 +90,7 @@ class Recording(ABC):
             raise InputError(f"{name}: none of its images can be decoded: {advice}")
         self.name = str(name)
         self.height, self.width = first.grey.shape
+        self.begin_s = first.pts * (self.time_base or Fraction(0))
         self.begin_pts = first.pts
         self._images = itertools.chain([first], images)
 

@@ -72,8 +72,8 @@ class InputSettings:
     )
     sync_tolerance: float = param(
         0.0,
-        "Pair each image with the nearest by time stamp, at most this far apart (0 = pair by "
-        "number, EuRoC folders by time within half a frame).",
+        "Pair each image with the nearest by time stamp, at most this far apart (0 = as the "
+        "recordings' times, names and numbers say).",
         unit="s",
         low=0,
         high=3600,

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from motionstereo_cli.errors import InputError, SettingsError
 from motionstereo_cli.sources import layout
 from motionstereo_cli.sources.opening import named, open_recording, topics_of
-from motionstereo_cli.sources.pairing import pair
+from motionstereo_cli.sources.pairing import need_time, pair, pairing
 from motionstereo_cli.sources.prefetch import prefetch
 from motionstereo_cli.sources.recording import Recording, images
 from motionstereo_cli.sources.settings import InputSettings, Place
@@ -32,10 +32,10 @@ SIDES = ("left", "right")
 class StereoSource:
     """The stereo frames of two recordings, or of one that holds both views.
 
-    To be iterated once, inside a ``with`` block. Images are paired by their number in the
-    recording (that in the file name where both sides have it), or by time. A stream leaves the
-    numbers of lost images out, so the partner of a lost image is dropped and the sides stay in
-    step. Where one side is longer, the common part is processed.
+    To be iterated once, inside a ``with`` block. Images are paired as
+    :func:`~motionstereo_cli.sources.pairing.pairing` says. A recording leaves the numbers of lost
+    images out, so the partner of a lost image is dropped and the sides stay in step. Where one
+    side is longer, the common part is processed.
 
     Each recording decodes in a thread of its own, a few images ahead; views are taken apart,
     rectified, cut and scaled there.
@@ -107,8 +107,9 @@ class StereoSource:
         self.frame_rate = rate / s.every if rate else None
         for flag, place in (("--start", s.first), ("--end", s.stop)):
             if isinstance(place, Fraction):
-                self._need_time(flag, right.stream)
-        self._lead, self._tolerance = self._pairing()
+                need_time(flag, right.stream)
+        self._pairing = pairing(self._sides[0].stream, right.stream, s)
+        self.warnings += [self._pairing.warning] if self._pairing.warning else []
         self.expected_frames = self._expected()
 
     def __enter__(self) -> StereoSource:
@@ -150,7 +151,7 @@ class StereoSource:
         """
         right, s = self._sides[1].stream, self.settings
         first = _frame(s.first, right.frame_rate)
-        if not (self._tolerance or right.numbered):
+        if not (self._pairing.by_time or right.numbered):
             first += max(s.sync_offset, 0)
         expected = self.expected_frames
         return first, first + (expected - 1) * s.every if expected else None
@@ -188,11 +189,11 @@ class StereoSource:
         """What was lost so far, one line each; complete after the iteration."""
         shown = self._sides[: len(self._streams)]
         lines = [line for side in shown for line in side.loss.damage]
-        offset = 0 if self._tolerance else self.settings.sync_offset
+        offset = 0 if self._pairing.by_time else self.settings.sync_offset
         left, right = self._sides
         # What an offset makes stand over is no damage, nor that streams begin apart in time.
         for side, over_first, over_last in ((left, -offset, offset), (right, offset, -offset)):
-            early = 0 if self._tolerance else max(side.early - max(over_first, 0), 0)
+            early = 0 if self._pairing.by_time else max(side.early - max(over_first, 0), 0)
             if dropped := side.between + early:
                 lines.append(
                     f"{side.stream.name}: {images(dropped)} dropped: no partner on the other side"
@@ -268,11 +269,13 @@ class StereoSource:
             if len(feeds) == 1:
                 feeds = list(itertools.tee(feeds[0]))
             left_side, right_side = self._sides
+            how = self._pairing
             pairs = pair(
-                left_side.follow(feeds[0]), right_side.follow(feeds[1]), self._lead, self._tolerance
+                left_side.follow(feeds[0]), right_side.follow(feeds[1]), how.lead, how.tolerance
             )
             number, last = -1, None
             for number, (left, right) in enumerate(itertools.islice(pairs, _whole(s.stop))):
+                how.note(left, right)
                 left_side.use(left)
                 right_side.use(right)
                 if last is not None:
@@ -316,21 +319,6 @@ class StereoSource:
             yield Shot(order, image.number, image.pts, time_s, tuple(cut), repeats, loss)
         yield Loss.of(stream)
 
-    def _pairing(self) -> tuple[Callable[[Shot, Shot], Fraction], Fraction]:
-        """Return how much earlier a left image is than a right one, and how much may be."""
-        left, right = (side.stream for side in self._sides)
-        tolerance, offset = Fraction(str(self.settings.sync_tolerance)), self.settings.sync_offset
-        if tolerance:
-            self._need_time("--sync-tolerance", left)
-            self._need_time("--sync-tolerance", right)
-        elif left.stamped and right.stamped and not offset and left.frame_rate and right.frame_rate:
-            tolerance = 1 / (2 * max(left.frame_rate, right.frame_rate))
-        if tolerance:
-            return _time_lead, tolerance
-        if left.numbered and right.numbered:
-            return lambda one, other: Fraction(other.pts - offset - one.pts), tolerance
-        return lambda one, other: Fraction(other.number - offset - one.number), tolerance
-
     def _expected(self) -> int | None:
         left, right = (side.stream for side in self._sides)
         s, rate = self.settings, right.frame_rate
@@ -350,10 +338,6 @@ class StereoSource:
             return number >= place
         return shot.time_s is not None and shot.time_s - self._sides[1].begin_s >= place
 
-    def _need_time(self, flag: str, stream: Recording) -> None:
-        if stream.time_base is None:
-            raise SettingsError(f"{flag}: {stream.name} has no time stamps: give --frame-rate")
-
     def _nothing(self, pairs: int) -> str:
         left, right = (side.stream.name for side in self._sides)
         if pairs:
@@ -362,10 +346,6 @@ class StereoSource:
             f"{left} and {right} have no images that belong together: check that they are whole, "
             "their numbers, and --sync-offset and --sync-tolerance if given"
         )
-
-
-def _time_lead(one: Shot, other: Shot) -> Fraction:
-    return (other.time_s or Fraction(0)) - (one.time_s or Fraction(0))
 
 
 def _frame(place: Place, rate: Fraction | None) -> int:

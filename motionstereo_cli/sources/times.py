@@ -26,6 +26,11 @@ _MAX_STAMP = 2**63 - 1
 
 _NS = 1_000_000_000
 
+#: A name that is a time since 1970, from 2001 to 2100: in s with decimals; in ms, us or ns.
+_NAME_STAMP = re.compile(
+    r"(\D*)(?:([1-3]\d{9})[._](\d{3}|\d{6}|\d{9})|([1-3](?:\d{12}|\d{15}|\d{18})))(\D*)", re.ASCII
+)
+
 
 class Timeline(NamedTuple):
     """A folder's images in order.
@@ -56,15 +61,16 @@ def timeline(path: Path, images: Iterable[Path], *, whole: bool) -> Timeline:
     """
     files = sorted(images, key=lambda file: natural_key(str(file)))
     beside = path.parent
+    named = Timeline(files, stamps_in([file.stem for file in files]))
     if not whole:
-        return Timeline(files)
+        return named
     if path.name == "data" and (beside / _EUROC).exists():
         return _euroc(beside / _EUROC, path)
     if path.name.startswith("image_") and (beside / _KITTI).exists():
         return _by_number(beside / _KITTI, files, _seconds, "a time in s")
     if path.name in ("data", "data_rect") and (beside / _KITTI_RAW).exists():
         return _by_number(beside / _KITTI_RAW, files, _date, "a date and time")
-    return Timeline(files)
+    return named
 
 
 def natural_key(name: str) -> list[tuple[int, str]]:
@@ -94,6 +100,26 @@ def file_numbers(stems: list[str]) -> list[int] | None:
     steps = list(map(operator.sub, numbers[1:], numbers[:-1]))
     least = min(steps)
     return numbers if least > 0 and not any(step % least for step in steps) else None
+
+
+def stamps_in(stems: list[str]) -> list[int]:
+    """Return the time stamps in ns that names without suffix are, as cameras' drivers name images.
+
+    Those are seconds since 1970 with a decimal point, or whole ms, us or ns since then, in what
+    is but for that the same in all names. None where one is not, or they do not rise.
+    """
+    found = [_NAME_STAMP.fullmatch(stem) for stem in stems]
+    if not all(found) or len({(each[1], each[5]) for each in found if each}) != 1:
+        return []
+    stamps = [_stamp_of(each) for each in found if each]
+    rising = all(before < after for before, after in itertools.pairwise(stamps))
+    return stamps if rising and len(stamps) > 1 else []
+
+
+def _stamp_of(found: re.Match[str]) -> int:
+    if found[3]:
+        return int(found[2]) * _NS + int(f"{found[3]:0<9.9}")
+    return int(found[4].ljust(19, "0"))
 
 
 def gaps(numbers: list[int]) -> list[str]:

@@ -104,6 +104,7 @@ class VideoRecording(Recording):
             self.expected_images: int | None = None
             self._pace = Pace(None, self._tick_s, steady=False, places=None)
             return
+        self.timed, self.clock = True, self._file.clock
         self.time_base = self._tick_s
         self.frame_rate = stream.average_rate or stream.guessed_rate
         self.expected_images = self._listed or stream.frames or self._count_by_length()

@@ -1,0 +1,143 @@
+"""Which images belong together: what both sides say of it decides by itself."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from recordings import COUNT, encode, number_in, scene
+
+from motionstereo_cli.sources import open_stereo
+from motionstereo_cli.sources.pairing import _Step, pair
+from motionstereo_cli.sources.settings import InputSettings
+from motionstereo_cli.sources.sides import Loss, Shot
+from motionstereo_cli.sources.times import stamps_in
+
+ALL = range(COUNT)
+
+
+def named(path: Path, names: dict[int, str]) -> Path:
+    path.mkdir()
+    for number, name in names.items():
+        assert cv2.imwrite(str(path / f"{name}.png"), scene()[number])
+    return path
+
+
+def pairs_of(left: Path, right: Path) -> list[tuple[int, int]]:
+    with open_stereo(left, right) as source:
+        return [(number_in(frame.left), number_in(frame.right)) for frame in source]
+
+
+JITTER_MS = np.random.default_rng(0).integers(-9, 10, COUNT)
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        lambda n: f"{33 * n + JITTER_MS[n] + 10:06d}",  # ms, from 0
+        lambda n: f"{1403636579763555584 + 33_000_000 * n + 1_000_000 * JITTER_MS[n]}",
+        lambda n: f"{1305031102 + (33 * n + JITTER_MS[n]) / 1000:.6f}",
+        lambda n: f"take1_{n}_{JITTER_MS[n] + 10}",
+    ],
+)
+def test_names_that_both_sides_have_decide(tmp_path: Path, name: object) -> None:
+    assert callable(name)
+    left = named(tmp_path / "left", {n: name(n) for n in ALL if n not in (2, 7)})
+    right = named(tmp_path / "right", {n: name(n) for n in ALL if n not in (4, 5)})
+    assert pairs_of(left, right) == [(n, n) for n in ALL if n not in (2, 4, 5, 7)]
+    with open_stereo(left, right) as source:
+        list(source)
+        assert f"{left}: 2 images dropped: no partner on the other side" in source.damage
+
+
+def test_times_in_names_need_not_be_equal(tmp_path: Path) -> None:
+    left = named(tmp_path / "left", {n: f"{1305031102.1 + n / 30:.6f}" for n in ALL if n != 3})
+    right = named(tmp_path / "right", {n: f"{1305031102.105 + n / 30:.6f}" for n in ALL if n != 8})
+    assert pairs_of(left, right) == [(n, n) for n in ALL if n not in (3, 8)]
+    with open_stereo(left, right) as source:
+        assert float(source.frame_rate or 0) == pytest.approx(30, rel=1e-3)
+        assert next(iter(source)).time_s == pytest.approx(1305031102.105)
+
+
+@pytest.mark.parametrize(
+    ("stems", "ns"),
+    [
+        (["1305031102.175304", "1305031103.2"], None),
+        (["1305031102.175304", "1305031103.275304"], [1305031102175304000, 1305031103275304000]),
+        (["a1305031102175", "a1305031102275"], [1305031102175000000, 1305031102275000000]),
+        (["1305031102175304", "1305031102275304"], [1305031102175304000, 1305031102275304000]),
+        (["1305031102175304000"] * 2, None),
+        (["a1305031102175", "b1305031102275"], None),
+        (["000001", "000002"], None),
+        (["1305031102175"], None),
+    ],
+)
+def test_times_in_names(stems: list[str], ns: list[int] | None) -> None:
+    assert stamps_in(stems) == (ns or [])
+
+
+# --- Videos -----------------------------------------------------------------------------------
+
+
+def film(path: Path, kept: list[int], times: list[int]) -> Path:
+    return encode(path, [scene()[n] for n in kept], "ffv1", "gray", pts=[times[n] for n in kept])
+
+
+@pytest.mark.parametrize("suffix", [".mkv", ".mp4"])
+@pytest.mark.parametrize(
+    "lost", [({4}, {8}), ({4, 5}, {5}), ({3}, {4}), ({0}, set()), ({2}, {0, 2})]
+)
+def test_times_of_a_varying_rate_decide(
+    tmp_path: Path, suffix: str, lost: tuple[set[int], set[int]]
+) -> None:
+    times = np.cumsum([0, 4, 5, 3, 4, 6, 4, 4, 3, 5, 4, 4]).tolist()  # in 1/30 s
+    left, right = (
+        film(tmp_path / f"{side}{suffix}", [n for n in ALL if n not in gone], times)
+        for side, gone in zip(("left", "right"), lost, strict=True)
+    )
+    assert pairs_of(left, right) == [(n, n) for n in ALL if n not in lost[0] | lost[1]]
+
+
+def test_recordings_that_begin_apart_are_named(tmp_path: Path) -> None:
+    left = film(tmp_path / "left.mkv", list(ALL), list(ALL))
+    right = film(tmp_path / "right.mkv", list(ALL)[1:], list(ALL))
+    with open_stereo(left, right) as source:
+        assert source.warnings == [
+            f"{right} begins 0.033 s after {left}: images before that have no partner"
+        ]
+        assert [number_in(frame.left) for frame in source] == list(ALL)[1:]
+    late = film(tmp_path / "late.mkv", list(ALL), [100 + n for n in ALL])
+    with open_stereo(left, late) as source:
+        assert "late.mkv begins 3.333 s after" in source.warnings[0]
+        assert "give --sync-tolerance 0.017" in source.warnings[0]
+        assert len(list(source)) == COUNT
+    with open_stereo(left, late, InputSettings(sync_tolerance=0.017)) as source:
+        assert source.warnings == []
+
+
+def test_rates_that_contradict_the_numbers_are_named(tmp_path: Path) -> None:
+    left = film(tmp_path / "left.mp4", list(ALL), list(ALL))
+    right = film(tmp_path / "right.mp4", list(ALL), [2 * n for n in ALL])
+    with open_stereo(left, right) as source:
+        assert "has 30 images per second and" in source.warnings[0]
+        assert [number_in(frame.right) for frame in source] == list(ALL)
+
+
+def shot(number: int, time_s: float) -> Shot:
+    return Shot(number, number, number, Fraction(time_s), (), False, Loss(0, 0, ()))
+
+
+@pytest.mark.parametrize("drift", [0.0, 0.01, -0.04])
+def test_clocks_that_drift_are_followed_and_leaps_are_not(drift: float) -> None:
+    chance = np.random.default_rng(3)
+    left = [shot(n, 7 + n / 30 + chance.uniform(-0.2, 0.2) / 30) for n in range(400) if n % 90]
+    right = [shot(n, (1 + drift) * n / 30) for n in range(400) if n % 71]
+    step = _Step(None, Fraction(1, 30))
+    found = []
+    for one, other in pair(iter(left), iter(right), step.lead, Fraction(1, 60)):
+        step.note(one, other)
+        found.append((one.number, other.number))
+    assert found == [(n, n) for n in range(400) if n % 90 and n % 71]
