@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 if TYPE_CHECKING:
     import numpy as np
@@ -15,6 +15,9 @@ if TYPE_CHECKING:
     Grey = NDArray[np.uint8]
     MatchKeys = NDArray[np.uint16]
     Real = NDArray[np.float32]
+
+    #: A number, or an array of them.
+    T = TypeVar("T", float, Real, NDArray[np.float64])
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,6 +48,41 @@ class Rig:
     def fy_px(self) -> float:
         """Focal length along y in px."""
         return self.focal_px if self.focal_y_px is None else self.focal_y_px
+
+    @property
+    def focal_baseline(self) -> float:
+        """Depth in m times nearness in px: focal_px * baseline_m."""
+        return self.focal_px * self.baseline_m
+
+    def nearness_px(self, disparity_px: T) -> T:
+        """Return disparity + doffs in px, which is proportional to inverse depth.
+
+        Takes and returns a number, or an array of float32 or float64.
+        """
+        return disparity_px + float(self.doffs)
+
+    def depth_m(self, disparity_px: T) -> T:
+        """Return depth in m: Z = focal_px * baseline_m / (disparity_px + doffs).
+
+        Takes and returns a number, or an array of float32 or float64, where nearness is not 0.
+        """
+        return float(self.focal_baseline) / self.nearness_px(disparity_px)
+
+    def disparity_px(self, depth_m: T) -> T:
+        """Return the disparity in px at a depth in m, the inverse of :meth:`depth_m`."""
+        return float(self.focal_baseline) / depth_m - float(self.doffs)
+
+    def left_of_middle_m(self, camera: str) -> float:
+        """Return how far left of the rig's middle the ``left`` or ``right`` camera sits, in m."""
+        return self.baseline_m / (-2 if camera == "right" else 2)
+
+    def camera_on_floor(self, pose: Pose, camera: str) -> tuple[float, float]:
+        """Return where the ``left`` or ``right`` camera is in the world, x and y in m."""
+        to_left_m = self.left_of_middle_m(camera)
+        return (
+            pose.x_m - to_left_m * math.sin(pose.yaw_rad),
+            pose.y_m + to_left_m * math.cos(pose.yaw_rad),
+        )
 
     def cx_of(self, camera: str) -> float:
         """Return the x of the principal point of the ``left`` or ``right`` camera in px."""
@@ -190,12 +228,3 @@ class FrameResult:
     state: State | None = None
     pose: Pose | None = None
     objects: tuple[MovingObject, ...] = ()
-
-
-def camera_place(rig: Rig, pose: Pose, camera: str) -> tuple[float, float]:
-    """Return where the ``left`` or ``right`` camera is in the world, x and y in m."""
-    to_right_m = rig.baseline_m / (2 if camera == "right" else -2)
-    return (
-        pose.x_m + to_right_m * math.sin(pose.yaw_rad),
-        pose.y_m - to_right_m * math.cos(pose.yaw_rad),
-    )

@@ -37,7 +37,7 @@ BEARINGS = 80
 
 
 def view(x_m=0.0, y_m=0.0, yaw_rad=0.0):
-    return View(x_m, y_m, yaw_rad, RIG.focal_px, RIG.cx, RIG.cy, FB)
+    return View(x_m, y_m, yaw_rad, RIG.focal_px, RIG.focal_px, RIG.cx, RIG.cy, FB)
 
 
 def pose(x_m=0.0, y_m=0.0, yaw_rad=0.0):

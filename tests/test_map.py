@@ -94,7 +94,7 @@ def read_ply(content):
 class TestPoints:
     def test_by_hand(self):
         depth_m = np.array([[NAN, 1.0, NAN], [NAN, NAN, 2.0]], np.float32)
-        found = points(depth_m, ~np.isnan(depth_m), focal_px=10.0, cx_px=1.0, cy_px=0.5)
+        found = points(depth_m, ~np.isnan(depth_m), focal_px=(10.0, 10.0), cx_px=1.0, cy_px=0.5)
         np.testing.assert_allclose(found, [[0, -0.05, 1], [0.2, 0.1, 2]])
 
     @pytest.mark.parametrize(
@@ -143,7 +143,9 @@ class TestPoints:
 
     @pytest.mark.parametrize("reference", ["right", "left"])
     def test_each_frame_becomes_a_file(self, tmp_path, reference):
-        rig = Rig(width=3, height=2, focal_px=10.0, baseline_m=0.1, cx=1.0, cy=0.5, doffs=0.5)
+        rig = Rig(
+            width=3, height=2, focal_px=(10.0, 10.0), baseline_m=0.1, cx=1.0, cy=0.5, doffs=0.5
+        )
         stream = RunContext(Fraction(1, 25), Settings(reference=reference), rig)
         sink = OUTPUTS["points"].open(tmp_path, stream)
         depth_m = np.array([[NAN, 1.0, NAN], [NAN, NAN, 2.0]])

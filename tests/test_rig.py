@@ -1,13 +1,18 @@
+import math
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from motionstereo_cli.errors import InputError
 from motionstereo_cli.rig import format_rig, read_rig, write_rig
-from motionstereo_cli.types import Rig
+from motionstereo_cli.robot.guide import view_of
+from motionstereo_cli.robot.local_map import profile
+from motionstereo_cli.robot.points import points
+from motionstereo_cli.types import Pose, Rig
 
 VALUES = {
     "width": "640",
@@ -112,3 +117,40 @@ def test_written_rig_reads_back_exactly(tmp_path_factory: pytest.TempPathFactory
     write_rig(path, rig)
     assert path.read_text() == format_rig(rig)
     assert read_rig(path) == rig
+
+
+# Geometry.
+
+RIG = Rig(640, 480, 500.0, 0.2, 310.0, 240.0, -3.5, focal_y_px=550.0)
+
+
+def test_disparity_and_depth_are_inverse() -> None:
+    assert RIG.nearness_px(23.5) == 20
+    assert RIG.depth_m(23.5) == 500 * 0.2 / 20
+    assert RIG.disparity_px(RIG.depth_m(23.5)) == pytest.approx(23.5)
+    disparity = np.array([4.5, 23.5, np.nan], np.float32)
+    depth = RIG.depth_m(disparity)
+    assert depth.dtype == RIG.disparity_px(depth).dtype == np.float32
+    np.testing.assert_array_equal(depth, [100, 5, np.nan])
+
+
+def test_cameras_stand_left_and_right_of_the_middle() -> None:
+    north = Pose(1.0, 2.0, 0.5, 0.0, 0.0, math.sin(math.pi / 4), math.cos(math.pi / 4))
+    assert RIG.camera_on_floor(north, "left") == pytest.approx((0.9, 2.0))
+    assert RIG.camera_on_floor(north, "right") == pytest.approx((1.1, 2.0))
+    assert RIG.left_of_middle_m("right") == -RIG.left_of_middle_m("left") == -0.1
+
+
+def test_points_and_heights_use_the_focal_length_along_y() -> None:
+    depth_m = np.full((1, 1), 11.0, np.float32)
+    found = points(
+        depth_m, depth_m > 0, focal_px=(RIG.focal_px, RIG.fy_px), cx_px=-50.0, cy_px=-50.0
+    )
+    np.testing.assert_allclose(found, [[50 * 11 / 500, 50 * 11 / 550, 11]])
+    # 11 m ahead, 60 rows up: 1.2 m with fy, 1.32 m with fx.
+    near = np.full((480, 640), np.nan, np.float32)
+    near[180, :] = RIG.focal_baseline / 11
+    view = view_of(RIG, "left", (0.0, 0.0), 0.0)
+    for above_m, seen in ((1.25, True), (1.15, False)):
+        found = profile(near, ~np.isnan(near), view, bearings=8, below_m=1.0, above_m=above_m)
+        assert np.isfinite(found).any() == seen

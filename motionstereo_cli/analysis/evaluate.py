@@ -306,12 +306,10 @@ def _both_kinds(values: Real, kind: str, rig: Rig | None) -> tuple[Real | None, 
     """Return disparity in px and depth in m; None for the one that would need a rig."""
     if rig is None:
         return (values, None) if kind == "disparity" else (None, values)
-    focal_baseline, doffs = np.float32(rig.focal_px * rig.baseline_m), np.float32(rig.doffs)
     if kind == "depth":
-        return focal_baseline / values - doffs, values
-    inverse = values + doffs
-    inverse[inverse <= 0] = np.nan  # at or beyond infinity
-    return values, focal_baseline / inverse
+        return rig.disparity_px(values), values
+    finite = rig.nearness_px(values) > 0  # not at or beyond infinity
+    return values, rig.depth_m(np.where(finite, values, np.float32(np.nan)))
 
 
 def _ratio(part: float, whole: int) -> float:

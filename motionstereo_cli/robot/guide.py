@@ -37,7 +37,7 @@ from motionstereo_cli.robot.local_map import (
     seen,
 )
 from motionstereo_cli.settings import Settings
-from motionstereo_cli.types import MovingObject, Pose, Rig, Steering, camera_place
+from motionstereo_cli.types import MovingObject, Pose, Rig, Steering
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -155,7 +155,7 @@ class ImageGuide:
 
     def profile(self, disparity_px: Real, _: NDArray[np.bool_]) -> ImageProfile:
         """Return what is taken from a frame, see :meth:`Guide.profile`."""
-        near = _thinned(disparity_px + np.float32(self.rig.doffs if self.rig else 0))
+        near = _thinned(self.rig.nearness_px(disparity_px) if self.rig else disparity_px)
         width = near.shape[1]
         strips = strip_nearness(near, min(self.settings.steer_strips, width), MIN_KNOWN_SHARE)
         return ImageProfile(strips, nearest(near, MIN_KNOWN_SHARE), width)
@@ -231,12 +231,12 @@ class MapGuide:
 
     def profile(self, disparity_px: Real, fresh: NDArray[np.bool_]) -> MapProfile:
         """Return what is taken from a frame, see :meth:`Guide.profile`."""
-        s, near = self.settings, disparity_px + np.float32(self.rig.doffs)
+        s, near = self.settings, self.rig.nearness_px(disparity_px)
         width = near.shape[1]
         bearings_px = profile(
             near,
             fresh,
-            self._view(0.0, 0.0, 0.0),
+            view_of(self.rig, s.reference, (0.0, 0.0), 0.0),
             bearings=min(BEARINGS, width),
             below_m=s.robot_below_m,
             above_m=s.robot_above_m,
@@ -256,7 +256,7 @@ class MapGuide:
         """
         assert pose is not None
         s, yaw = self.settings, pose.yaw_rad
-        view = self._view(*camera_place(self.rig, pose, s.reference), yaw)
+        view = view_of(self.rig, s.reference, self.rig.camera_on_floor(pose, s.reference), yaw)
         new = bool(np.isfinite(seen_now.bearings_px).any())
         before = state or MapCourse(LocalMap.unknown(pose.x_m, pose.y_m), pose)
         known = seen(
@@ -288,18 +288,6 @@ class MapGuide:
             nearest_m=_depth_m(seen_now.nearest_px, self.rig),
         )
 
-    def _view(self, x_m: float, y_m: float, yaw_rad: float) -> View:
-        rig = self.rig
-        return View(
-            x_m=x_m,
-            y_m=y_m,
-            yaw_rad=yaw_rad,
-            focal_px=rig.focal_px,
-            cx_px=rig.cx_of(self.settings.reference),
-            cy_px=rig.cy,
-            focal_baseline=rig.focal_px * rig.baseline_m,
-        )
-
     def _foreseen(self, contact: MovingObject | None, known: LocalMap) -> NDArray[np.bool_]:
         """Return the cells of the map where a contact will be."""
         cells = np.zeros(known.evidence.shape, np.bool_)
@@ -308,7 +296,7 @@ class MapGuide:
         if contact.place_m is None or contact.velocity_mps is None:
             return cells
         m_per_px = contact.depth_m / self.rig.focal_px
-        up_m = (self.rig.cy - contact.y - contact.height / 2) * m_per_px
+        up_m = (self.rig.cy - contact.y - contact.height / 2) * (contact.depth_m / self.rig.fy_px)
         in_way = -self.settings.robot_below_m < up_m < self.settings.robot_above_m
         low_mps, high_mps = CONTACT_MPS
         if not (in_way and low_mps <= math.hypot(*contact.velocity_mps) <= high_mps):
@@ -329,6 +317,20 @@ class MapGuide:
         return min(max((column + 0.5) / width, 0.0), 1.0)
 
 
+def view_of(rig: Rig, camera: str, place_m: tuple[float, float], yaw_rad: float) -> View:
+    """Return the ``left`` or ``right`` camera on the floor plane, at a place and heading."""
+    return View(
+        x_m=place_m[0],
+        y_m=place_m[1],
+        yaw_rad=yaw_rad,
+        focal_px=rig.focal_px,
+        focal_y_px=rig.fy_px,
+        cx_px=rig.cx_of(camera),
+        cy_px=rig.cy,
+        focal_baseline=rig.focal_baseline,
+    )
+
+
 _BLIND = Steering("blind", None, None, None, None)
 
 
@@ -346,4 +348,4 @@ def _angle_rad(place: float, width: int, rig: Rig | None, camera: str) -> float 
 def _depth_m(nearness_px: float | None, rig: Rig | None) -> float | None:
     if rig is None or nearness_px is None or not nearness_px > 0:
         return None
-    return rig.focal_px * rig.baseline_m / nearness_px
+    return rig.focal_baseline / nearness_px

@@ -69,7 +69,8 @@ class View:
     Attributes:
         x_m, y_m: its place in the world.
         yaw_rad: its heading.
-        focal_px, cx_px, cy_px: focal length and principal point.
+        focal_px, focal_y_px: focal lengths along x and y.
+        cx_px, cy_px: principal point.
         focal_baseline: focal length in px times baseline in m.
     """
 
@@ -77,6 +78,7 @@ class View:
     y_m: float
     yaw_rad: float
     focal_px: float
+    focal_y_px: float
     cx_px: float
     cy_px: float
     focal_baseline: float
@@ -107,7 +109,7 @@ def profile(
     with np.errstate(invalid="ignore"):
         row, column = np.nonzero(fresh & (nearness_px > 0))
     near = nearness_px[row, column]
-    up_m = (view.cy_px - row) * (view.focal_baseline / view.focal_px) / near
+    up_m = (view.cy_px - row) * (view.focal_baseline / view.focal_y_px) / near
     in_way = (up_m > -below_m) & (up_m < above_m)
     return nearest_by_bearing(near[in_way], column[in_way] * bearings // width, bearings)
 

@@ -23,7 +23,8 @@ from motionstereo_cli.robot.fused_map import (
     trimmed,
     voxels_of,
 )
-from motionstereo_cli.robot.local_map import View, nearest_by_bearing, sighted
+from motionstereo_cli.robot.guide import view_of
+from motionstereo_cli.robot.local_map import nearest_by_bearing, sighted
 from motionstereo_cli.robot.points import in_world, points
 
 if TYPE_CHECKING:
@@ -68,7 +69,7 @@ def camera_points(
     found = points(
         result.depth_m,
         which,
-        focal_px=rig.focal_px,
+        focal_px=(rig.focal_px, rig.fy_px),
         cx_px=rig.cx_of(camera),
         cy_px=rig.cy,
     )
@@ -127,7 +128,7 @@ class Mapper:
         self._rig = rig
         self._cell_m = cell_m
         # Z = f B / d, so an error of d makes one of Z^2 / (f B) times as much in Z.
-        reach_m = math.sqrt(_ERROR_M * rig.focal_px * rig.baseline_m / _ERROR_PX)
+        reach_m = math.sqrt(_ERROR_M * rig.focal_baseline / _ERROR_PX)
         self._reach_m = min(reach_m, _MAX_CELLS * cell_m)
         self.known: Surroundings | None = None
 
@@ -137,10 +138,9 @@ class Mapper:
         assert pose is not None
         known = self.known or self._nothing(pose)
         seen, grey = camera_points(result, result.motion, s, self._rig)
-        to_left_m = self._rig.baseline_m / (2 if s.reference == "left" else -2)
         placed = in_world(
             seen,
-            camera_left_m=to_left_m,
+            camera_left_m=self._rig.left_of_middle_m(s.reference),
             place_m=(pose.x_m, pose.y_m, pose.z_m),
             quaternion=(pose.qx, pose.qy, pose.qz, pose.qw),
         )
@@ -150,7 +150,7 @@ class Mapper:
         )
         low_m, high_m = known.heights_m
         known = Surroundings(
-            grid=self._marked(known.grid, placed, pose, to_left_m),
+            grid=self._marked(known.grid, placed, pose),
             cloud=known.cloud,
             recent=recent,
             heights_m=(
@@ -189,22 +189,14 @@ class Mapper:
         none = Voxels.empty((x, y, z))
         return Surroundings(Grid.empty(), none, none, (-math.inf, math.inf))
 
-    def _marked(self, grid: Grid, placed: Points, pose: Pose, to_left_m: float) -> Grid:
+    def _marked(self, grid: Grid, placed: Points, pose: Pose) -> Grid:
         """Return the grid with a frame's points, which are in the world frame.
 
         They are looked at as a level camera would see them, so that a tilted one does no harm.
         """
         s, rig, cell_m, yaw = self._settings, self._rig, self._cell_m, pose.yaw_rad
         cos, sin = math.cos(yaw), math.sin(yaw)
-        view = View(
-            x_m=pose.x_m - to_left_m * sin,
-            y_m=pose.y_m + to_left_m * cos,
-            yaw_rad=yaw,
-            focal_px=rig.focal_px,
-            cx_px=rig.cx_of(s.reference),
-            cy_px=rig.cy,
-            focal_baseline=rig.focal_px * rig.baseline_m,
-        )
+        view = view_of(rig, s.reference, rig.camera_on_floor(pose, s.reference), yaw)
         x, y, up = (placed - (view.x_m, view.y_m, pose.z_m)).T
         ahead, leftward = cos * x + sin * y, cos * y - sin * x
         in_way = (up > -s.robot_below_m) & (up < s.robot_above_m) & (ahead > 0)

@@ -12,24 +12,25 @@ def points(
     depth_m: NDArray[np.float32],
     which: NDArray[np.bool_],
     *,
-    focal_px: float,
+    focal_px: tuple[float, float],
     cx_px: float,
     cy_px: float,
 ) -> Reals:
     """Return where pixels lie in their camera's optical frame, (n, 3) float64 m, in reading order.
 
     The frame is that of OpenCV and REP 103: origin in the optical centre, x right, y down, z along
-    the optical axis: x = (column - cx) z / f, y = (row - cy) z / f.
+    the optical axis: x = (column - cx) z / fx, y = (row - cy) z / fy.
 
     Args:
         depth_m: depth along the optical axis, (height, width) float32.
         which: pixels to give; their depth has to be known, (height, width) bool.
-        focal_px: focal length.
+        focal_px: focal lengths along x and y.
         cx_px, cy_px: principal point.
     """
     row, column = np.nonzero(which)
     z = depth_m[row, column].astype(np.float64)
-    return np.stack([(column - cx_px) * z / focal_px, (row - cy_px) * z / focal_px, z], axis=1)
+    fx_px, fy_px = focal_px
+    return np.stack([(column - cx_px) * z / fx_px, (row - cy_px) * z / fy_px, z], axis=1)
 
 
 def in_world(

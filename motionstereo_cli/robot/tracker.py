@@ -25,7 +25,6 @@ from motionstereo_cli.types import (
     Pose,
     Rig,
     StereoFrame,
-    camera_place,
 )
 
 if TYPE_CHECKING:
@@ -71,7 +70,7 @@ class Tracker:
             disparity_px: (height, width) float32, NaN = unknown.
             fresh: where the disparity shows what is there now, (height, width) bool.
         """
-        near = disparity_px + np.float32(self.rig.doffs if self.rig else 0)
+        near = self.rig.nearness_px(disparity_px) if self.rig else disparity_px
         return regions(near, fresh, MIN_KNOWN_SHARE)
 
     def follow(
@@ -105,14 +104,14 @@ class Tracker:
         if self.rig is None:
             ahead = 1 / region.nearness_px
             return Observation(time_s, region, (ahead, 0.0), (ahead, 0.0))
-        ahead_m = self.rig.focal_px * self.rig.baseline_m / region.nearness_px
+        ahead_m = self.rig.focal_baseline / region.nearness_px
         cx_px = self.rig.cx_of(self.settings.reference)
         left_m = (cx_px - region.middle_x) / self.rig.focal_px * ahead_m
         if pose is None:
             return Observation(time_s, region, (ahead_m, left_m), (ahead_m, left_m))
         cos, sin = math.cos(pose.yaw_rad), math.sin(pose.yaw_rad)
         x_m, y_m = cos * ahead_m - sin * left_m, sin * ahead_m + cos * left_m
-        camera_x_m, camera_y_m = camera_place(self.rig, pose, self.settings.reference)
+        camera_x_m, camera_y_m = self.rig.camera_on_floor(pose, self.settings.reference)
         return Observation(time_s, region, (x_m, y_m), (camera_x_m + x_m, camera_y_m + y_m))
 
     def _object(self, track: Track, pose: Pose | None, *, timed: bool) -> MovingObject:

@@ -161,7 +161,7 @@ class DriveWorld:
             left=exposed(left.grey, s.noise_sigma, (s.seed, 3, number, 0)),
             right=exposed(right.grey, s.noise_sigma, (s.seed, 3, number, 1)),
         )
-        disparity_px = s.rig.focal_px * s.rig.baseline_m / right.depth_m
+        disparity_px = s.rig.disparity_px(right.depth_m)
         return Shot(frame, disparity_px, as_written(self.robot.rig_pose))
 
     def act_on(self, steering: Steering) -> None:

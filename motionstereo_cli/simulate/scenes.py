@@ -27,7 +27,7 @@ class SceneFrame(NamedTuple):
         frame: number of the frame in the scene; its time is frame / frame_rate.
         left, right: (height, width) uint8 grey levels, with the sensor's noise.
         disparity_px: (height, width) float32 exact disparity of every pixel centre of the right
-            view: focal_px * baseline_m / depth.
+            view: rig.disparity_px of the depth.
         pose: where the rig's middle is.
     """
 
@@ -127,7 +127,7 @@ def render_scene(settings: SimulateSettings) -> Iterator[SceneFrame]:
             frame=frame,
             left=left,
             right=right,
-            disparity_px=rig.focal_px * rig.baseline_m / views[1].depth_m,
+            disparity_px=rig.disparity_px(views[1].depth_m),
             pose=scene.pose(frame, frame_s),
         )
 

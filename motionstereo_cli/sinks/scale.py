@@ -47,7 +47,7 @@ class DepthScale:
     def of(cls, settings: Settings, output: OutputSettings, rig: Rig | None) -> DepthScale:
         """Return the scale of a run, the same for all its frames."""
         doffs = rig.doffs if rig else 0.0
-        px_m = rig.focal_px * rig.baseline_m if rig else None
+        px_m = rig.focal_baseline if rig else None
         near_px, far_px = settings.max_disparity + doffs, max(1 + doffs, 1)
         if px_m and output.near_m:
             near_px = px_m / output.near_m

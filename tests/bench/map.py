@@ -80,10 +80,10 @@ class _Watched(DriveWorld):
     def shot(self) -> Shot:
         shot = super().shot()
         rig, robot = self.settings.rig, self.robot
-        ahead = rig.focal_px * rig.baseline_m / shot.disparity_px[round(rig.cy)].astype(np.float64)
+        ahead = rig.depth_m(shot.disparity_px[round(rig.cy)].astype(np.float64))
         right = (np.arange(rig.width) - rig.cx) * ahead / rig.focal_px
         near = np.hypot(ahead, right) <= VIEW_M
-        leftward = -rig.baseline_m / 2 - right[near]
+        leftward = rig.left_of_middle_m("right") - right[near]
         places = np.array([robot.x_m, robot.y_m]) + np.outer(ahead[near], robot.forward)
         places += np.outer(leftward, robot.left)
         on_wall = places[self.to_walls(places) < 0.01]  # the rest are walkers

@@ -141,7 +141,7 @@ def _visible(
 ) -> Iterator[tuple[Card, Box, float]]:
     """Yield the cards that the right camera sees, with box in px and depth in m."""
     camera = stereo_cameras(settings.rig)[1]
-    depth_m = settings.rig.focal_px * settings.rig.baseline_m / shot.disparity_px
+    depth_m = settings.rig.depth_m(shot.disparity_px)
     eye = camera.eye(shot.pose)
     rays = camera.rays(shot.pose, np.arange(settings.width, dtype=np.float64))
     x_m, y_m = (eye[axis] + depth_m * rays[:, axis] for axis in (0, 1))
