@@ -14,7 +14,7 @@ demo: $(READY)  ## run the main job on sample_data
 		--rig sample_data/rig.yaml --out out/demo --overwrite \
 		--save steering,depth,charge,depth-video,objects,view-video,preview
 	$(BIN)/motionstereo report out/demo
-	@echo "Open out/demo/report.html in a browser. preview.mp4 plays anywhere; steering.csv has a row a frame."
+	@echo "Open out/demo/report.html in a browser. preview.mp4 plays anywhere; steering.csv has a row for each frame."
 
 test: $(READY)  ## run the tests
 	$(BIN)/pytest

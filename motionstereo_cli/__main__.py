@@ -22,7 +22,7 @@ def main(args: Sequence[str] | None = None) -> int:
 
     0 done, 1 failed, 2 usage, 3 done but the input was damaged, 4 ``compare`` found a
     difference, 130 interrupted. Where the reader of a pipe has gone, there is nothing left to do:
-    0, without a word.
+    0, silently.
 
     No traceback is shown unless the environment has ``MOTIONSTEREO_DEBUG=1``.
 

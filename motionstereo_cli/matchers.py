@@ -50,7 +50,7 @@ def _regions(right: Memory, left: Memory, settings: Settings) -> tuple[Real, Rea
 
 @dataclass(frozen=True, slots=True)
 class Matcher:
-    """A way from two memories to disparity.
+    """How two memories become disparity.
 
     Attributes:
         what: what it does, in a few words for users.

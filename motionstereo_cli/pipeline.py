@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from motionstereo_cli.robot.objects import Region
     from motionstereo_cli.types import Grey, Real
 
-#: A disparity shows where a moving object is now if it moved there at most so many frames ago.
+#: A disparity shows where a moving object is now if it moved there at most this many frames ago.
 FRESH_FRAMES = 3
 
 
@@ -118,7 +118,7 @@ def process(
             guidance remembers what it has seen around it.
         with_objects: find moving objects; with poses, the guidance keeps clear of them.
         jobs: frames matched at a time; all but one of them are taken before a result is given.
-        state: what is known before the first frame, as the ``state`` of a former result; nothing
+        state: what is known before the first frame, as the ``state`` of an earlier result; nothing
             if None.
     """
     settings, state = settings or Settings(), state or State()

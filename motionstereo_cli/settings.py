@@ -1,6 +1,6 @@
 """Every parameter of the processing once: default, range, unit, help.
 
-The command line, the configuration file, run.json and the README's tables derive from the
+The command line, the configuration file, run.json and the documentation's tables derive from the
 dataclasses declared with :func:`param`, here and in ``simulate``.
 """
 

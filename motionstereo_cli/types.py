@@ -126,7 +126,7 @@ class StereoFrame:
             index where the source has no time.
         time_s: the same in seconds, None where the source has no time.
         left, right: (height, width) uint8 grey levels 0..255; not to be written to.
-        number: place of the right image in its recording, from 0; None where nobody knows.
+        number: place of the right image in its recording, from 0; None if unknown.
     """
 
     index: int
@@ -139,7 +139,7 @@ class StereoFrame:
 
 @dataclass(frozen=True, slots=True)
 class Steering:
-    """Where to go, and what is known of the way.
+    """Where to go, and what is known of the free distance.
 
     Attributes:
         status: ``ok``; ``held`` (nothing new to see, last heading kept); ``blind`` (never
@@ -147,9 +147,9 @@ class Steering:
         steer: heading as a share of half the image width, -1..1, positive = left.
         steer_rad: the same as an angle, positive = left (counter-clockwise, REP 103); None
             without a rig.
-        depth_m: depth in the direction of the heading or, with poses, the free way there; None
+        depth_m: depth in the direction of the heading or, with poses, the free distance there; None
             without a rig or where unknown.
-        nearest_m: depth of the nearest thing; None without a rig or where unknown.
+        nearest_m: depth of the nearest object; None without a rig or where unknown.
     """
 
     status: str

@@ -158,7 +158,7 @@ DIFFERENCES = {
     ),
     "depth off": (
         both(painted("depth/000001.png", 2101, 3), painted("depth/000003.png", 1899, 4)),
-        ("depth/", "pixels", 2, 1, 3, "2.00% are over 100 mm off or known in one alone"),
+        ("depth/", "pixels", 2, 1, 3, "2.00% are over 100 mm off or known in only one"),
     ),
     "depth unknown": (
         painted("depth/000002.png", 0, 3),

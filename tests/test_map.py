@@ -470,7 +470,7 @@ class TestFiles:
         prepare(tmp_path, ["steering"], overwrite=True)
         assert [path.name for path in tmp_path.iterdir()] == ["run.json.part"]
         (tmp_path / "map.yaml").touch()
-        with pytest.raises(OutputError, match=r"map\.yaml is not from a former run"):
+        with pytest.raises(OutputError, match=r"map\.yaml is not from an earlier run"):
             prepare(tmp_path, ["map"], overwrite=True)
 
 

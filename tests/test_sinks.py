@@ -549,7 +549,7 @@ def test_nobody_elses_file_is_written_over(tmp_path, stranger):
     path = tmp_path / stranger
     path.parent.mkdir(exist_ok=True)
     path.write_text('{"program": "another"}')
-    with pytest.raises(OutputError, match="not from a former run"):
+    with pytest.raises(OutputError, match="not from an earlier run"):
         prepare(tmp_path, ["steering", "depth"], overwrite=True)
     assert names(tmp_path) == {stranger}
 
@@ -558,7 +558,7 @@ def test_nobody_elses_file_is_written_over(tmp_path, stranger):
 def test_a_record_that_makes_no_sense_gives_no_right_to_remove(tmp_path, record):
     (tmp_path / "run.json").write_text(record)
     (tmp_path / "steering.csv").touch()
-    with pytest.raises(OutputError, match="not from a former run"):
+    with pytest.raises(OutputError, match="not from an earlier run"):
         prepare(tmp_path, ["steering"], overwrite=True)
     assert names(tmp_path) == {"run.json", "steering.csv"}
 

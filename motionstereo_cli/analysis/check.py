@@ -2,7 +2,7 @@
 
 A few windows of consecutive frames are looked at closely: features (SIFT) are matched between the
 views, and followed over time in the left one (Lucas-Kanade). All else is statistics on these
-matches. How far the views are out of step comes from the rows alone: in rectified views a feature
+matches. How far the views are out of step comes only from the rows: in rectified views a feature
 lies on one row in both, so where the right view is n frames ahead of the left one, and a feature
 moves down by v px a frame, it lies n v px lower in the right view. n is the slope of that line.
 """
@@ -181,7 +181,7 @@ def _shrunk(grey: Grey, width: int) -> Grey:
 
 
 def _for_motion(grey: Grey) -> Grey:
-    # Small and blurred: a sensor's noise and a codec's are gone, things that move are not.
+    # Small and blurred: a sensor's noise and a codec's are gone, objects that move are not.
     return np.asarray(cv2.blur(_shrunk(grey, _MOTION_WIDTH), (3, 3)), np.uint8)
 
 

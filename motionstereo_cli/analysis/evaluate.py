@@ -53,7 +53,7 @@ class FramePair(NamedTuple):
 class Score:
     """What the evaluation found out about a frame, or about all pixels of all frames together.
 
-    Shares are 0..1 and, but for coverage, of the pixels that have both truth and a result. A
+    Shares are 0..1 and, except coverage, of the pixels that have both truth and a result. A
     measure of no pixel at all is NaN.
 
     Attributes:
@@ -183,9 +183,9 @@ class Comparison:
 
     Attributes:
         numbers: the frames that both sides have, in order.
-        only_out, only_truth: the frames that one side alone has.
+        only_out, only_truth: the frames that only one side has.
         has_depth: a rig is known, so that there are errors in m.
-        views: the cameras whose views both sides are in, None where nobody says.
+        views: the cameras whose views both sides are in, None if unknown.
 
     Raises:
         InputError: the sides have no frame in common, a mask is missing, or depth has to be
@@ -263,7 +263,7 @@ class Report:
     Attributes:
         overall: all pixels of all frames together, each pixel counted alike.
         frames: each frame.
-        only_out, only_truth: how many frames one side alone has; they are not scored.
+        only_out, only_truth: how many frames only one side has; they are not scored.
     """
 
     overall: Score

@@ -17,7 +17,7 @@ from motionstereo_cli.analysis.evaluate import BAD_PX, FramePair, Report, Score
 
 
 def format_csv(report: Report) -> str:
-    """Return the scores as RFC 4180 CSV (but LF): a row a frame, then one for all; empty = none."""
+    """Return the scores as RFC 4180 CSV, but with LF: one row for each frame, then one for all."""
     rows = [",".join(item.name for item in fields(Score))]
     for score in (*report.frames, report.overall):
         frame, *values = asdict(score).values()

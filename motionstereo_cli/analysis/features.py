@@ -103,7 +103,7 @@ class Window:
         return self.left[0].shape
 
     def matches(self, ahead: int) -> Matches:
-        """Return the matches at some moments, the right view being so many frames ahead."""
+        """Return the matches at some moments, the right view being this many frames ahead."""
         last = len(self.left) - 1
         moments = [t for t in self._moments if t <= last] or [last // 2]
         return joined(

@@ -56,7 +56,7 @@ def draw_figure(frames: Iterable[StereoFrame], numbers: Sequence[int], settings:
 
 
 def _nearest(disparity_px: Real) -> float:
-    """Return the largest disparity but for outliers, at least 1 px."""
+    """Return the largest disparity without outliers, at least 1 px."""
     known = disparity_px[~np.isnan(disparity_px)]
     return max(1.0, float(np.quantile(known, 0.99))) if len(known) else 1.0
 

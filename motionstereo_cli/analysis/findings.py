@@ -10,15 +10,15 @@ from typing import Any, NamedTuple
 #: Median distance between the rows of the views, and that in a tenth of the image, in px.
 MAX_MISALIGNED_PX = 1.0
 MAX_MISALIGNED_IMAGE_PX = 1.5
-#: Shares of the matches whose disparity is not looked for: swapped views, ruined, worth a word.
+#: Shares of the matches whose disparity is not looked for: swapped views, ruined, worth a warning.
 SWAPPED_SHARE = 0.9
 RUINED_SHARE = 0.5
 NOTED_SHARE = 0.15
-#: Difference in grey levels between the views that is worth a word.
+#: Difference in grey levels between the views that is worth a warning.
 MAX_GREY_DIFFERENCE = 8.0
 #: Share of the image that changes from frame to frame below which nothing moves.
 STILL_SHARE = 5e-4
-#: Shares of images that repeat the one before: worth a word, from two images on, and ruined.
+#: Shares of images that repeat the one before: worth a warning, from two images on, and ruined.
 REPEATED_SHARE = 0.01
 FROZEN_SHARE = 0.2
 
@@ -50,7 +50,7 @@ class CheckReport:
             disparity below 0, and with one above ``max_disparity``.
         grey_difference: median of left minus right grey level.
         moving: share of the image, 0..1, that changes from a frame to the next.
-        repeated_left, repeated_right: images that repeat the one before though things move.
+        repeated_left, repeated_right: images that repeat the one before though objects move.
         first_repeated_left, first_repeated_right: the frames of the first of these.
         ahead_frames: by how many frames the right view is ahead of the left one.
         step_frames: the same in whole frames, 0 where it is not certain.
@@ -157,13 +157,13 @@ def _repeated(side: str) -> Rule:
 
     return Rule(
         "repeated",
-        "images that repeat the last one while things move",
+        "images that repeat the last one while objects move",
         f"over {FROZEN_SHARE:.0%}",
         lambda r: count(r) >= max(2, REPEATED_SHARE * (r.frames - 1)),
         lambda r: count(r) > FROZEN_SHARE * (r.frames - 1),
         lambda r: (
             f"the {side} recording repeats itself in {count(r)} of {r.frames} frames, "
-            f"first in frame {getattr(r, f'first_repeated_{side}')}, while things move: record it "
+            f"first in frame {getattr(r, f'first_repeated_{side}')}, while objects move: record it "
             "again, or leave these out with --start, --end or --every"
         ),
     )
@@ -245,7 +245,7 @@ RULES = (
         ),
         _always,
         lambda r: (
-            f"rows do not agree: things lie {r.misaligned_px:.1f} px higher or lower on the "
+            f"rows do not agree: objects are {r.misaligned_px:.1f} px higher or lower on the "
             f"right (90th percentile {r.misaligned_p90_px:.1f}; shifted by {r.shifted_px:+.1f} px, "
             f"turned by {r.turned_deg:+.2f} degrees): rectify, by giving the calibration to --rig"
         ),

@@ -23,7 +23,7 @@ class CompareSettings:
     )
     max_differing: float = param(
         0.01,
-        "Share of an image's pixels that may differ by more, or be known in one image alone.",
+        "Share of an image's pixels that may differ by more, or be known in only one image.",
         low=0,
         high=1,
     )

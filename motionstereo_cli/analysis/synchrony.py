@@ -142,7 +142,7 @@ class Step(NamedTuple):
 def _walk(windows: Sequence[Window], matches: Matches) -> Step | None:
     """Return the step of some windows, from their matches in step on; None if nothing tells it.
 
-    Speeds change, and that of slow things is known badly, so a fit gives little more than the
+    Speeds change, and that of slow objects is known badly, so a fit gives little more than the
     direction: go there in whole frames while it points on.
     """
     tried: dict[int, Fit] = {}
@@ -193,7 +193,7 @@ def step_or_drift(
         if (step := _walk([window], each)) is not None
     ]
     wholes = [step.whole for step, _ in steps]
-    # Lost frames stay lost, so drift goes one way; a window that stands alone is mistaken.
+    # Lost frames stay lost, so drift goes one way; a single window is mistaken.
     if steps and wholes[0] != wholes[-1] and wholes in (sorted(wholes), sorted(wholes)[::-1]):
         (first, first_at), (last, last_at) = steps[0], steps[-1]
         return None, Drift(first.frames, first_at, last.frames, last_at)

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     type=click.IntRange(1, 2048),
     default=Settings().max_disparity,
     show_default=True,
-    help="Range that run is to look in, in px.",
+    help="Maximum disparity that run is going to have, in px.",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 @config_option
@@ -40,12 +40,12 @@ def check(
     max_disparity: int,
     as_json: bool,
 ) -> int:
-    """Look for what would ruin a run.
+    """Look for mistakes in a recording that would ruin a run.
 
-    That is rows, range, order, exposure, motion, and step. Reads all of the input, and matches
-    features in a few places. Prints what was measured, and a line for each mistake: what, how
-    much, what to do. Exit code 1 if one of them ruins the result, 3 if the input is damaged, and
-    0 otherwise.
+    It checks rows, disparity range, order of the cameras, exposure, motion, and whether the two
+    recordings are in step. It reads all of the input, and matches features in a few places. It
+    prints what it measured, and a line for each mistake: what, how much, and what to do. Exit code
+    1 if a mistake ruins the result, 3 if the input is damaged, 0 otherwise.
     """
     from tqdm import tqdm
 

@@ -66,11 +66,11 @@ def compare(
     junit: Path | None,
     chosen: dict[str, Any],
 ) -> int:
-    """Tell whether a run gives what an earlier one gave. Exit code 4 if it does not.
+    """Compare a run with an earlier one. Exit code 4 if they differ.
 
-    ACTUAL and GOLDEN are folders that run wrote; GOLDEN may hold a part of it, such as
-    steering.csv, run.json and every tenth depth image: what it has is compared. That is tables,
-    depth and disparity images, and settings and counts in run.json; other files have to be there.
+    ACTUAL and GOLDEN are folders that run wrote. GOLDEN may be a part of one, such as steering.csv,
+    run.json and every tenth depth image; only what it has is compared. Tables, depth and disparity
+    images, and settings and counts in run.json are compared; other files only have to exist.
     """
     settings = CompareSettings(**chosen)
 

@@ -1,4 +1,4 @@
-"""``motionstereo drive``: a simulated robot that finds its way."""
+"""``motionstereo drive``: a simulated robot that drives by its own depth."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ from motionstereo_cli.simulate.settings import DriveSettings
 @click.command(cls=GroupedCommand)
 @click.argument("out", type=click.Path(path_type=Path))
 @click.option("--view", is_flag=True, help="Write drive.mp4: right image, memory, depth, plan.")
-@click.option("--overwrite", is_flag=True, help="Replace a former drive in OUT.")
+@click.option("--overwrite", is_flag=True, help="Replace an earlier drive in OUT.")
 @world_options
 @processing_options
 def drive(
     out: Path, view: bool, overwrite: bool, world: dict[str, Any], settings: Settings
 ) -> None:
-    """Let a simulated robot find its way by its own depth.
+    """Let a simulated robot drive by its own depth.
 
-    It goes round a square corridor. Writes into the folder OUT: left.mkv and right.mkv, what it
-    saw (FFV1, lossless); rig.yaml and poses.txt (TUM format, m); steering.csv, as run gives it on
+        It drives round a square corridor. The folder OUT then has: left.mkv and right.mkv, what it saw
+    (FFV1, lossless); rig.yaml and poses.txt (TUM format, m); steering.csv, as run gives it for
     these with --poses poses.txt; plan.png, the drive from above; map.ply, map.png, map.yaml, the
     map as run --save map gives it; drive.json: laps, distance, collisions, nearest pass, why it
     ended.

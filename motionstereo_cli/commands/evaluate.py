@@ -30,7 +30,9 @@ _STDOUT = Path("-")
     type=click.Path(path_type=Path),
     help="Folder of PNG files, one a frame: only pixels where they are not 0 count.",
 )
-@click.option("--csv", "csv_path", type=_TABLE, help="Write a row a frame; - is standard output.")
+@click.option(
+    "--csv", "csv_path", type=_TABLE, help="Write a row for each frame. - is standard output."
+)
 @click.option("--json", "json_path", type=_TABLE, help="Write all as JSON; - is standard output.")
 @click.option("--picture", type=int, metavar="FRAME", help="Draw the errors of this frame.")
 @click.option(
@@ -58,11 +60,11 @@ def evaluate(
 ) -> None:
     """Compare the disparity or depth that a run found with the truth.
 
-    OUT and TRUTH are folders that run or simulate wrote, or folders of images, both in the same
+        OUT and TRUTH are folders that run or simulate wrote, or folders of images, both in the same
     view: KITTI disparity PNG (uint16, 1/256 px), depth PNG (uint16, mm or what run.json says), PFM
-    or float32 TIFF (px or m). Frames are matched by the number in their names. Writes a table to
-    standard output, or there what --csv - or --json - asks for: coverage, bad-pixel shares, D1,
-    errors in px and, with a rig, m.
+    or float32 TIFF (px or m). Frames are matched by the number in their names. It prints a table of
+    coverage, bad-pixel shares, D1, errors in px and, with a rig, in m; --csv - or --json - print
+    these instead.
     """
     if csv_path == json_path == _STDOUT:
         raise click.UsageError("--csv - and --json - cannot both have standard output: name a file")
@@ -90,7 +92,7 @@ def evaluate(
 
     for side, count in (("OUT", report.only_out), ("TRUTH", report.only_truth)):
         if count:
-            say("warning", f"{count} frames are in {side} alone and not scored")
+            say("warning", f"{count} frames are only in {side} and not scored")
     if None not in comparison.views and len(set(comparison.views)) > 1:
         out_view, truth_view = comparison.views
         say("warning", f"OUT is in the {out_view} view, but TRUTH in the {truth_view} one")

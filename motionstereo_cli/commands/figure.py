@@ -53,9 +53,9 @@ def figure(
 ) -> int:
     """Show some frames stage by stage on one sheet.
 
-    As the paper's figures 2 and 3 do. A row a frame; the columns are the right image (the left one
-    with --reference left), its bands and permanency memory, and the depth, bright where near and
-    black where unknown.
+    Figures 2 and 3 of the paper are like this. There is one row for each frame; the columns are the
+    right image (the left one with --reference left), its bands, its permanency memory, and the
+    depth, bright where near and black where unknown.
     """
     from motionstereo_cli.analysis.figure import draw_figure
     from motionstereo_cli.files.atomic import write_whole

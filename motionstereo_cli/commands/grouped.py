@@ -15,7 +15,7 @@ FULL = f"{__name__}.full"
 
 
 class GroupedOption(click.Option):
-    """An option that knows its place in the help.
+    """An option with its place in the help.
 
     Args:
         group: heading that it stands under in the full help.
@@ -43,7 +43,7 @@ class GroupedCommand(click.Command):
     """A command whose ``--help`` has its common options and ``--help-all`` all of them."""
 
     def get_params(self, ctx: click.Context) -> list[click.Parameter]:
-        """Return the command's parameters, with ``--help`` and, where it says more, a full one."""
+        """Return the command's parameters, ``--help`` and, if there is more to show, ``--help-all``."""
         found = super().get_params(ctx)
         if len(grouped(self.params)) > 1:
             found.append(

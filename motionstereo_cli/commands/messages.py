@@ -23,7 +23,7 @@ def say(kind: str, text: str) -> None:
 def foretelling(frames: int, bar: tqdm[Any]) -> Callable[[], None]:
     """Return a function to call after each frame; soon after the first it says how long all take.
 
-    It stays silent where that is less than some seconds.
+    It says nothing if that is less than some seconds.
 
     Args:
         frames: how many frames there will be, about.
@@ -56,9 +56,9 @@ def _duration(seconds: float) -> str:
 
 
 def printable(text: str) -> str:
-    """Return a text in which what a terminal would obey, or cannot show, stands as an escape.
+    """Return a text with its control characters, and others that cannot be printed, as escapes.
 
-    Names of files come from strangers, and codes in one could clear the screen.
+    Names of files may come from anywhere, and codes in one could clear the screen.
     """
     return "".join(
         each if each.isprintable() else each.encode("unicode_escape").decode() for each in text

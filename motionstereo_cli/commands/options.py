@@ -91,11 +91,11 @@ def input_options(command: Callable[..., Any]) -> Callable[..., Any]:
 
     collected: Callable[..., Any] = functools.update_wrapper(collect, command)
     collected = _declared(InputSettings, "input_chosen", "Input")(collected)
-    # Nothing to see: it catches what a shell makes of patterns that are not in quotes.
+    # Hidden; it catches the file names that a shell makes of patterns without quotes.
     collected = click.argument(
         "more", nargs=-1, metavar="", expose_value=False, callback=_none_more
     )(collected)
-    # Text, not paths: a path does not tell standard input, "-", from a file "./-".
+    # Text, not paths: as paths, standard input "-" and a file "./-" are the same.
     collected = click.argument("right", required=False, shell_complete=_files)(collected)
     return click.argument("left", shell_complete=_files)(collected)
 
@@ -265,7 +265,7 @@ def _read_config(ctx: click.Context, path: Path) -> None:
             wanted = "text, a finite number, true or false" + ", or a list" * option.multiple
             shown = f"{value!r:.60}" if not isinstance(value, int) else "so large a number"
             raise click.UsageError(f"{path}: {key} cannot be {shown}: give {wanted}", ctx)
-        # click takes a lone text for a list of letters where an option may be repeated.
+        # Where an option may be repeated, click takes a single text for a list of letters.
         default = [value] if option.multiple and isinstance(value, str) else value
         defaults[option.name] = default
         try:

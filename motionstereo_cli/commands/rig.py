@@ -1,4 +1,4 @@
-"""``motionstereo rig``: a calibration in whatever format as rig.yaml."""
+"""``motionstereo rig``: a calibration of any format as rig.yaml."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def _two_numbers(
     "--cameras",
     metavar="LEFT,RIGHT",
     callback=_two_numbers,
-    help="Numbers of KITTI's cameras.  [default: 0,1, or 2,3 where those alone are there]",
+    help="Numbers of KITTI's cameras.  [default: 0,1, or 2,3 if only these are there]",
 )
 @baseline_unit_option
 def rig(
@@ -61,8 +61,8 @@ def rig(
 
     FILE is an OpenCV (YAML, XML, JSON, npz), KITTI, Middlebury, kalibr, ORB-SLAM, DepthAI or ZED
     file, or rig.yaml; two files, the left camera's first, are a ROS camera_info or EuRoC
-    sensor.yaml pair, or OpenCV's intrinsics and extrinsics. rig.yaml
-    stands for rectified images: give FILE itself to run --rig where they are not.
+    sensor.yaml pair, or OpenCV's intrinsics and extrinsics. A rig.yaml describes rectified images:
+    if yours are not rectified, give FILE itself to run --rig.
     """
     from motionstereo_cli.rig import format_rig, write_rig
     from motionstereo_cli.rig.calibration import read_calibration

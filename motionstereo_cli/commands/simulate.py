@@ -15,13 +15,13 @@ from motionstereo_cli.simulate.settings import SimulateSettings
 
 @click.command(cls=GroupedCommand)
 @click.argument("out", type=click.Path(path_type=Path))
-@click.option("--overwrite", is_flag=True, help="Replace a former simulation in OUT.")
+@click.option("--overwrite", is_flag=True, help="Replace an earlier simulation in OUT.")
 @settings_options(SimulateSettings, "Scene")
 def simulate(out: Path, overwrite: bool, chosen: dict[str, Any]) -> None:
     """Render a stereo recording with exact truth into the folder OUT.
 
-    Writes left.mp4, right.mp4, rig.yaml, disparity/ (16-bit PNG, 1/256 px, right view, as KITTI
-    has it) and poses.txt (TUM format, m; the rig's middle).
+    It writes left.mp4, right.mp4, rig.yaml, disparity/ (KITTI format: 16-bit PNG, 1/256 px; right
+    view) and poses.txt (TUM format, m; the point halfway between the cameras).
     """
     settings = SimulateSettings(**chosen)
 

@@ -185,7 +185,7 @@ def _native(pixels: NDArray[Any], path: Path) -> NDArray[Any]:
 def _pfm(content: bytes, path: Path, max_pixels: int) -> NDArray[np.float32]:
     """Return the values of a PFM as they are, from the top row down.
 
-    Of the scale, the sign alone counts, which tells the byte order: Middlebury's files have
+    Of the scale only the sign counts; it tells the byte order: Middlebury's files have
     others than 1 and mean the values as they stand, as do its own programs.
     """
     head = _PFM_HEAD.match(content[:256])

@@ -163,7 +163,7 @@ class VideoWriter:
             self._container.mux(packet)
 
     def _add_stream(self, frame: av.VideoFrame) -> Any:
-        # The rate is a label alone: the time stamps say when each frame is shown.
+        # The rate is only a label: the time stamps say when each frame is shown.
         codec = "ffv1" if self._lossless else "libx264"
         stream: Any = self._container.add_stream(codec, rate=30)
         stream.width, stream.height = frame.width, frame.height
@@ -193,8 +193,8 @@ class SegmentedVideo:
     """A preview that can go on after the process that began it is gone.
 
     A new segment begins at each checkpoint: a video of its own, beside the final name. At the end
-    the segments are joined, as they are, without decoding. They stay for whoever completes the
-    output folder: until all of it is complete, another process may have to begin here.
+    the segments are joined, as they are, without decoding. They stay until the caller completes the
+    output folder: until then another process may have to begin here.
 
     Args:
         path: final name; see :class:`VideoWriter`.

@@ -196,7 +196,7 @@ def _body_from_rectified(pair: Pair, turn: Matrix, baseline_m: float) -> Matrix 
 def rectify_source(
     source: StereoSource, paths: Sequence[Path], baseline_unit: str | None = None
 ) -> Calibration | None:
-    """Read the calibration of a source, and have the source rectify its images if need be.
+    """Read the calibration of a source, and have the source rectify its images if necessary.
 
     Which of KITTI's cameras these are is told by the names of the recordings (image_2, image_03).
 

@@ -47,7 +47,7 @@ class _Given:
         texts: their content, empty for .npz.
         values: of each; empty where it is a text of its own format.
         size: width and height of the recorded images in px, None if unknown.
-        pair: numbers of the left and the right camera, None if nobody says.
+        pair: numbers of the left and the right camera, None if unknown.
     """
 
     paths: Sequence[Path]

@@ -110,7 +110,7 @@ def quaternions(rotations: Reals) -> Reals:
     """Return rotation matrices (n, 3, 3) as unit quaternions qx, qy, qz, qw with qw >= 0, (n, 4).
 
     Bar-Itzhack (2000): the eigenvector of the largest eigenvalue of a symmetric 4x4 matrix, which
-    is also right where the matrix is a rotation but for rounding.
+    is also right where the matrix is a rotation except for rounding.
     """
     (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = np.moveaxis(rotations, 0, 2)
     symmetric = np.stack(
@@ -127,7 +127,7 @@ def quaternions(rotations: Reals) -> Reals:
 
 
 def rotations(turns: Reals) -> Reals:
-    """Return quaternions qx, qy, qz, qw (n, 4), of whatever length, as matrices (n, 3, 3)."""
+    """Return quaternions qx, qy, qz, qw (n, 4), of any length, as matrices (n, 3, 3)."""
     x, y, z, w = (turns / np.linalg.norm(turns, axis=1, keepdims=True)).T
     rows = (
         (1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)),

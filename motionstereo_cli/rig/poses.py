@@ -101,7 +101,7 @@ class Trajectory:
         Args:
             first: time of the first frame in s (its number where ``by_number``); None where the
                 recording has no time.
-            last: about that of the last frame, None where nobody knows.
+            last: about that of the last frame, None if unknown.
 
         Raises:
             InputError: the recording begins before the poses or ends after them, the poses' unit

@@ -18,12 +18,12 @@ Cells = NDArray[np.int64]
 _HIT = 2
 _MISS = -1
 _MOST = 30
-#: A cell counts as occupied or free from here on; a voxel is one that so many frames saw.
+#: A cell counts as occupied or free from here on; a voxel is one that this many frames saw.
 OCCUPIED = 8
 FREE = -2
 MIN_FRAMES = 3
 
-#: The grid grows by so many cells at a time.
+#: The grid grows by this many cells at a time.
 _GROWTH = 64
 #: Bits of each of the three numbers of a voxel in its key.
 _BITS = 21

@@ -60,7 +60,7 @@ CONTACT_RADIUS_M = 0.5
 STANDS = 3.0
 STANDS_WITHIN_M = 0.25
 
-#: To steer by an image, so many of its rows are enough, and larger images take no longer.
+#: To steer by an image, this many of its rows are enough, and larger images take no longer.
 STEERING_ROWS = 240
 
 #: Bearings that a robot tells apart: less than a degree each for most lenses.

@@ -1,6 +1,6 @@
 """Guidance: the heading toward where depth is largest.
 
-From one image alone, on *nearness*: disparity plus doffs in px, which is proportional to inverse
+From one image, on *nearness*: disparity plus doffs in px, which is proportional to inverse
 depth, so that it needs no rig. Or, for a robot that knows its own motion, on a map of what it has
 seen of late: toward where the way is free farthest.
 """

@@ -4,7 +4,7 @@ A grid in the world's directions, centred on the robot. Each cell holds *evidenc
 occupied, negative = free, near 0 = unknown. What is unknown is neither free nor occupied. A point
 seen in some direction makes its own cell occupied and those before it free, as in occupancy grids
 with an inverse sensor model (Thrun, Burgard and Fox, Probabilistic Robotics, chapter 9). Evidence
-halves in :data:`HALF_LIFE_FRAMES`, for what moves on leaves no sign.
+halves in :data:`HALF_LIFE_FRAMES`, because an object that moves on leaves no sign.
 """
 
 from __future__ import annotations

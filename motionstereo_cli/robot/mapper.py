@@ -1,6 +1,6 @@
 """From depth to points in space, and from many frames to one map of the surroundings.
 
-Beside the pipeline, for a map is an output: nothing of the processing depends on it.
+Beside the pipeline, because a map is an output: nothing of the processing depends on it.
 """
 
 from __future__ import annotations
@@ -39,12 +39,12 @@ if TYPE_CHECKING:
 #: distance: what is farther does not go into the map.
 _ERROR_PX = 0.25
 _ERROR_M = 0.16
-#: Nor does what is farther than so many cells.
+#: Nor does what is farther than this many cells.
 _MAX_CELLS = 400
 
 _BEARINGS = 80
 
-#: New voxels are kept apart until they are so many: a large cloud is then rarely touched.
+#: New voxels are kept apart until there are this many: a large cloud is then rarely touched.
 _RECENT = 30_000
 
 
@@ -82,7 +82,7 @@ class Surroundings:
 
     Attributes:
         grid: the floor plane.
-        cloud: voxels seen so far, but for those in ``recent``.
+        cloud: voxels seen so far, except those in ``recent``.
         recent: voxels of the last frames.
         heights_m: lowest and highest z in the world that was in the robot's way in every frame.
     """
@@ -169,7 +169,7 @@ class Mapper:
     def points(self) -> tuple[Points, Grey]:
         """Return the cloud, one point a voxel: (n, 3) float64 m in the world, (n,) uint8 grey.
 
-        What has been seen in a few frames alone is left out, and so is what stood in the robot's
+        What has been seen in only a few frames is left out, and so is what stood in the robot's
         way where the floor plane is free: it moved on.
         """
         if self.known is None:

@@ -20,7 +20,7 @@ from motionstereo_cli.compiled import objects as loops
 
 Reals = NDArray[np.float32]
 
-#: Regions are made of cells of so many pixels squared: that is the resolution of their boxes.
+#: Regions are made of cells of this many pixels squared: that is the resolution of their boxes.
 CELL_PX = 4
 #: A cell is known where at least this share of its pixels is.
 _MIN_SHARE = 0.125
@@ -28,22 +28,22 @@ _MIN_SHARE = 0.125
 #: Within a cell, that is the most of its standard deviation.
 _JUMP_PX = 0.5
 _JUMP_SHARE = 0.03
-#: Gaps of twice so many cells are bridged.
+#: Gaps of twice this many cells are bridged.
 _GAP_CELLS = 2
 #: What has nearer neighbours on more than this share of its sides is what objects stand before.
 _BEHIND_SHARE = 0.5
 
-#: An object is looked for where it is expected, at most so many of its sizes away and at a
+#: An object is looked for where it is expected, at most this many of its sizes away and at a
 #: nearness that differs by no more than this factor.
 _MAX_SIZES = 1.0
 _MAX_FACTOR = 1.3
 #: Its way in the image is foretold from its last observations, but no farther than it has come in
 #: them: what goes out of sight has often just come to rest.
 _WAY_SIGHTINGS = 5
-#: It is forgotten when it has been out of sight for so many frames.
+#: It is forgotten when it has been out of sight for this many frames.
 _MAX_MISSED = 30
 
-#: Speeds are fitted to so many of the last observations, once there are as many as the second.
+#: Speeds are fitted to this many of the last observations, once there are as many as the second.
 _FITTED = 12
 _MIN_FITTED = 6
 _LATER, _EARLIER = np.tril_indices(_FITTED, -1)

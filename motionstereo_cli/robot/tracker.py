@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
     from motionstereo_cli.types import Real
 
-#: A region is an object once it has been seen in so many frames.
+#: A region is an object once it has been seen in this many frames.
 MIN_SEEN = 3
 
 

@@ -102,7 +102,7 @@ class CardState:
 def card_state(card: Card, time_s: float) -> CardState:
     """Return where ``card`` is at ``time_s`` and its velocity just after."""
     span_m = card.high_m - card.low_m
-    # Unfold the way there and back into a circle of twice the span.
+    # Unfold the path there and back into a circle of twice the span.
     start_m = (
         card.start_m - card.low_m
         if card.speed_m_s >= 0

@@ -1,7 +1,7 @@
 """The paper's scene: a square corridor that a robot drives round, turning left at each corner.
 
 Walls, floor and ceiling are smooth. The outer walls, on the robot's right, have windows and doors,
-the inner ones doors alone. The only light is a lamp at the rig's middle, so remote parts are
+the inner ones only doors. The only light is a lamp at the rig's middle, so remote parts are
 darker, and both cameras see one grey for one point.
 """
 
@@ -57,7 +57,7 @@ class Corridor:
 
     Args:
         width_m: distance from inner to outer wall.
-        length_m: the robot's way along one side, turn included.
+        length_m: the robot's path along one side, turn included.
         seed: decides on doors and windows.
         lamp_m: distance at which the lamp's light has fallen to a half.
 

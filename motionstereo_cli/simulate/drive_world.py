@@ -24,10 +24,13 @@ if TYPE_CHECKING:
 FRAME_RATE = 10
 FRAME_MS = 1000 // FRAME_RATE
 
-#: The robot: way and turn of one frame at most.
+#: The robot: maximum distance and turn of one frame.
 MAX_WAY_M = 0.16
 MAX_TURN_RAD = math.radians(6)
-#: Free way at which it drives at full speed, and at which it stops.
+#: A lap takes about this many times as long as at full speed, because of the turns; longer with walkers.
+_SLOWER = 1.25
+
+#: Free distance at which it drives at full speed, and at which it stops.
 _FULL_SPEED_WAY_M = 1.8
 _STOP_WAY_M = 0.35
 #: Angle to its heading from which it only turns.
@@ -64,9 +67,9 @@ class Command:
 
 
 def command(steering: Steering) -> Command:
-    """Return the motion for a steering: turn to the heading, and slow down before things.
+    """Return the motion for a steering: turn to the heading, and slow down before obstacles.
 
-    Where nothing is known of the way it only turns, to the left if it knows no heading either.
+    If the free distance is unknown it only turns, to the left if it knows no heading either.
     """
     if steering.steer_rad is None:
         return Command(0.0, MAX_TURN_RAD)
@@ -115,7 +118,9 @@ class DriveWorld:
         )
         self._paint = WalkerPaint(settings.walkers, rng)
         self._cameras = stereo_cameras(settings.rig)
-        self._max_frames = settings.max_frames or 3 * self.expected_frames
+        self._max_frames = settings.max_frames or math.ceil(
+            3 * settings.laps * self.lap_m / MAX_WAY_M
+        )
         self.frames = 0
         self.path = [(self.robot.x_m, self.robot.y_m)]
         self.turned_rad = 0.0
@@ -126,8 +131,8 @@ class DriveWorld:
 
     @property
     def expected_frames(self) -> int:
-        """About how many frames the laps take, at full speed along the middle line."""
-        frames = math.ceil(self.settings.laps * self.lap_m / MAX_WAY_M)
+        """About how many frames the laps take."""
+        frames = math.ceil(_SLOWER * self.settings.laps * self.lap_m / MAX_WAY_M)
         return min(frames, self.settings.max_frames or frames)
 
     @property

@@ -1,6 +1,6 @@
 """Cards, slanted and thin ones among them, that overlap at many depths before a smooth wall.
 
-The seed decides on everything: places, sizes, slants, ways and textures. Textures are fine,
+The seed decides on everything: places, sizes, slants, paths and textures. Textures are fine,
 coarse, as in photographs, or repeat themselves; the wall's changes so slowly that only its
 memory tells where it is.
 """
@@ -20,7 +20,7 @@ from motionstereo_cli.simulate.texture import Texture, noise
 WALL_M = 6.5
 
 _CARDS, _STICKS = 9, 3
-#: Sizes and ways are shares of what the camera sees across at a card's depth.
+#: Sizes and paths are shares of what the camera sees across at a card's depth.
 _CARD_SHARES, _STICK_SHARES = (0.12, 0.34), (0.008, 0.02)
 _NEAREST_M, _FARTHEST_M = 1.4, 5.0
 _WALL_TEXELS = 512
@@ -33,8 +33,8 @@ class _Card:
     """A card that swings about its place.
 
     Attributes:
-        middle_m: (3,) the middle of its way.
-        swing_m: (3,) from there to its way's end.
+        middle_m: (3,) the middle of its path.
+        swing_m: (3,) from there to the end of its path.
         period_s: of the swing.
         phase_rad: of the swing at time 0.
         right_m, down_m: (3,) its sides.

@@ -141,7 +141,7 @@ def _compressed(grey: Grey, quality: int) -> Grey:
 
 
 def exposed(grey: Real, noise_sigma: float, seed: tuple[int, ...]) -> Grey:
-    """Return an image with the sensor's noise, which ``seed`` alone decides on, rounded."""
+    """Return an image with the sensor's noise, rounded; the noise depends only on ``seed``."""
     if noise_sigma:
         noise = np.random.default_rng(seed).standard_normal(grey.shape, np.float32)
         grey = grey + np.float32(noise_sigma) * noise

@@ -10,7 +10,7 @@ from motionstereo_cli.errors import SettingsError
 from motionstereo_cli.params import checked, param
 from motionstereo_cli.types import Rig
 
-#: Shares of one side's way that are straight and turn: the paper's 100 and 25 frames of 125.
+#: Shares of one side's path that are straight and turn: the paper's 100 and 25 frames of 125.
 STRAIGHT_SHARE = 0.8
 TURN_SHARE = 0.2
 

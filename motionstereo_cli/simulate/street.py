@@ -80,7 +80,7 @@ class Street:
         return np.array(middle) + left_m * np.array([-math.sin(yaw), math.cos(yaw)])
 
     def render(self, pose: FloorPose, camera: Camera, time_s: float) -> View:
-        """Return what ``camera`` sees from ``pose``, which must be on the way, at ``time_s``."""
+        """Return what ``camera`` sees from ``pose``, which must be on the street, at ``time_s``."""
         along_m = self._speed_m_s * time_s
         first, last = (math.floor((along_m + reach) / _BLOCK_M) for reach in (-_BEHIND_M, _AHEAD_M))
         surfaces = [item for block in range(first, last + 1) for item in self._block(block)]

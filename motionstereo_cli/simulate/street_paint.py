@@ -1,4 +1,4 @@
-"""What things in a street look like: noise with the statistics of photographs, and shapes."""
+"""What objects in a street look like: noise with the statistics of photographs, and shapes."""
 
 from __future__ import annotations
 

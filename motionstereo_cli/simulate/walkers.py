@@ -1,4 +1,4 @@
-"""People-sized things that walk in the corridor.
+"""People-sized obstacles that walk in the corridor.
 
 A walker is an upright cylinder painted with coarse noise. One half of them walk along the corridor,
 against the robot's first direction; the other half cross it from wall to wall. They walk at
@@ -92,7 +92,7 @@ def step(
     square_m = max(abs(x_m), abs(y_m))
     if inner_m + RADIUS_M + 0.1 <= square_m <= outer_m - RADIUS_M - 0.1:
         return replace(walker, x_m=x_m, y_m=y_m, stood_frames=0)
-    # A wall: whoever crosses goes back; whoever walks along takes the corner.
+    # A wall: one that crosses goes back; one that walks along takes the corner.
     turn = math.pi if walker.crosses else _corner_turn(walker, x_m, y_m)
     return replace(walker, heading_rad=walker.heading_rad + turn, stood_frames=0)
 
@@ -144,7 +144,7 @@ class WalkerPaint:
         self._paint: list[Real] = []
         for _ in range(count):
             white = rng.standard_normal((rows, columns)).astype(np.float32)
-            # Thrice around, so that the middle third closes on itself.
+            # Three times around, so that the middle third closes on itself.
             grain = cv2.GaussianBlur(np.tile(white, 3), (0, 0), 1.5)[:, columns : 2 * columns]
             tone = np.full((rows, 1), rng.uniform(60, 190), np.float32)
             tone[: round(0.25 / _TEXEL_M)] = rng.uniform(150, 210)  # the head

@@ -53,7 +53,7 @@ class RunContext:
     Attributes:
         time_base: seconds per unit of the frames' time stamps.
         settings: parameters of the processing.
-        rig: the camera; None where nobody knows.
+        rig: the camera; None if unknown.
         output: parameters of the output.
     """
 
@@ -115,12 +115,12 @@ class Output:
 #: Tells what a run wrote. Written last; until then its ``.part`` lists what is being written.
 RECORD = "run.json"
 
-#: Names follow one scheme: PNG images bear the bare name of what they show, other formats add
-#: theirs, and -video is one to look at. For the charge alone the bare name is the video.
+#: Names follow one scheme: PNG images have the bare name of what they show, other formats add
+#: theirs, and -video is one to look at. Only for the charge the bare name is the video.
 OUTPUTS = {
     "steering": Output(
         "steering.csv",
-        "one row a frame; time_s in s, steer -1..1 and steer_rad in rad with positive = left, "
+        "one row for each frame; time_s in s, steer -1..1 and steer_rad in rad with positive = left, "
         "depth_m and nearest_m in m, charged and matched as shares of the image; "
         "empty = unknown",
         "steering.steering_file",
@@ -128,7 +128,7 @@ OUTPUTS = {
     ),
     "steering-jsonl": Output(
         "steering.jsonl",
-        "the same as JSON lines, one object a frame; null = unknown",
+        "the same as JSON lines, one object for each frame; null = unknown",
         "steering.steering_file",
     ),
     "objects": Output(
@@ -141,7 +141,7 @@ OUTPUTS = {
     ),
     "depth": Output(
         "depth/{:06d}.png",
-        "uint16 depth, output_settings.depth_scale units per m, reference view; "
+        "uint16 depth in mm (or --depth-scale units per m), reference view; "
         "0 = unknown or over 65535 units",
         "images.depth",
         needs_rig=True,
@@ -169,7 +169,7 @@ OUTPUTS = {
     ),
     "depth-video": Output(
         "depth.mp4",
-        "depth in colour (output_settings.colours), near = its end, far = its beginning, "
+        "depth in colour (--colours; by default near = red, far = blue), "
         "black = unknown, the dark view where nothing is known at all; log scale of disparity + "
         "doffs from max_disparity, or near_m, to 1 px, or far_m; below it (output_settings.legend) "
         "a strip with that scale in m or px and the time",
@@ -217,7 +217,7 @@ OUTPUTS = {
     ),
     "preview": Output(
         "preview.mp4",
-        "to send to somebody: reference view with the heading as an arrow, charge and depth beside "
+        "to show to others: reference view with the heading as an arrow, charge and depth beside "
         "each other, with scale and time; panels of at most 640 px",
         "previews.preview",
     ),

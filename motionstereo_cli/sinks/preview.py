@@ -1,4 +1,4 @@
-"""The video to send to somebody: view, charge and depth beside each other."""
+"""The video to show to others: view, charge and depth beside each other."""
 
 from __future__ import annotations
 

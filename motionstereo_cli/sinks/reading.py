@@ -65,7 +65,7 @@ class Maps:
         kind: ``disparity`` or ``depth``.
         files: the images by frame number, in order.
         rig: what the rig.yaml or run.json beside them says, None if nothing.
-        reference: the camera whose view they are in, ``right`` or ``left``; None if nobody says.
+        reference: the camera whose view they are in, ``right`` or ``left``; None if unknown.
 
     Raises:
         InputError: there is no such folder or no image in it, or its kind or the frame numbers

@@ -57,11 +57,11 @@ class SteeringStream:
     Args:
         stream: where to write; it stays open.
         name: what messages call it.
-        table_format: ``csv`` (RFC 4180, but for LF) or ``jsonl`` (JSON lines).
+        table_format: ``csv`` (RFC 4180, except that lines end in LF) or ``jsonl`` (JSON lines).
 
     Raises:
         OutputError: the stream cannot be written.
-        BrokenPipeError: whoever read the stream has gone.
+        BrokenPipeError: the reader of the stream has gone.
     """
 
     def __init__(self, stream: BinaryIO, name: Path | str, table_format: str = "csv") -> None:

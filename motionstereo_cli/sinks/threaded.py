@@ -60,7 +60,7 @@ class Threaded:
         self._thread.join()
 
     def _work(self) -> None:
-        # After an error the queue is still emptied, so that nobody waits for room in it.
+        # After an error the queue is still emptied, so that no thread waits for room in it.
         while (item := self._queue.get()) is not None:
             try:
                 if self._error is not None:

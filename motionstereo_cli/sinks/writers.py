@@ -1,4 +1,4 @@
-"""Writing so that nothing incomplete ever bears a final name."""
+"""Writing so that nothing incomplete ever has a final name."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ def cell(value: float | None, decimals: int) -> str:
 
 
 class TableFile:
-    """A table as a file that bears its name only when it is complete: RFC 4180, but for LF.
+    """A table as a file that has its name only when it is complete: RFC 4180, but for LF.
 
     Args:
         path: final name.
         header: names of the columns; none if empty.
-        since: go on from this checkpoint of a former table: its size in bytes.
+        since: go on from this checkpoint of an earlier table: its size in bytes.
 
     Raises:
         OutputError: the file cannot be written, or is not what the checkpoint says.

@@ -24,7 +24,7 @@ _PIPE_ADVICE = "pipe yuv4mpegpipe, Matroska, or MP4 with its index in front (-mo
 #: What a file may have FFmpeg open besides, where the network is allowed.
 _NETWORK = "file,crypto,data,http,https,httpproxy,tls,tcp,udp,rtp"
 
-#: FFmpeg gives streams without time this rate, so that nobody takes it for one that they state.
+#: FFmpeg gives streams without time this rate, so that it is not taken for one that they state.
 _FILLER = Fraction(7919, 331)
 
 #: The flag of formats without time stamps.
@@ -41,7 +41,7 @@ _Y4M_RATE = re.compile(rb"YUV4MPEG2[^\n]* F0*[1-9]")
 class Container:
     """An open video.
 
-    Nothing but the file itself is read, whatever it holds: FFmpeg gets it as an open file, and
+    Only the file itself is read, whatever it holds: FFmpeg gets it as an open file, and
     may open no other.
 
     Args:
@@ -248,7 +248,7 @@ class Container:
 
 
 def _keep_quiet() -> None:
-    """Have FFmpeg's errors told to those who capture them, and to nobody else."""
+    """Have FFmpeg's errors passed only to those who capture them."""
     av.logging.set_level(av.logging.ERROR)
     av.logging.set_skip_repeated(False)
     logging.getLogger("libav").setLevel(logging.CRITICAL + 1)

@@ -53,10 +53,10 @@ class Pace:
     """Follows the time stamps of a stream, and tells where a constant rate has holes.
 
     Args:
-        rate: images per second, None where nobody knows.
+        rate: images per second, None if unknown.
         time_base: seconds per unit of the time stamps.
         steady: the rate is known to be constant, or not to be; None = that is to be seen.
-        places: images and holes in all, None where nobody knows.
+        places: images and holes in all, None if unknown.
 
     Attributes:
         steady: as given, or what was seen so far.

@@ -15,7 +15,7 @@ from motionstereo_cli.errors import InputError
 #: How often a wait for data looks whether it should end, in s.
 _GLANCE_S = 0.2
 
-#: How long a FIFO may be silent, in s: nobody may be writing to it.
+#: How long a FIFO may be silent, in s: perhaps nothing writes to it.
 PATIENCE_S = 10.0
 
 
@@ -102,7 +102,7 @@ def _standard_input() -> int:
 
 def _opened(fifo: Path) -> int:
     try:
-        # Otherwise it would wait here, for ever, until somebody writes.
+        # Otherwise it would wait here for ever, until something is written.
         descriptor = os.open(fifo, os.O_RDONLY | os.O_NONBLOCK)
     except OSError as error:
         raise InputError(f"cannot read {fifo}: {error.strerror}") from error

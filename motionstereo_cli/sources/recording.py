@@ -36,8 +36,8 @@ class Recording(ABC):
         name: what to call the recording in messages.
         width, height: size in px of the images as delivered.
         time_base: seconds per unit of pts, None where images have no time.
-        frame_rate: images per second, a mean; None where nobody knows.
-        expected_images: how many places the recording seems to have, None where nobody knows.
+        frame_rate: images per second, a mean; None if unknown.
+        expected_images: how many places the recording seems to have, None if unknown.
         begin_pts: time stamp of the first image.
         numbered: the time stamps are numbers from file names, which tell better than places
             which images belong together.

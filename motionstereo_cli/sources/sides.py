@@ -14,7 +14,7 @@ from motionstereo_cli.sources.recording import Recording
 if TYPE_CHECKING:
     from motionstereo_cli.types import Grey
 
-#: Something moves where this share of an image changes by more than so many grey levels. A still
+#: Something moves where this share of an image changes by more than this many grey levels. A still
 #: scene may look the same twice to one camera, and through its encoder, and not to the other.
 _MOVING_SHARE = 0.01
 _MOTION_GREY = 12
@@ -23,7 +23,7 @@ _MOTION_GREY = 12
 class Loss(NamedTuple):
     """What a stream has lost up to some image.
 
-    It goes along with the image, for the thread that decodes is ahead by no fixed number.
+    It goes along with the image, because the decoding thread is ahead by a varying number.
     """
 
     lost: int

@@ -49,8 +49,8 @@ class StereoSource:
         view_width, view_height: size of the whole views in px, before crop and scale.
         width, height: size of the images delivered in px.
         time_base: seconds per unit of pts (the right stream's), None where images have no time.
-        frame_rate: frames delivered per second, a mean; None where nobody knows.
-        expected_frames: how many there seem to be, None where nobody knows.
+        frame_rate: frames delivered per second, a mean; None if unknown.
+        expected_frames: how many there seem to be, None if unknown.
         paths: files and folders that are read.
         warnings: what looks wrong at the outset, one line each.
 
@@ -139,7 +139,7 @@ class StereoSource:
         """Have each whole view go through a function; to be called before the iteration.
 
         The functions take and return (view_height, view_width) uint8; they are called in the
-        decoding threads, each in one thread alone.
+        decoding threads, each in one thread.
         """
         self._rectify = (left, right)
 
@@ -147,7 +147,7 @@ class StereoSource:
     def numbers(self) -> tuple[int, int | None]:
         """About which places the first and the last right image delivered have in the recording.
 
-        None for the last where nobody knows.
+        None for the last if unknown.
         """
         right, s = self._sides[1].stream, self.settings
         first = _frame(s.first, right.frame_rate)
@@ -160,7 +160,7 @@ class StereoSource:
     def span_s(self) -> tuple[float | None, float | None]:
         """About when the first and the last right image delivered were taken, in s.
 
-        None for both where images have no time, and for the last where nobody knows.
+        None for both where images have no time, and for the last if unknown.
         """
         right, (first, last) = self._sides[1].stream, self.numbers
         if right.time_base is None:
@@ -179,7 +179,7 @@ class StereoSource:
         should have come and did not; ``flawed``: came with visible errors, and were used;
         ``repeated``: were the image before once more while things moved in the other view, and
         were used;
-        ``unread``: about how many follow, None where nobody knows.
+        ``unread``: about how many follow, None if unknown.
         """
         sides = {name: side.counts for name, side in zip(SIDES, self._sides, strict=True)}
         return {"skipped": self._skipped, **sides}

@@ -187,7 +187,7 @@ class VideoRecording(Recording):
         return self._listed or self._file.count()
 
     def _count_listed(self) -> int | None:
-        # MP4 alone has an index that holds; not its frame count, for that includes what the edit
+        # Only the index of MP4 is reliable, not its frame count, which includes what the edit
         # list cuts away. AVI counts empty places. A fragmented MP4 has no index of the whole.
         if self._stream.frames and "mp4" in self._file.source.format.name:
             return len(self._stream.index_entries)
@@ -198,7 +198,7 @@ class VideoRecording(Recording):
         length_s: Fraction | None = None
         if self._stream.duration is not None:
             length_s = self._stream.duration * self._tick_s
-        # Matroska tells the end of its longest stream alone.
+        # Matroska tells only the end of its longest stream.
         elif container.duration is not None and len(container.streams) == 1:
             length_s = Fraction(container.duration, av.time_base) - self._file.begin_s
         return round(length_s * self.frame_rate) if length_s and self.frame_rate else None
@@ -246,7 +246,7 @@ class VideoRecording(Recording):
             self.warnings += dark(self._path, brightest(frame), bits_of(frame))
 
     def _decode(self) -> Iterator[tuple[av.VideoFrame, bool]]:
-        """Yield the images, and whether the decoder complained of them in its log alone."""
+        """Yield the images, and whether the decoder complained about them only in its log."""
         codec = self._stream.codec_context
         heeded = codec.name == _TELLS_THE_LOG
         heads = Heads(codec.extradata or b"") if codec.name == "h264" else None
@@ -268,7 +268,7 @@ class VideoRecording(Recording):
                 self._look_for_references(heads, last, packet)
             last = packet
             try:
-                with av.logging.Capture() as log:  # of this thread alone
+                with av.logging.Capture() as log:  # only of this thread
                     frames = packet.decode()
             except av.FFmpegError:
                 self._fail(packet.pts if packet.pts is not None else packet.dts)

@@ -15,9 +15,9 @@ def match_keys(
 ) -> NDArray[np.uint16]:
     """Return the unit of each pixel, (height, width) uint16; 0 = at rest, never matches.
 
-    Pixels of equal unit may correspond. The unit is the charge alone, as in the paper, or with
+    Pixels of equal unit may correspond. The unit is only the charge, as in the paper, or with
     ``bands`` the charge and the grey-level band: on finely textured things everything is fully
-    charged, and the charge alone says little.
+    charged, and the charge says little by itself.
 
     Args:
         charge: charge of each pixel, (height, width) uint8.

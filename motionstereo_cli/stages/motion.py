@@ -18,7 +18,7 @@ def motion(
 
     Equation (3): Mov = 1 where GLB(t) != GLB(t-1). With ``min_jump`` the grey level must have
     changed by at least as much too: near the edge of a band a flicker of one grey level is enough
-    to change the band, and noise alone does that.
+    to change the band, and noise does that too.
 
     Args:
         bands, bands_before: bands at t and t-1, (height, width).

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
     from motionstereo_cli.types import Grey, Real
 
-#: In so many frames the memories charge; they are not counted.
+#: In this many frames the memories charge; they are not counted.
 RUN_IN = 16
 
 SCENES: dict[str, dict[str, Any]] = {

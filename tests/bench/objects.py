@@ -34,7 +34,7 @@ _MIN_SHARE = 0.004
 #: their depths differ by at most this share.
 _MIN_OVERLAP = 0.3
 _MAX_OFF = 0.1
-#: Speeds count once the object has been followed for so many frames, cards move if they are
+#: Speeds count once the object has been followed for this many frames, cards move if they are
 #: faster than this, and for so long after a card has turned round its old speed is still seen.
 _FOLLOWED_FRAMES = 10
 _MOVES_MPS = 0.2
