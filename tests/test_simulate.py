@@ -623,7 +623,7 @@ def test_overwrite_replaces_a_simulation_and_nothing_else(tmp_path):
 
 def test_overwrite_does_not_touch_the_recordings_of_others(tmp_path):
     (tmp_path / "left.mp4").write_text("mine")
-    with pytest.raises(OutputError, match=r"left\.mp4 is not from a former run"):
+    with pytest.raises(OutputError, match=r"left\.mp4 is not from an earlier run"):
         simulate(tmp_path, small(), overwrite=True)
     assert list(contents(tmp_path).values()) == [b"mine"]
 

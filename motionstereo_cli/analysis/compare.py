@@ -1,7 +1,7 @@
 """Whether a run gives what an earlier one gave: for regression tests.
 
 GOLDEN is what a run wrote, or a part of it. Of images only those that GOLDEN has are compared;
-tables are compared whole. Whatever GOLDEN has and ACTUAL lacks is a difference, and so is a file
+tables are compared whole. What GOLDEN has and ACTUAL lacks is a difference, and so is a file
 that cannot be read.
 """
 
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
     from motionstereo_cli.types import Real
 
-#: Parts of run.json that may differ without a word, or with a note, from machine to machine.
+#: Parts of run.json that may differ silently, or with a note, from machine to machine.
 _IGNORED = frozenset(
     {"program", "outputs", "table", "options", "shares", "warnings", "damage", "timing"}
 )
@@ -167,7 +167,7 @@ def compare(
             known = ", ".join(sorted(comparison.columns & COLUMN_TOLERANCE.keys()))
             raise SettingsError(
                 f"--tolerance: no table of {golden} has a column {column!r}: "
-                f"choose from {known or 'none, for there is no table'}"
+                f"choose from {known or 'none, because there is no table'}"
             )
     return report
 
@@ -273,12 +273,12 @@ class _Comparison:
                 output.differ("size", found, frame)
                 continue
             output.compared += 1
-            share = float(np.mean(differing(mine, theirs, tolerance) | _in_one_alone(mine, theirs)))
+            share = float(np.mean(differing(mine, theirs, tolerance) | _in_only_one(mine, theirs)))
             if share > (self._worst.share if self._worst else 0):
                 self._worst = WorstImage(f"{name} frame {frame}", mine, theirs, tolerance, share)
             if share > self._settings.max_differing:
                 found = (
-                    f"{share:.2%} are over {shown} off or known in one alone "
+                    f"{share:.2%} are over {shown} off or known in only one "
                     f"(tolerance {self._settings.max_differing:.2%})"
                 )
                 output.differ("pixels", found, frame, share)
@@ -391,7 +391,7 @@ def differing(actual: Real, golden: Real, tolerance: float) -> NDArray[np.bool_]
     return np.asarray(np.abs(actual - golden) > tolerance + _ROUNDING_M)  # NaN is not
 
 
-def _in_one_alone(actual: Real, golden: Real) -> NDArray[np.bool_]:
+def _in_only_one(actual: Real, golden: Real) -> NDArray[np.bool_]:
     return np.asarray(np.isnan(actual) != np.isnan(golden))
 
 

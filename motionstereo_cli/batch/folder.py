@@ -72,7 +72,7 @@ class RunFolder(Sinks):
             values. With ``resume`` it has to be the same as before. None: who wrote it, no more.
         frames: how many images of a kind there will be; others in their folders do not matter.
             None: none of others may be there.
-        overwrite: replace what a former run wrote; other files are never touched.
+        overwrite: replace what an earlier run wrote; other files are never touched.
         resume: go on where the same run was ended, or begin if it has not yet.
         inputs: files and folders that must not be written to.
 
@@ -182,7 +182,7 @@ def prepare(
 ) -> None:
     """Make the output folder ready.
 
-    With ``overwrite``, exactly the files that a former run wrote are removed, as its record
+    With ``overwrite``, exactly the files that an earlier run wrote are removed, as its record
     has them. A file of anybody else is neither removed nor written over. Killed in between, the
     folder still says whose the rest is.
 
@@ -196,7 +196,7 @@ def prepare(
         inputs: files and folders that are read.
 
     Raises:
-        OutputError: the folder is not empty, cannot be written, or holds an input or somebody
+        OutputError: the folder is not empty, cannot be written, or holds an input or someone
             else's file where something would be written.
     """
     record, part = out / kind.record, part_of(out / kind.record)
@@ -213,7 +213,7 @@ def prepare(
             numbered = "{" in target and frames is not None and (out / target).parent not in there
             present |= _up_to(frames, there) if numbered else there
         for path in sorted(present - former):
-            raise OutputError(f"{path} is not from a former run: move it or give another folder")
+            raise OutputError(f"{path} is not from an earlier run: move it or give another folder")
         taken = {path.resolve() for path in inputs}
         for path in former.union(out / path for path in paths):
             for place in (path, path.parent):
@@ -277,7 +277,7 @@ def head(save: Sequence[str]) -> dict[str, Any]:
 
 
 def _written(out: Path, kind: FolderKind) -> set[Path]:
-    """Return the files present that former runs wrote, complete or not."""
+    """Return the files present that earlier runs wrote, complete or not."""
     written: set[Path] = set()
     for path in (out / kind.record, part_of(out / kind.record)):
         record = _read_record(path, kind)

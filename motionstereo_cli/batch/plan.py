@@ -32,7 +32,7 @@ class RunPlan:
         pose_settings: how to understand the poses.
         save: names of the outputs in ``out``, from :data:`~motionstereo_cli.sinks.OUTPUTS`.
         table: a further place for the steering table; ``-`` is standard output, row by row.
-        overwrite: replace the results of a former run in ``out``, and a file ``table``.
+        overwrite: replace the results of an earlier run in ``out``, and a file ``table``.
         resume: go on where the same run was ended in ``out``, or begin if it has not yet.
         jobs: frames matched at a time; results do not depend on it. None: the number of cores,
             1 with standard input.
@@ -66,7 +66,7 @@ class RunPlan:
         in_metres = self.output_settings.near_m or self.output_settings.far_m
         no_metres = "need --rig: without it nothing is in metres"
         clashes = {
-            "-o - writes the steering table alone: leave --save and --csv out": (
+            "-o - writes only the steering table: leave --save and --csv out": (
                 self.folder is None and (self.save or self.table)
             ),
             "--resume goes on, --overwrite begins anew: give one of them": (

@@ -56,7 +56,7 @@ class RunReport:
 
     Attributes:
         frames: stereo frames processed.
-        resumed: how many of them a former process had done.
+        resumed: how many of them an earlier process had done.
         charged, matched: mean shares of the image, 0..1, with charge and with a disparity.
         wall_s: duration in s, from the first frame's decoding to the last output's completion.
         outputs: paths under the output folder, numbered files as their folder.
@@ -242,7 +242,7 @@ def _check_free(table: Path, plan: RunPlan, inputs: Sequence[Path]) -> None:
 
 
 def _open(sinks: Sinks, job: _Job, stdout: BinaryIO | None) -> None:
-    """Open all outputs, from where a former process was ended."""
+    """Open all outputs, from where an earlier process was ended."""
     plan, table_format = job.plan, job.context.output.steering_format
     if stdout is not None:
         stream = SteeringStream(stdout, "the steering table", table_format)
@@ -274,7 +274,7 @@ def _write(sinks: Sinks, job: _Job, watcher: Watcher) -> None:
 
 
 def _results(job: _Job, sinks: Sinks, watcher: Watcher) -> Iterator[FrameResult]:
-    """Yield the results that a former process did not give."""
+    """Yield the results that an earlier process did not give."""
     plan, context = job.plan, job.context
     frames: Iterable[StereoFrame] = job.source
     if plan.with_check:

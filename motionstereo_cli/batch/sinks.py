@@ -35,8 +35,8 @@ class Sinks:
 
     Attributes:
         state: all that is kept from frame to frame, None before the first.
-        totals: sums over the frames so far; at first those that a former process did.
-        finished: what a former process said of itself that did all there is to do; None: none.
+        totals: sums over the frames so far; at first those that an earlier process did.
+        finished: what an earlier process said of itself that did all there is to do; None: none.
     """
 
     def __init__(self) -> None:

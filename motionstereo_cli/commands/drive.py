@@ -26,8 +26,8 @@ def drive(
 ) -> None:
     """Let a simulated robot drive by its own depth.
 
-        It drives round a square corridor. The folder OUT then has: left.mkv and right.mkv, what it saw
-    (FFV1, lossless); rig.yaml and poses.txt (TUM format, m); steering.csv, as run gives it for
+    It drives round a square corridor. The folder OUT then has: left.mkv and right.mkv, what it
+    saw (FFV1, lossless); rig.yaml and poses.txt (TUM format, m); steering.csv, as run gives it for
     these with --poses poses.txt; plan.png, the drive from above; map.ply, map.png, map.yaml, the
     map as run --save map gives it; drive.json: laps, distance, collisions, nearest pass, why it
     ended.

@@ -43,7 +43,7 @@ class GroupedCommand(click.Command):
     """A command whose ``--help`` has its common options and ``--help-all`` all of them."""
 
     def get_params(self, ctx: click.Context) -> list[click.Parameter]:
-        """Return the command's parameters, ``--help`` and, if there is more to show, ``--help-all``."""
+        """Return the parameters, ``--help`` and, if there is more to show, ``--help-all``."""
         found = super().get_params(ctx)
         if len(grouped(self.params)) > 1:
             found.append(

@@ -33,8 +33,9 @@ def info(
 ) -> None:
     """Print how an input is understood.
 
-    Give it the options that run is going to have. It decodes only the first image of each side. The numbers of
-    images are those of the files' indices, or else counted, so a damaged file may give fewer.
+    Give it the options that run is going to have. It decodes only the first image of each
+    side. The numbers of images are those of the files' indices, or else counted, so a damaged file
+    may give fewer.
     """
     from motionstereo_cli.rig import rig_values
     from motionstereo_cli.rig.calibration import rectify_source

@@ -91,8 +91,8 @@ def run(**given: Any) -> int:
     """Find depth and steering in the two videos of a stereo camera.
 
     LEFT and RIGHT are video files, folders of images, or quoted patterns such as 'cam0_*.png'; -
-    is a video on standard input. LEFT alone is a KITTI or EuRoC folder or, with --layout, one
-    recording that holds both views.
+    is a video on standard input. Without RIGHT, LEFT is a KITTI or EuRoC folder or, with
+    --layout, one recording of both views.
     """
     plan = RunPlan(**given)
 
@@ -137,7 +137,7 @@ def _say_what_came(plan: RunPlan, report: RunReport) -> int:
 
 
 def _quiet(plan: RunPlan) -> bool | None:
-    """Return what tqdm's ``disable`` should be: None shows the bar on a terminal alone."""
+    """Return what tqdm's ``disable`` should be: None shows the bar only on a terminal."""
     if sys.stderr is None or (plan.to_stdout and sys.stdout is not None and sys.stdout.isatty()):
         return True
     return None

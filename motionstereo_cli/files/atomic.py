@@ -1,4 +1,4 @@
-"""Writing so that nothing incomplete ever bears a final name, and no link is followed.
+"""Writing so that nothing incomplete ever has a final name, and no link is followed.
 
 What is written first bears a name that ends in ``.part``. Whatever bears that name before, such
 as a link that leads elsewhere, is removed and not written through.

@@ -1,4 +1,4 @@
-"""A drive: a simulated robot finds its way by what the pipeline tells it, frame by frame."""
+"""A drive: a simulated robot drives by what the pipeline tells it, frame by frame."""
 
 from __future__ import annotations
 
@@ -65,11 +65,11 @@ def drive(
     When it fails or is interrupted, no file is left behind.
 
     Args:
-        out: the folder, made if need be.
+        out: the folder, made if missing.
         world: the world at the start.
         settings: parameters of the processing; the defaults for this robot if None.
         view: write drive.mp4.
-        overwrite: replace a former drive in ``out``; other files are never touched.
+        overwrite: replace an earlier drive in ``out``; other files are never touched.
         inputs: files that must not be written to.
         progress: called after each frame.
 
@@ -114,7 +114,7 @@ def drive(
 def driven(world: DriveWorld, settings: Settings) -> Iterator[FrameResult]:
     """Yield the result of each frame; the next is taken where the robot then is.
 
-    Whoever iterates moves the robot by each result; see :meth:`DriveWorld.act_on`.
+    The caller moves the robot by each result; see :meth:`DriveWorld.act_on`.
     """
     shot: Shot
 

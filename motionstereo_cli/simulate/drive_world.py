@@ -27,7 +27,10 @@ FRAME_MS = 1000 // FRAME_RATE
 #: The robot: maximum distance and turn of one frame.
 MAX_WAY_M = 0.16
 MAX_TURN_RAD = math.radians(6)
-#: A lap takes about this many times as long as at full speed, because of the turns; longer with walkers.
+#: A lap takes this many times as long as at full speed, because of the turns; longer with walkers.
+_SLOWER = 1.25
+
+#: A lap takes about this many times as long as at full speed, because of the turns.
 _SLOWER = 1.25
 
 #: Free distance at which it drives at full speed, and at which it stops.

@@ -41,9 +41,9 @@ def simulate(
     When it fails or is interrupted, no file is left behind.
 
     Args:
-        out: the folder, made if need be.
+        out: the folder, made if missing.
         settings: what to render.
-        overwrite: replace a former simulation in ``out``; other files are never touched.
+        overwrite: replace an earlier simulation in ``out``; other files are never touched.
         inputs: files that must not be written to.
         progress: called after each frame.
 

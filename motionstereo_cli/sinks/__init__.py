@@ -120,8 +120,8 @@ RECORD = "run.json"
 OUTPUTS = {
     "steering": Output(
         "steering.csv",
-        "one row for each frame; time_s in s, steer -1..1 and steer_rad in rad with positive = left, "
-        "depth_m and nearest_m in m, charged and matched as shares of the image; "
+        "one row for each frame; time_s in s, steer -1..1 and steer_rad in rad with positive = "
+        "left, depth_m and nearest_m in m, charged and matched as shares of the image; "
         "empty = unknown",
         "steering.steering_file",
         kind="table",

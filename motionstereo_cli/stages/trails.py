@@ -31,7 +31,7 @@ def match_trails(
     Trails of equal unit are paired; each pair votes at both its ends for the disparity there, and
     neighbouring rows agree on the true ones. A pair's support is the votes at its two ends. A
     pair wins if it is the best for both its trails and stands out from the second best. Then the
-    winners alone vote again, and each end takes the centroid of the votes around it, which makes
+    only the winners vote again, and each end takes the centroid of the votes around it, which makes
     it sub-pixel. Between the ends disparity runs linearly. Trails without a partner, often split
     by noise or cut by an occlusion, take the disparity that their block elected, pixel by pixel,
     where the units agree.
