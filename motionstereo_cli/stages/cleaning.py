@@ -30,8 +30,8 @@ def filled(
 ) -> NDArray[np.float32]:
     """Return a disparity image with gaps in its rows filled linearly from side to side.
 
-    Trails of a pixel or two often find no partner, because noise splits them in only one view. A gap
-    is filled where it is short and the disparities on its two sides agree within 2 px.
+    Trails of a pixel or two often find no partner, because noise splits them in one view only. A
+    gap is filled where it is short and the disparities on its two sides agree within 2 px.
 
     Args:
         disparity_px: (height, width) float32, NaN = unknown.
