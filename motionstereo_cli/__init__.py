@@ -11,8 +11,8 @@ if TYPE_CHECKING:
     from motionstereo_cli.rig.poses import read_poses
     from motionstereo_cli.rig.rig_file import read_rig
     from motionstereo_cli.settings import Settings
+    from motionstereo_cli.sources.opening import open_stereo
     from motionstereo_cli.sources.settings import InputSettings, adapted_rig
-    from motionstereo_cli.sources.stereo import open_stereo
     from motionstereo_cli.types import FrameResult, Rig, Steering, StereoFrame
 
 __version__ = "0.1.0"
@@ -41,7 +41,7 @@ _MODULES = {
     "rig.rig_file": ("read_rig",),
     "settings": ("Settings",),
     "sources.settings": ("InputSettings", "adapted_rig"),
-    "sources.stereo": ("open_stereo",),
+    "sources.opening": ("open_stereo",),
     "types": ("FrameResult", "Rig", "Steering", "StereoFrame"),
 }
 _HOME = {name: module for module, names in _MODULES.items() for name in names}

@@ -737,6 +737,12 @@ def test_standard_input_that_cannot_be_read(monkeypatch: pytest.MonkeyPatch) -> 
     monkeypatch.setattr(sys, "stdin", None)
     with pytest.raises(InputError, match="standard input is closed"):
         open_stereo("-", settings=BESIDE)
+    with pytest.raises(InputError, match="standard input is closed"):
+        open_stereo("-")
+
+
+def test_standard_input_is_one_recording(y4m: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "stdin", y4m.open("rb"))
     with pytest.raises(SettingsError, match="standard input is one recording"):
         open_stereo("-")
 

@@ -23,8 +23,11 @@ if TYPE_CHECKING:
 
     from motionstereo_cli.types import Grey
 
-#: Files with these suffixes are images; all others are passed over.
-SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm", ".webp"})
+#: Files with these suffixes are images; all others are passed over. In the last two, both views
+#: are in one file: as two images, and side by side.
+SUFFIXES = frozenset(
+    {".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm", ".webp", ".mpo", ".jps"}
+)
 
 #: What an image may hold, whatever its name. Pillow decodes these itself; it would start a
 #: program for others, such as EPS.
@@ -40,12 +43,24 @@ _DAMAGE = (OSError, ValueError, SyntaxError, EOFError, OverflowError, Pillow.Dec
 #: No image takes more bytes in a file: 16 bits of four colours twice over, and its notes.
 _MAX_BYTES_PER_PIXEL, _NOTES_BYTES = 16, 16_000_000
 
+#: Where a JPS says how its views lie: in an APP3 segment, a length and four bytes from the last on.
+_JPS_MARK = b"_JPSJPS_"
+_JPS_LAYOUTS = {2: "side-by-side", 3: "top-bottom"}
+_JPS_LEFT_FIRST = 4
+
 #: Magic, width, height and scale of a PFM, and the one white space behind them, which is two
 #: characters where a program wrote the head as text on Windows.
 _PFM_HEAD = re.compile(rb"(P[fF])\s+(\d{1,9})\s+(\d{1,9})\s+([-+.\deE]{1,32})(\r\n|\s)")
 
 # Pillow warns of large images, which are refused here, and of notes in images that do not matter.
 warnings.filterwarnings("ignore", module=r"PIL\.")
+
+
+class Stated(NamedTuple):
+    """How a recording says that it holds both views: the layout; the right view comes first."""
+
+    layout: str
+    swapped: bool
 
 
 class DamagedImageError(Exception):
@@ -61,12 +76,14 @@ class Still(NamedTuple):
             noted is obeyed.
         pages: images in the file, where it is a TIFF; the first is read.
         size_bytes, sha256: size and SHA-256 of the file as it was read.
+        stated: how it says that it holds both views, None if it does not.
     """
 
     pixels: NDArray[Any]
     pages: int
     size_bytes: int
     sha256: bytes
+    stated: Stated | None = None
 
 
 def images_in(folder: Path) -> list[Path]:
@@ -103,11 +120,33 @@ def read_still(path: Path, max_pixels: int = MAX_PIXELS) -> Still:
         raise DamagedImageError(error.strerror or str(error)) from error
     if len(content) > max_bytes:
         raise _too_large(path, f" ({len(content)} bytes or more)", max_pixels)
+    stated = None
     if path.suffix.lower() == ".pfm":
         pixels, pages = _pfm(content, path, max_pixels), 1
     else:
         pixels, pages = decode(content, path, max_pixels)
-    return Still(pixels, pages, len(content), hashlib.sha256(content).digest())
+    if path.suffix.lower() == ".mpo":
+        pixels = _beside(pixels, decode(content, path, max_pixels, page=1)[0])
+        stated = Stated("side-by-side", swapped=False)
+    elif path.suffix.lower() == ".jps":
+        stated = _stated_in(content)
+    return Still(pixels, pages, len(content), hashlib.sha256(content).digest(), stated)
+
+
+def _beside(left: NDArray[Any], right: NDArray[Any]) -> NDArray[Any]:
+    if left.shape != right.shape:
+        raise DamagedImageError("its two images differ in size")
+    return np.hstack([left, right])
+
+
+def _stated_in(jps: bytes) -> Stated:
+    """Return what a JPS says; where it says nothing, its views are crossed."""
+    found = jps.find(_JPS_MARK)
+    descriptor = jps[found + 10 : found + 14] if found >= 0 else b""
+    if len(descriptor) < 4:
+        return Stated("side-by-side", swapped=True)
+    _, flags, how, _ = descriptor
+    return Stated(_JPS_LAYOUTS.get(how, "side-by-side"), swapped=not flags & _JPS_LEFT_FIRST)
 
 
 def grey_of(pixels: NDArray[Any], path: Path, white: int = 0) -> Grey:
@@ -143,13 +182,16 @@ def pixel_format(pixels: NDArray[Any]) -> str:
     return f"{channels[count]} {bits} bit"
 
 
-def decode(content: bytes, path: Path, max_pixels: int = MAX_PIXELS) -> tuple[NDArray[Any], int]:
+def decode(
+    content: bytes, path: Path, max_pixels: int = MAX_PIXELS, page: int = 0
+) -> tuple[NDArray[Any], int]:
     """Return the pixels of an encoded image, as :class:`Still` has them, and its pages.
 
     Args:
         content: PNG, JPEG, TIFF, BMP, PPM or WebP.
         path: what to call it in messages.
         max_pixels: largest width times height.
+        page: which image, where there are several.
 
     Raises:
         DamagedImageError: it cannot be read, or is of another format.
@@ -160,6 +202,8 @@ def decode(content: bytes, path: Path, max_pixels: int = MAX_PIXELS) -> tuple[ND
             if image.width * image.height > max_pixels:
                 raise _too_large(path, f" ({image.width}x{image.height} px)", max_pixels)
             pages = getattr(image, "n_frames", 1) if image.format == "TIFF" else 1
+            if page:
+                image.seek(page)
             if image.mode not in _PLAIN_MODES | _RGB_MODES:
                 raise InputError(
                     f"{path} has {image.mode} pixels: convert it to grey or RGB, 8 or 16 bits"

@@ -8,7 +8,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from motionstereo_cli.sources.stereo import StereoSource, open_stereo
+    from motionstereo_cli.sources.opening import open_stereo
+    from motionstereo_cli.sources.stereo import StereoSource
 
 __all__ = ["StereoSource", "open_stereo"]
 
@@ -16,6 +17,6 @@ __all__ = ["StereoSource", "open_stereo"]
 def __getattr__(name: str) -> Any:
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    from motionstereo_cli.sources import stereo
+    from motionstereo_cli.sources import opening
 
-    return getattr(stereo, name)
+    return getattr(opening, name)

@@ -175,11 +175,13 @@ class FolderRecording(Recording):
 
     def _look_at(self, still: Still, file: Path) -> None:
         """Note what the first image tells of all."""
-        self._pixel_format = pixel_format(still.pixels)
+        self._pixel_format, self.stated = pixel_format(still.pixels), still.stated
         if still.pixels.dtype == np.uint16 and not self._white:
             self.warnings += dark(self._path, int(still.pixels.max()), 16)
         if still.pages > 1:
-            self.warnings += (f"{file} has {still.pages} pages, of which the first is used",)
+            self.warnings += (
+                f"{file} has {still.pages} pages, of which the first is used: split it",
+            )
 
     def _note(self, number: int, still: Still) -> None:
         """Keep what was read, and count it where the fingerprint had read something else."""

@@ -47,6 +47,12 @@ def split(image: Grey, layout: str) -> tuple[Grey, ...]:
     return halves
 
 
+def turned(view: Grey, clockwise: int, *, mirrored: bool) -> Grey:
+    """Return a view exchanged left to right, if it is mirrored, and turned clockwise by degrees."""
+    straight = view[:, ::-1] if mirrored else view
+    return np.rot90(straight, -clockwise // 90)
+
+
 def cut(view: Grey, box: Box, width: int, height: int) -> Grey:
     """Return a part of a view in a new size, C-contiguous."""
     part = view[box.y : box.y + box.height, box.x : box.x + box.width]

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import dataclasses
 import glob
 import re
 from collections.abc import Sequence
+from contextlib import ExitStack, closing
 from pathlib import Path
 
 from motionstereo_cli.errors import InputError, SettingsError
+from motionstereo_cli.files.stills import SUFFIXES, shown
 from motionstereo_cli.sources.bag import BagRecording, is_bag, stereo_topics
 from motionstereo_cli.sources.folder import FolderRecording
 from motionstereo_cli.sources.pipe import Pipe
 from motionstereo_cli.sources.recording import Recording
 from motionstereo_cli.sources.settings import InputSettings
+from motionstereo_cli.sources.stereo import StereoSource
 from motionstereo_cli.sources.video import VideoRecording
 
 #: The name of standard input. A file of that name is ``./-``.
@@ -32,6 +36,66 @@ PAIRS = (
     ("cam0/data", "cam1/data"),  # EuRoC
     ("mav0/cam0/data", "mav0/cam1/data"),
 )
+
+
+def open_stereo(
+    left: str | Path, right: str | Path | None = None, settings: InputSettings | None = None
+) -> StereoSource:
+    """Open a left and a right recording, or one that holds both views.
+
+    Args:
+        left: a video file, a folder of images, a glob pattern of images, or ``-`` for standard
+            input; without ``right`` also a KITTI or EuRoC folder, or a ROS bag. With
+            ``allow_network`` in the settings also an address.
+        right: the like; None where ``left`` has both views.
+        settings: how the views lie, which images belong together, and what to use of them.
+
+    Raises:
+        InputError: a recording is missing, cannot be decoded or has no images; both are the
+            same; or their images differ in size.
+        SettingsError: the settings do not fit the recordings.
+    """
+    settings = settings or InputSettings()
+    names = named(left, right, settings)
+    topics = topics_of(names, settings)
+    with ExitStack() as opened:
+        streams = [
+            opened.enter_context(closing(open_recording(name, settings, track, topic)))
+            for name, track, topic in zip(names, settings.tracks, topics, strict=False)
+        ]
+        settings, notes = _laid_out(streams, settings)
+        if settings.frame_rate and not any(each.timeless for each in streams):
+            raise SettingsError(
+                f"--frame-rate is for what has no times, but {streams[0].name} has time stamps: "
+                "leave it out"
+            )
+        source = StereoSource(streams, settings)
+        source.warnings += notes
+        opened.pop_all()
+    return source
+
+
+def _laid_out(streams: list[Recording], settings: InputSettings) -> tuple[InputSettings, list[str]]:
+    """Return the settings with the layout that a recording states, and what contradicts it.
+
+    Raises:
+        SettingsError: a lone recording does not say that it holds both views.
+    """
+    stated = [(stream.name, stream.stated) for stream in streams if stream.stated]
+    if len(streams) == 1 and settings.layout == "two":
+        said = streams[0].stated
+        if said is None:
+            raise _one_alone(streams[0].name)
+        swap = settings.swap != said.swapped
+        return dataclasses.replace(settings, layout=said.layout, swap=swap), []
+    if not stated:
+        return settings, []
+    name, how = stated[0]
+    if len(streams) == 2:
+        return settings, [f"{name} says that it holds both views, {how.layout}: leave RIGHT out"]
+    if settings.layout.removesuffix("-half") != how.layout.removesuffix("-half"):
+        return settings, [f"{name} says that its views lie {how.layout}: leave --layout out"]
+    return settings, []
 
 
 def named(left: str | Path, right: str | Path | None, settings: InputSettings) -> list[str]:
@@ -98,19 +162,25 @@ def open_recording(
     path = Path(name)
     if topic:
         return BagRecording(path, topic, max_pixels=settings.max_pixels)
-    if not (name == STDIN or is_address(name)) and (path.is_dir() or not path.exists()):
+    is_still = path.suffix.lower() in SUFFIXES or not path.exists()
+    if not (name == STDIN or is_address(name)) and (path.is_dir() or is_still):
         files = None if path.is_dir() else _files(name)
         return FolderRecording(
             path, files, settings.rate, white=settings.white, max_pixels=settings.max_pixels
         )
-    return VideoRecording(
-        _openable(name),
-        rate=settings.rate,
-        track=track,
-        white=settings.white,
-        max_pixels=settings.max_pixels,
-        allow_network=settings.allow_network,
-    )
+    try:
+        return VideoRecording(
+            _openable(name),
+            rate=settings.rate,
+            track=track,
+            white=settings.white,
+            max_pixels=settings.max_pixels,
+            allow_network=settings.allow_network,
+        )
+    except InputError as error:
+        if how := _how_to_convert(path.suffix):
+            raise InputError(f"{name} is {how}") from error
+        raise
 
 
 def _openable(name: str) -> Path | Pipe | str:
@@ -134,13 +204,39 @@ def _files(name: str) -> list[Path]:
 
 
 def _both_in(name: str) -> list[str]:
+    """Return the folders of both cameras in one, or the name if it may hold both views itself."""
     for pair in PAIRS:
         folders = [Path(name, part) for part in pair]
         if all(folder.is_dir() for folder in folders):
             return [str(folder) for folder in folders]
-    what = "standard input" if name == STDIN else name
-    known = f"no {' and '.join(PAIRS[0])}, {' and '.join(PAIRS[4])} or the like is in it: "
-    raise SettingsError(
-        f"{what} is one recording: {known if Path(name).is_dir() else ''}give RIGHT as well, "
+    if Path(name).is_dir() and not shown(Path(name).iterdir(), SUFFIXES):
+        raise _one_alone(name)
+    return [name]
+
+
+def _one_alone(name: str) -> SettingsError:
+    known = f"no {' and '.join(PAIRS[0])}, {' and '.join(PAIRS[5])} or the like is in it: "
+    return SettingsError(
+        f"{name} is one recording: {known if Path(name).is_dir() else ''}give RIGHT as well, "
         "or --layout side-by-side or top-bottom where it holds both views"
     )
+
+
+#: Files of others that hold recordings, and how they become what is read here.
+_ELSEWHERE = {
+    (".svo", ".svo2"): "a ZED recording: export it with ZED_SVO_Export as side-by-side AVI",
+    (".npy", ".npz"): "NumPy's arrays: write each as an image, with cv2.imwrite",
+    (".h5", ".hdf5", ".mat"): "a file of arrays: write each as an image, with cv2.imwrite",
+    (".oni",): "an OpenNI recording: convert it with NiViewer or ffmpeg",
+    (".heic", ".heif", ".avif"): "a HEIF image: convert it with heif-convert or magick",
+    (".dng", ".raw", ".cr2", ".cr3", ".nef", ".arw"): "a raw image: develop it to 16-bit TIFF",
+    (".exr", ".hdr"): "an image of floating-point numbers: convert it to 16-bit PNG",
+    (".insv", ".360"): "a spherical video: export it as flat video with its maker's program",
+    (".braw", ".r3d"): "a raw video: export it as ProRes or FFV1 with its maker's program",
+    (".zip", ".tar", ".gz", ".tgz", ".7z", ".rar", ".zst"): "an archive: unpack it",
+    (".yaml", ".yml", ".json", ".xml"): "no recording: a calibration goes to --rig",
+}
+
+
+def _how_to_convert(suffix: str) -> str | None:
+    return next((how for known, how in _ELSEWHERE.items() if suffix.lower() in known), None)

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from motionstereo_cli.errors import InputError
+from motionstereo_cli.files.stills import Stated
 
 if TYPE_CHECKING:
     from motionstereo_cli.types import Grey
@@ -47,6 +48,7 @@ class Recording(ABC):
         begin_s: time of the first image, 0 where there is no time.
         timeless: nothing but a rate given makes a time of the images' numbers.
         names: the images' names without suffix by their place, where they are files.
+        stated: how it says that it holds both views, None if it does not.
         rereadable: another process can read the same again.
         warnings: what looks wrong before anything is lost, one line each.
         camera_info: calibration that lies beside the images, the fields of
@@ -69,6 +71,7 @@ class Recording(ABC):
     begin_s: Fraction = Fraction(0)
     timeless: bool = False
     names: Sequence[str] = ()
+    stated: Stated | None = None
     rereadable: bool = True
     warnings: tuple[str, ...] = ()
     camera_info: str | None = None

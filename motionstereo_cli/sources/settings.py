@@ -62,6 +62,20 @@ class InputSettings:
         "name).",
     )
     swap: bool = param(False, "Exchange the left and the right view, for cross-eyed recordings.")
+    rotate_left: int = param(
+        0,
+        "Turn the left view clockwise, by 90, 180 or 270; before it is rectified.",
+        unit="degrees",
+        low=0,
+        high=270,
+    )
+    rotate_right: int = param(
+        0, "Turn the right view, in the same way.", unit="degrees", low=0, high=270
+    )
+    mirror_left: bool = param(
+        False, "Exchange left and right in the left view, before it is turned."
+    )
+    mirror_right: bool = param(False, "Exchange left and right in the right view likewise.")
     sync_offset: int = param(
         0,
         "Pair left image n with right image n + N. N > 0 if the right recording began N images "
@@ -144,6 +158,12 @@ class InputSettings:
         comparable = type(stop) is type(first) or not self.start
         if stop is not None and comparable and stop <= first:
             raise SettingsError(f"--end {self.end} does not come after --start {self.start or 0}")
+        for flag, degrees in (
+            ("--rotate-left", self.rotate_left),
+            ("--rotate-right", self.rotate_right),
+        ):
+            if degrees % 90:
+                raise SettingsError(f"{flag} cannot be {degrees}: give 90, 180 or 270 degrees")
         if self.sync_offset and self.sync_tolerance:
             raise SettingsError(
                 "--sync-offset pairs by number and --sync-tolerance by time: give one of them"
@@ -174,6 +194,11 @@ class InputSettings:
                 "LEFT,RIGHT for those of the two views"
             )
         return int(found[1]), int(found[2] or found[1])
+
+    @property
+    def turns(self) -> tuple[tuple[int, bool], tuple[int, bool]]:
+        """By how many degrees each view is turned clockwise, and whether it is mirrored before."""
+        return (self.rotate_left, self.mirror_left), (self.rotate_right, self.mirror_right)
 
     @property
     def first(self) -> Place:

@@ -6,13 +6,13 @@ import itertools
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import ExitStack, closing
 from fractions import Fraction
-from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
-from motionstereo_cli.errors import InputError, SettingsError
+import numpy as np
+
+from motionstereo_cli.errors import InputError
 from motionstereo_cli.sources import layout
-from motionstereo_cli.sources.opening import named, open_recording, topics_of
 from motionstereo_cli.sources.pairing import need_time, pair, pairing
 from motionstereo_cli.sources.prefetch import prefetch
 from motionstereo_cli.sources.recording import Recording, images
@@ -83,13 +83,15 @@ class StereoSource:
 
         right = self._sides[1]
         sizes = [
-            layout.view_size(each.width, each.height, s.layout, each.name) for each in self._streams
+            self._view_size(side, degrees)
+            for side, (degrees, _) in zip(self._sides, s.turns, strict=True)
         ]
         if sizes[0] != sizes[-1]:
             one, other = (f"{width}x{height}" for width, height in sizes)
             raise InputError(
-                f"{self._streams[0].name} is {one} but {self._streams[1].name} is {other}: "
-                "give two recordings of the same size"
+                f"the left view, {self._sides[0].stream.name}, is {one} but the right one, "
+                f"{right.stream.name}, is {other}: give two recordings of the same size"
+                + (", or turn one with --rotate-right 90" if sizes[0] == sizes[1][::-1] else "")
             )
         self.view_width, self.view_height = sizes[0]
         self.width, self.height = s.delivered(*sizes[0])
@@ -302,22 +304,31 @@ class StereoSource:
     def _shots(self, side: Side) -> Iterator[Shot | Loss]:
         """Yield what a decoding thread makes, and at last what was lost in all."""
         s, stream = self.settings, side.stream
-        rectify = self._rectify
-        if rectify and len(self._streams) > 1:
-            rectify = (rectify[self._sides.index(side)],)
-        elif rectify and s.swap:
-            rectify = rectify[::-1]
+        views = range(2) if len(self._streams) == 1 else [self._sides.index(side)]
+        if len(self._streams) == 1 and s.swap:
+            views = views[::-1]
         last: Grey | None = None
         for order, image in enumerate(stream):
             repeats, last = last is not None and same(image.grey, last), image.grey
             parts = layout.split(image.grey, s.layout)
-            if rectify:
-                parts = tuple(each(part) for each, part in zip(rectify, parts, strict=True))
-            cut = (layout.cut(part, self._box, self.width, self.height) for part in parts)
+            cut = (self._made(part, view) for part, view in zip(parts, views, strict=True))
             time_s = None if stream.time_base is None else image.pts * stream.time_base
             loss = Loss.of(stream)
             yield Shot(order, image.number, image.pts, time_s, tuple(cut), repeats, loss)
         yield Loss.of(stream)
+
+    def _made(self, part: Grey, view: int) -> Grey:
+        """Turn, rectify, cut and scale the left or the right view."""
+        degrees, mirrored = self.settings.turns[view]
+        whole = layout.turned(part, degrees, mirrored=mirrored)
+        if self._rectify is not None:
+            whole = self._rectify[view](np.ascontiguousarray(whole))
+        return layout.cut(whole, self._box, self.width, self.height)
+
+    def _view_size(self, side: Side, degrees: int) -> tuple[int, int]:
+        each = side.stream
+        size = layout.view_size(each.width, each.height, self.settings.layout, each.name)
+        return size[::-1] if degrees % 180 else size
 
     def _expected(self) -> int | None:
         left, right = (side.stream for side in self._sides)
@@ -356,38 +367,3 @@ def _frame(place: Place, rate: Fraction | None) -> int:
 def _whole(place: Place | None) -> int | None:
     """Return a place that is the number of a frame, or None."""
     return place if isinstance(place, int) else None
-
-
-def open_stereo(
-    left: str | Path, right: str | Path | None = None, settings: InputSettings | None = None
-) -> StereoSource:
-    """Open a left and a right recording, or one that holds both views.
-
-    Args:
-        left: a video file, a folder of images, a glob pattern of images, or ``-`` for standard
-            input; without ``right`` also a KITTI or EuRoC folder, or a ROS bag. With
-            ``allow_network`` in the settings also an address.
-        right: the like; None where ``left`` has both views.
-        settings: how the views lie, which images belong together, and what to use of them.
-
-    Raises:
-        InputError: a recording is missing, cannot be decoded or has no images; both are the
-            same; or their images differ in size.
-        SettingsError: the settings do not fit the recordings.
-    """
-    settings = settings or InputSettings()
-    names = named(left, right, settings)
-    topics = topics_of(names, settings)
-    with ExitStack() as opened:
-        streams = [
-            opened.enter_context(closing(open_recording(name, settings, track, topic)))
-            for name, track, topic in zip(names, settings.tracks, topics, strict=False)
-        ]
-        if settings.frame_rate and not any(each.timeless for each in streams):
-            raise SettingsError(
-                f"--frame-rate is for what has no times, but {streams[0].name} has time stamps: "
-                "leave it out"
-            )
-        source = StereoSource(streams, settings)
-        opened.pop_all()
-    return source

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Iterator
 from fractions import Fraction
 from pathlib import Path
@@ -12,6 +13,7 @@ import av.logging
 import numpy as np
 
 from motionstereo_cli.files.reading import MAX_PIXELS
+from motionstereo_cli.files.stills import Stated
 from motionstereo_cli.sources.container import Container
 from motionstereo_cli.sources.h264 import Heads
 from motionstereo_cli.sources.luma import bits_of, brightest, grey_levels, is_full_range
@@ -23,6 +25,10 @@ if TYPE_CHECKING:
     from motionstereo_cli.types import Grey
 
     _Packet = av.Packet[av.VideoStream]
+
+#: Kinds of FFmpeg's AVStereo3D, and the shape of a pixel from which on views are squeezed.
+_STEREO3D = {1: "side-by-side", 2: "top-bottom"}
+_SQUEEZED = 1.5
 
 #: The decoder of this codec tells of wrong checksums in FFmpeg's log and nowhere else.
 _TELLS_THE_LOG = "ffv1"
@@ -237,6 +243,7 @@ class VideoRecording(Recording):
         """Note what the first image tells of all."""
         self._quarters = round(frame.rotation / 90) % 4
         self._pixel_format, self._full_range = frame.format.name, is_full_range(frame)
+        self.stated = self._stated_by(frame)
         if self.timeless and self.frame_rate is None:
             self.frame_rate = self._file.stated_rate
             self.time_base = 1 / self.frame_rate if self.frame_rate else None
@@ -244,6 +251,26 @@ class VideoRecording(Recording):
             self.warnings += (f"{self._path} has no times: give its rate to --frame-rate",)
         if bits_of(frame) > 8 and not self._white:
             self.warnings += dark(self._path, brightest(frame), bits_of(frame))
+
+    def _stated_by(self, frame: av.VideoFrame) -> Stated | None:
+        """Return how Matroska, MP4 or the codec say that both views lie in an image.
+
+        Squeezed views show in pixels twice as wide or high as others.
+        """
+        said: Any = frame.side_data.get("STEREO3D")
+        if said is None:
+            return None
+        kind, flags = struct.unpack("=ii", bytes(said)[:8])
+        if kind not in _STEREO3D:
+            if kind:
+                self.warnings += (
+                    f"{self._path} says that it holds two views in a way that is not read: convert "
+                    "it to views side by side",
+                )
+            return None
+        aspect = self._stream.sample_aspect_ratio or 1
+        squeezed = aspect > _SQUEEZED if kind == 1 else aspect < 1 / _SQUEEZED
+        return Stated(_STEREO3D[kind] + "-half" * squeezed, swapped=bool(flags & 1))
 
     def _decode(self) -> Iterator[tuple[av.VideoFrame, bool]]:
         """Yield the images, and whether the decoder complained about them only in its log."""
