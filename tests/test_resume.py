@@ -18,7 +18,7 @@ import pytest
 
 from motionstereo_cli.__main__ import main
 from motionstereo_cli.batch.checkpoint import STATE_TYPES, loads, read_checkpoint
-from motionstereo_cli.batch.folder import CHECKPOINT
+from motionstereo_cli.batch.contents import CHECKPOINT
 from motionstereo_cli.batch.interrupts import finishing
 from motionstereo_cli.errors import OutputError
 from motionstereo_cli.files.atomic import part_of

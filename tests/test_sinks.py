@@ -20,7 +20,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from motionstereo_cli.batch.folder import complete, head, prepare, tidy
+from motionstereo_cli.batch.contents import head
+from motionstereo_cli.batch.folder import complete, prepare, tidy
 from motionstereo_cli.errors import OutputError, SettingsError
 from motionstereo_cli.files.atomic import part_of, reported, segment_of, write_whole
 from motionstereo_cli.files.images import encode_pfm

@@ -7,15 +7,20 @@ import importlib
 import io
 import json
 import pickle
-from collections.abc import Mapping
+import re
+from collections.abc import Callable, Mapping
 from concurrent.futures import Future
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
+from types import NoneType
 from typing import Any
+
+import numpy as np
 
 from motionstereo_cli.batch.totals import Totals
 from motionstereo_cli.errors import OutputError
 from motionstereo_cli.files.atomic import write_whole
+from motionstereo_cli.files.reading import open_regular
 from motionstereo_cli.memory import Memory
 from motionstereo_cli.pipeline import State
 from motionstereo_cli.robot.fused_map import Grid, Voxels
@@ -25,6 +30,7 @@ from motionstereo_cli.robot.local_map import LocalMap
 from motionstereo_cli.robot.mapper import Surroundings
 from motionstereo_cli.robot.objects import Observation, Region, Track
 from motionstereo_cli.robot.tracker import Tracks
+from motionstereo_cli.settings import Settings
 from motionstereo_cli.sinks import Sink
 from motionstereo_cli.types import Pose
 
@@ -36,7 +42,19 @@ STATE_TYPES: tuple[type, ...] = (
 )
 _NAMED = {each.__qualname__: each for each in STATE_TYPES}
 _OF_NUMPY = {"ndarray", "dtype", "scalar", "_reconstruct", "_frombuffer"}
-_HEAD = b"motionstereo checkpoint 2\n"
+_HEAD = b"motionstereo checkpoint 2"
+
+#: Arrays by what annotations call them; all others may be of any kind of number.
+_ARRAYS = {"Grey": "uint8", "Real": "float32"}
+_PLAIN: dict[str, Any] = {
+    "int": (int, np.integer),
+    "float": (int, float, np.integer, np.floating),
+    "bool": (bool, np.bool_),
+    "str": str,
+    "None": NoneType,
+    "tuple": tuple,
+    "Any": object,
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,35 +89,55 @@ def write_checkpoint(
     marks = {name: sink.checkpoint() for name, sink in sinks.items()}
     made = {name: mark.result() for name, mark in marks.items() if isinstance(mark, Future)}
     content = pickle.dumps((_digest(identity), pickle.dumps((state, totals)), made))
-    checksum = hashlib.sha256(content).hexdigest().encode()
-    write_whole(path, _HEAD + checksum + b"\n" + content, durable=True)
+    head = f" {totals.frames} {hashlib.sha256(content).hexdigest()}\n".encode()
+    write_whole(path, _HEAD + head + content, durable=True)
 
 
-def read_checkpoint(path: Path, identity: Mapping[str, Any]) -> Checkpoint | None:
+def frames_of(path: Path) -> int:
+    """Return after how many frames a checkpoint was made, 0 where there is none."""
+    try:
+        with open_regular(path) as file:
+            return int(file.read(200).removeprefix(_HEAD).split()[0])
+    except (OSError, ValueError, LookupError):
+        return 0
+
+
+def read_checkpoint(
+    path: Path, identity: Mapping[str, Any], check: Callable[[State], object] = bool
+) -> Checkpoint | None:
     """Return a checkpoint, None where there is none.
 
     Args:
         path: where it is.
         identity: that of the run which is to go on.
+        check: raises a ValueError for a state that cannot be of this run.
 
     Raises:
         OutputError: the file is no checkpoint of this version and this run, or was changed.
     """
     try:
-        content = path.read_bytes()
+        with open_regular(path) as file:
+            head, content = file.readline(200), file.read()
     except FileNotFoundError:
         return None
     except OSError as error:
         raise OutputError(f"cannot read {path}: {error.strerror}") from error
     try:
-        checksum, body = content[len(_HEAD) :].split(b"\n", 1)
-        if not content.startswith(_HEAD) or hashlib.sha256(body).hexdigest().encode() != checksum:
+        frames, checksum = head.removeprefix(_HEAD).decode().split()
+        if not head.startswith(_HEAD) or hashlib.sha256(content).hexdigest() != checksum:
             raise ValueError("its checksum is wrong")
-        run, moment, sinks = loads(body)
+        run, moment, sinks = loads(content)
         if run != _digest(identity):
             raise ValueError("it is of another run")
         state, totals = loads(moment)
         marks = {name: loads(mark) for name, mark in sinks.items()}
+        for value in (state, totals, *marks.values()):
+            check_kinds(value)
+        if not (isinstance(state, State) and isinstance(totals, Totals)):
+            raise ValueError("it holds no state of a run")
+        if not 0 < totals.frames == int(frames):
+            raise ValueError(f"it says {totals.frames} frames")
+        check(state)
     except Exception as error:  # damaged pickles raise anything
         raise OutputError(
             f"{path} is no checkpoint that can be used ({error}): give --overwrite to begin anew"
@@ -109,6 +147,67 @@ def read_checkpoint(path: Path, identity: Mapping[str, Any]) -> Checkpoint | Non
 
 def _digest(identity: Mapping[str, Any]) -> str:
     return hashlib.sha256(json.dumps(identity, sort_keys=True).encode()).hexdigest()
+
+
+def check_kinds(value: Any) -> None:
+    """Make sure that what came out of a checkpoint holds what its classes say.
+
+    Raises:
+        ValueError: something is of another kind.
+    """
+    if isinstance(value, STATE_TYPES):
+        for each in fields(value):  # type: ignore[arg-type]
+            inner = getattr(value, each.name)
+            if not _fits(inner, str(each.type)):
+                kind = type(inner).__name__
+                raise ValueError(f"{type(value).__name__}.{each.name} is of the kind {kind}")
+            check_kinds(inner)
+    elif isinstance(value, tuple):
+        for inner in value:
+            check_kinds(inner)
+    elif isinstance(value, np.ndarray):
+        if value.dtype.kind not in "biuf":
+            raise ValueError(f"an array holds {value.dtype}")
+    elif not isinstance(value, bool | int | float | str | NoneType | np.generic):
+        raise ValueError(f"it holds something of the kind {type(value).__name__}")
+
+
+def _fits(value: Any, annotation: str) -> bool:
+    while "[" in annotation:
+        annotation = re.sub(r"\[[^\[\]]*\]", "", annotation)
+    for name in annotation.split("|"):
+        kind = _PLAIN.get(name.strip()) or _NAMED.get(name.strip())
+        if kind is None:
+            dtype = _ARRAYS.get(name.strip())
+            fits = isinstance(value, np.ndarray) and (dtype is None or value.dtype == dtype)
+        else:
+            fits = isinstance(value, kind)
+        if fits:
+            return True
+    return False
+
+
+def check_state(state: State, settings: Settings, width: int, height: int) -> None:
+    """Make sure that a state is one of a run with these settings and views of this size.
+
+    Raises:
+        ValueError: it is not.
+    """
+    for memory in (state.right, state.left):
+        if memory is None:
+            raise ValueError("a camera remembers nothing")
+        limits = {
+            "grey": (0, 255),
+            "bands": (1, settings.bands),
+            "moved": (0, 1),
+            "charge": (settings.charge_min, settings.charge_max),
+        }
+        for name, (low, high) in limits.items():
+            values = getattr(memory, name)
+            if values.shape != (height, width):
+                raise ValueError(f"its {name} is {values.shape} large, not {(height, width)}")
+            if values.min() < low or values.max() > high:
+                raise ValueError(f"its {name} is not in {low}..{high}")
 
 
 def check_same(out: Path, identity: Mapping[str, Any], found: Mapping[str, Any]) -> None:

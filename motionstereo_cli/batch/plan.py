@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from motionstereo_cli.errors import SettingsError
+from motionstereo_cli.files.targets import is_stream
 from motionstereo_cli.params import near_match
 from motionstereo_cli.rig.settings import PoseSettings
 from motionstereo_cli.settings import Settings
@@ -74,6 +75,9 @@ class RunPlan:
             ),
             "--resume cannot go on with a table on standard output: give a file": (
                 self.resume and self.to_stdout
+            ),
+            f"--resume cannot go on with a table in {self.table}: give a file": (
+                self.resume and self.table and is_stream(self.table)
             ),
             "--resume cannot read standard input again: give files": (
                 self.resume and self.from_stdin

@@ -5,33 +5,28 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import os
-import platform
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from fractions import Fraction
 from functools import partial
 from pathlib import Path
 from typing import Any, BinaryIO
 
-import av
-import cv2
-import numpy as np
-
-from motionstereo_cli import __version__
 from motionstereo_cli.analysis.check import watched
-from motionstereo_cli.batch.folder import CHECKPOINT, RunFolder, head
+from motionstereo_cli.batch.checkpoint import check_state
+from motionstereo_cli.batch.folder import RunFolder
 from motionstereo_cli.batch.interrupts import finishing
 from motionstereo_cli.batch.plan import RunPlan
+from motionstereo_cli.batch.record import Job, RunReport, identity_of, outcome, report_of, report_on
 from motionstereo_cli.batch.sinks import Sinks
-from motionstereo_cli.batch.totals import Totals
-from motionstereo_cli.errors import InputError, OutputError
-from motionstereo_cli.files.reading import sha256_of
+from motionstereo_cli.errors import InputError, MotionStereoError, OutputError
+from motionstereo_cli.files.atomic import part_of, reported
+from motionstereo_cli.files.targets import check_target, is_stream, open_stream
 from motionstereo_cli.pipeline import process
-from motionstereo_cli.rig import rig_values
 from motionstereo_cli.rig.calibration import rectify_source
-from motionstereo_cli.rig.poses import Trajectory, read_poses
-from motionstereo_cli.sinks import OUTPUTS, RunContext, available
+from motionstereo_cli.rig.poses import read_poses
+from motionstereo_cli.sinks import OUTPUTS, RunContext, Sink, available
 from motionstereo_cli.sinks.steering import SteeringFile, SteeringStream
 from motionstereo_cli.sinks.threaded import Threaded
 from motionstereo_cli.sources import StereoSource, open_stereo
@@ -41,42 +36,8 @@ from motionstereo_cli.types import FrameResult, Rig, StereoFrame
 #: Time from frame to frame in the videos written, in s, where the source has no time.
 DEFAULT_TIME_BASE = Fraction(1, 25)
 
-GREY = (
-    "luma of the decoded video, expanded to 0..255 where the stream is limited range; "
-    "BT.601 luma of still images"
-)
-
 #: The steering table that lies elsewhere, among the names of outputs.
 _TABLE = "table"
-
-
-@dataclasses.dataclass(frozen=True, slots=True)
-class RunReport:
-    """What a run did.
-
-    Attributes:
-        frames: stereo frames processed.
-        resumed: how many of them an earlier process had done.
-        charged, matched: mean shares of the image, 0..1, with charge and with a disparity.
-        wall_s: duration in s, from the first frame's decoding to the last output's completion.
-        outputs: paths under the output folder, numbered files as their folder.
-        damage: what was lost of the input, one line each.
-        interrupted: the run was ended before the end of the input; see :func:`run`.
-    """
-
-    frames: int
-    resumed: int
-    charged: float
-    matched: float
-    wall_s: float
-    outputs: tuple[str, ...]
-    damage: tuple[str, ...]
-    interrupted: bool
-
-    @property
-    def frames_per_second(self) -> float:
-        """Speed of this process, 0 if there was nothing left to do."""
-        return (self.frames - self.resumed) / self.wall_s if self.wall_s else 0.0
 
 
 def _nothing(*_: object) -> None:
@@ -128,43 +89,23 @@ def run(plan: RunPlan, watcher: Watcher | None = None, stdout: BinaryIO | None =
         try:
             with sinks:
                 if sinks.finished is not None:
-                    return _report_of(sinks.finished)
+                    return report_of(sinks.finished, plan)
                 resumed = sinks.totals.frames
                 _open(sinks, job, stdout)
                 _write(sinks, job, watcher)
-                report = _report(job, sinks.totals, resumed, started_s)
-                sinks.complete({"options": plan.options} | _outcome(source, report))
+                report = report_on(job, sinks.totals, resumed, started_s)
+                sinks.complete({"options": plan.options} | outcome(source, report))
                 return report
         except KeyboardInterrupt:
-            report = _report(job, sinks.totals, resumed, started_s)
+            report = report_on(job, sinks.totals, resumed, started_s)
             return dataclasses.replace(report, interrupted=True)
         except Exception as error:
             if plan.folder is not None and sinks.totals.frames:
-                error.add_note(
-                    f"what was done is in {plan.folder}: with --resume the same command goes on "
-                    "from the last checkpoint"
-                )
+                # After other errors the same command fails again at the same frame.
+                goes_on = isinstance(error, OutputError | OSError) and source.rereadable
+                advice = ": with --resume the same command goes on from the last checkpoint"
+                error.add_note(f"what was done is in {plan.folder}{advice if goes_on else ''}")
             raise
-
-
-@dataclasses.dataclass(frozen=True, slots=True)
-class _Job:
-    """A plan whose input is open."""
-
-    plan: RunPlan
-    source: StereoSource
-    context: RunContext
-    poses: Trajectory | None
-
-    @property
-    def save(self) -> tuple[str, ...]:
-        """The outputs, with a substitute for those that cannot be had."""
-        return available(
-            self.plan.outputs,
-            rig=self.context.rig is not None,
-            poses=self.poses is not None,
-            steering_format=self.context.output.steering_format,
-        )
 
 
 def _standard_output(plan: RunPlan) -> BinaryIO | None:
@@ -175,7 +116,7 @@ def _standard_output(plan: RunPlan) -> BinaryIO | None:
     return sys.stdout.buffer
 
 
-def _job(plan: RunPlan, source: StereoSource, watcher: Watcher) -> _Job:
+def _job(plan: RunPlan, source: StereoSource, watcher: Watcher) -> Job:
     """Have the source rectify, and read what is known before the first frame."""
     for line in source.warnings:
         watcher.say("warning", line)
@@ -194,9 +135,7 @@ def _job(plan: RunPlan, source: StereoSource, watcher: Watcher) -> _Job:
             )
             poses.check_covers(*(source.numbers if poses.by_number else source.span_s))
     time_base = source.time_base or DEFAULT_TIME_BASE
-    return _Job(
-        plan, source, RunContext(time_base, plan.settings, rig, plan.output_settings), poses
-    )
+    return Job(plan, source, RunContext(time_base, plan.settings, rig, plan.output_settings), poses)
 
 
 def check_size(rig: Rig, source: StereoSource) -> None:
@@ -212,54 +151,62 @@ def check_size(rig: Rig, source: StereoSource) -> None:
         )
 
 
-def _sinks(job: _Job) -> Sinks:
+def _sinks(job: Job) -> Sinks:
     """Return the folder for the results, or what is there without one; not yet entered."""
     plan, source = job.plan, job.source
     inputs = [*source.paths, *plan.rig, *([plan.poses] if plan.poses else []), *plan.reads]
-    if plan.table and not plan.to_stdout:
-        _check_free(plan.table, plan, inputs)
     if plan.folder is None:
         return Sinks()
+    check_target(plan.folder, inputs)
+    if plan.table and not plan.to_stdout:
+        check_target(plan.table, inputs)
+        if plan.table.resolve().is_relative_to(plan.folder.resolve()):
+            raise OutputError(
+                f"{plan.table} is in the output folder: --save steering puts a table there"
+            )
     return RunFolder(
         *(plan.folder, job.save),
-        identity=_identity(job, inputs),
+        identity=identity_of(job, inputs),
         overwrite=plan.overwrite,
         resume=plan.resume,
         inputs=inputs,
+        check=partial(
+            check_state, settings=plan.settings, width=source.width, height=source.height
+        ),
     )
 
 
-def _check_free(table: Path, plan: RunPlan, inputs: Sequence[Path]) -> None:
-    """Make sure that a table is written over nothing that matters."""
-    place = table.resolve()
-    if place in {path.resolve() for path in inputs}:
-        raise OutputError(f"{table} is an input of this run: give the table another name")
-    if plan.folder is not None and place.is_relative_to(plan.folder.resolve()):
-        raise OutputError(f"{table} is in the output folder: --save steering puts a table there")
-    ours = plan.resume and plan.folder is not None and (plan.folder / CHECKPOINT).exists()
-    if table.exists() and not plan.overwrite and not ours:
-        raise OutputError(f"{table} is there already: give another name, or --overwrite")
-
-
-def _open(sinks: Sinks, job: _Job, stdout: BinaryIO | None) -> None:
+def _open(sinks: Sinks, job: Job, stdout: BinaryIO | None) -> None:
     """Open all outputs, from where an earlier process was ended."""
     plan, table_format = job.plan, job.context.output.steering_format
     if stdout is not None:
         stream = SteeringStream(stdout, "the steering table", table_format)
         sinks.add(_TABLE, lambda _: stream)
     elif plan.table is not None:
-        path = plan.table
-        sinks.add(_TABLE, lambda since: Threaded(SteeringFile(path, table_format, since)))
+        sinks.add(_TABLE, partial(_table, plan, sinks.resumed, table_format))
     if plan.folder is not None:
         for name in job.save:
             sinks.add(name, partial(_opened, name, plan.folder, job.context))
+
+
+def _table(plan: RunPlan, resumed: bool, table_format: str, since: Any) -> Sink:
+    """Open the steering table that a user named."""
+    path = plan.table
+    assert path is not None
+    if is_stream(path):
+        with reported(path):
+            return SteeringStream(open_stream(path), path, table_format)
+    for place in (path, part_of(path)):
+        if os.path.lexists(place) and not plan.overwrite and not resumed:
+            raise OutputError(f"{place} is there already: give another name, or --overwrite")
+    return Threaded(SteeringFile(path, table_format, since))
 
 
 def _opened(name: str, folder: Path, context: RunContext, since: object) -> Threaded:
     return Threaded(OUTPUTS[name].open(folder, context, since))
 
 
-def _write(sinks: Sinks, job: _Job, watcher: Watcher) -> None:
+def _write(sinks: Sinks, job: Job, watcher: Watcher) -> None:
     """Process the frames that are left, and complete the outputs."""
     for result in _results(job, sinks, watcher):
         with finishing():
@@ -273,7 +220,7 @@ def _write(sinks: Sinks, job: _Job, watcher: Watcher) -> None:
     sinks.close()
 
 
-def _results(job: _Job, sinks: Sinks, watcher: Watcher) -> Iterator[FrameResult]:
+def _results(job: Job, sinks: Sinks, watcher: Watcher) -> Iterator[FrameResult]:
     """Yield the results that an earlier process did not give."""
     plan, context = job.plan, job.context
     frames: Iterable[StereoFrame] = job.source
@@ -288,7 +235,7 @@ def _results(job: _Job, sinks: Sinks, watcher: Watcher) -> Iterator[FrameResult]
     frames = iter(frames)
     for _ in itertools.islice(frames, sinks.totals.frames):
         watcher.progress()
-    return process(
+    results = process(
         frames,
         plan.settings,
         context.rig,
@@ -298,86 +245,19 @@ def _results(job: _Job, sinks: Sinks, watcher: Watcher) -> Iterator[FrameResult]
         jobs=plan.jobs or (1 if plan.from_stdin else os.cpu_count()) or 1,
         state=sinks.state,
     )
+    if sinks.state is not None:
+        yield from _first(results, plan)
+    yield from results
 
 
-def _identity(job: _Job, inputs: Iterable[Path]) -> dict[str, Any]:
-    """Return what ``run.json`` says of what the run is: its results follow from it."""
-    plan, source, context = job.plan, job.source, job.context
-    files = [path for path in inputs if path not in (*source.paths, *plan.reads)]
-    table = None
-    if plan.table and plan.folder and not plan.to_stdout:
-        # The same, however either is given.
-        table = os.path.relpath(plan.table.resolve(), plan.folder.resolve())
-    return {
-        **head(job.save),
-        **({} if table is None else {"table": table}),
-        "versions": versions(),
-        "settings": dataclasses.asdict(plan.settings),
-        "input_settings": dataclasses.asdict(source.settings),
-        "output_settings": dataclasses.asdict(context.output),
-        "inputs": source.describe(),
-        "files": [{"path": str(path), "sha256": sha256_of(path)} for path in files],
-        "rig": None if context.rig is None else rig_values(context.rig),
-        "time_base": None if source.time_base is None else str(source.time_base),
-        "grey": GREY,
-        **({"pose_settings": dataclasses.asdict(job.poses.settings)} if job.poses else {}),
-    }
-
-
-def versions() -> dict[str, str]:
-    """Return the versions of all that results and speed depend on."""
-    return {
-        "motionstereo": __version__,
-        "python": platform.python_version(),
-        "numpy": np.__version__,
-        "cv2": cv2.__version__,
-        "av": av.__version__,
-    }
-
-
-def _report(job: _Job, totals: Totals, resumed: int, started_s: float) -> RunReport:
-    return RunReport(
-        frames=totals.frames,
-        resumed=resumed,
-        charged=totals.charged / max(totals.frames, 1),
-        matched=totals.matched / max(totals.frames, 1),
-        wall_s=time.perf_counter() - started_s,
-        outputs=_shown(job.save),
-        damage=tuple(job.source.damage),
-        interrupted=False,
-    )
-
-
-def _outcome(source: StereoSource, report: RunReport) -> dict[str, Any]:
-    """Return what ``run.json`` says of what came of it; all but ``timing`` is repeatable."""
-    return {
-        # What came through a pipe is known at its end.
-        **({} if source.rereadable else {"inputs": source.describe()}),
-        "counts": {"written": report.frames, **source.counts},
-        "shares": {"charged": report.charged, "matched": report.matched},
-        "warnings": source.warnings,
-        "damage": list(report.damage),
-        "timing": {
-            "wall_s": round(report.wall_s, 3),
-            "frames_per_second": round(report.frames_per_second, 2),
-        },
-    }
-
-
-def _report_of(record: Mapping[str, Any]) -> RunReport:
-    """Return the report of a run that was complete already."""
-    frames = record["counts"]["written"]
-    return RunReport(
-        frames=frames,
-        resumed=frames,
-        charged=record["shares"]["charged"],
-        matched=record["shares"]["matched"],
-        wall_s=0.0,
-        outputs=_shown(record["outputs"]),
-        damage=tuple(record["damage"]),
-        interrupted=False,
-    )
-
-
-def _shown(save: Iterable[str]) -> tuple[str, ...]:
-    return tuple(shown for name in save for shown in (OUTPUTS[name].shown, *OUTPUTS[name].beside))
+def _first(results: Iterator[FrameResult], plan: RunPlan) -> Iterable[FrameResult]:
+    """Return the first result after a checkpoint, which tells whether it made sense."""
+    try:
+        return list(itertools.islice(results, 1))
+    except (MotionStereoError, OSError, MemoryError):
+        raise
+    except Exception as error:
+        raise OutputError(
+            f"{plan.folder} cannot be gone on with, its checkpoint does not fit ({error}): "
+            "give --overwrite to begin anew"
+        ) from error

@@ -36,12 +36,14 @@ class Sinks:
     Attributes:
         state: all that is kept from frame to frame, None before the first.
         totals: sums over the frames so far; at first those that an earlier process did.
+        resumed: an earlier process began the same run, and this one goes on or begins anew.
         finished: what an earlier process said of itself that did all there is to do; None: none.
     """
 
     def __init__(self) -> None:
         self.state: State | None = None
         self.totals = Totals()
+        self.resumed = False
         self.finished: Mapping[str, Any] | None = None
         self._marks: Mapping[str, Any] = {}
         self._sinks: dict[str, Sink] = {}
@@ -69,8 +71,19 @@ class Sinks:
         Args:
             name: what to call it.
             opened: makes it from the checkpoint that it goes on from; None: from nothing.
+
+        Raises:
+            OutputError: it cannot be opened, or is not what the checkpoint says.
         """
-        self._sinks[name] = opened(self._marks.get(name))
+        mark = self._marks.get(name)
+        try:
+            self._sinks[name] = opened(mark)
+        except (TypeError, ValueError, LookupError, AttributeError) as error:
+            if mark is None:
+                raise
+            raise OutputError(
+                f"the checkpoint of {name} makes no sense: --resume cannot go on, give --overwrite"
+            ) from error
 
     def own(self, output: _Output) -> _Output:
         """Take an output that is written otherwise, and return it."""

@@ -10,7 +10,7 @@ import click
 
 from motionstereo_cli.analysis.settings import COLUMN_TOLERANCE, CompareSettings
 from motionstereo_cli.commands.messages import say
-from motionstereo_cli.commands.options import settings_options
+from motionstereo_cli.commands.options import config_files, settings_options
 from motionstereo_cli.errors import DIFFERENT_EXIT_CODE
 
 _FILE = click.Path(dir_okay=False, path_type=Path)
@@ -78,19 +78,24 @@ def compare(
 
     from motionstereo_cli.analysis import compare as library
     from motionstereo_cli.analysis.picture import draw_worst
-    from motionstereo_cli.files.atomic import write_whole
     from motionstereo_cli.files.images import encode_png
+    from motionstereo_cli.files.targets import check_target, write_output
 
+    inputs = (actual, golden, *config_files())
+    for path in (picture, junit, json_path):
+        if path:
+            check_target(path, inputs)
     with tqdm(unit="image", disable=None) as bar:
         report = library.compare(
             actual, golden, settings, tolerances=tolerance, progress=bar.update
         )
     if picture and report.worst_image:
-        write_whole(picture, encode_png(draw_worst(report.worst_image, golden)[..., ::-1]))
+        drawn = encode_png(draw_worst(report.worst_image, golden)[..., ::-1])
+        write_output(picture, drawn, inputs)
     if junit:
-        write_whole(junit, library.format_junit(report))
+        write_output(junit, library.format_junit(report), inputs)
     if json_path and json_path != _STDOUT:
-        write_whole(json_path, library.format_json(report).encode())
+        write_output(json_path, library.format_json(report).encode(), inputs)
 
     for line in report.notes:
         say("note", line)

@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from motionstereo_cli.commands.messages import say
-from motionstereo_cli.commands.options import config_option
+from motionstereo_cli.commands.options import config_files, config_option
 
 _KIND = click.Choice(["disparity", "depth"])
 _TABLE = click.Path(dir_okay=False, allow_dash=True, path_type=Path)
@@ -74,8 +74,8 @@ def evaluate(
     from motionstereo_cli.analysis import evaluate_report
     from motionstereo_cli.analysis.evaluate import Comparison
     from motionstereo_cli.analysis.evaluate import evaluate as evaluate_library
-    from motionstereo_cli.files.atomic import write_whole
     from motionstereo_cli.files.images import encode_png
+    from motionstereo_cli.files.targets import check_target, write_output
     from motionstereo_cli.rig import read_rig
     from motionstereo_cli.sinks.reading import Maps
 
@@ -85,8 +85,14 @@ def evaluate(
         rig=None if rig is None else read_rig(rig),
         mask=mask,
     )
+    given = [path for path in (rig, mask) if path is not None]
+    inputs = (result, truth, *given, *config_files())
+    for path in (csv_path, json_path, picture_path if picture is not None else None):
+        if path is not None:
+            check_target(path, inputs)
     if picture is not None:
-        write_whole(picture_path, encode_png(evaluate_report.draw_errors(comparison.pair(picture))))
+        drawn = encode_png(evaluate_report.draw_errors(comparison.pair(picture)))
+        write_output(picture_path, drawn, inputs)
     with tqdm(total=len(comparison.numbers), unit="frame", disable=None) as bar:
         report = evaluate_library(comparison, bar.update)
 
@@ -103,7 +109,7 @@ def evaluate(
         (json_path, evaluate_report.format_json),
     ):
         if path is not None and path != _STDOUT:
-            write_whole(path, content(report).encode())
+            write_output(path, content(report).encode(), inputs)
     shown = evaluate_report.format_csv if csv_path == _STDOUT else evaluate_report.format_table
     shown = evaluate_report.format_json if json_path == _STDOUT else shown
     click.echo(shown(report), nl=False)

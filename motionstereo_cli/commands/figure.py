@@ -8,7 +8,7 @@ import click
 
 from motionstereo_cli.commands.grouped import GroupedCommand
 from motionstereo_cli.commands.messages import say
-from motionstereo_cli.commands.options import input_options, processing_options
+from motionstereo_cli.commands.options import config_files, input_options, processing_options
 from motionstereo_cli.errors import DAMAGED_EXIT_CODE
 from motionstereo_cli.settings import Settings
 from motionstereo_cli.sources.settings import InputSettings
@@ -58,12 +58,14 @@ def figure(
     depth, bright where near and black where unknown.
     """
     from motionstereo_cli.analysis.figure import draw_figure
-    from motionstereo_cli.files.atomic import write_whole
     from motionstereo_cli.files.images import encode_png
+    from motionstereo_cli.files.targets import check_target, write_output
     from motionstereo_cli.sources import open_stereo
 
     with open_stereo(left, right, input_settings) as source:
-        write_whole(out, encode_png(draw_figure(source, numbers, settings)))
+        inputs = (*source.paths, *config_files())
+        check_target(out, inputs)
+        write_output(out, encode_png(draw_figure(source, numbers, settings)), inputs)
         damage = source.damage
     for line in damage:
         say("warning", line)

@@ -216,6 +216,9 @@ def _help(item: Param) -> str:
 
 
 #: A configuration has a few hundred lines, and no option takes a larger number.
+#: Key in a context's ``meta`` for the file that was read.
+_CONFIG = f"{__name__}.config"
+
 _MAX_CONFIG_BYTES, _MAX_NUMBER = 1_000_000, 1e18
 
 config_option = click.option(
@@ -236,8 +239,15 @@ def _is_plain(value: object) -> bool:
     return isinstance(value, int | float) and abs(value) < _MAX_NUMBER  # NaN is not
 
 
+def config_files() -> tuple[Path, ...]:
+    """Return the configuration file that the command at hand read, if it did."""
+    found: tuple[Path, ...] = click.get_current_context().meta.get(_CONFIG, ())
+    return found
+
+
 def _read_config(ctx: click.Context, path: Path) -> None:
     """Make the values of a configuration file the defaults of the command's options."""
+    ctx.meta[_CONFIG] = (path,)
     try:
         values = tomllib.loads(read_bytes(path, "a configuration", _MAX_CONFIG_BYTES).decode())
     except InputError as error:

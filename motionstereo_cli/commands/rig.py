@@ -64,7 +64,8 @@ def rig(
     sensor.yaml pair, or OpenCV's intrinsics and extrinsics. A rig.yaml describes rectified images:
     if yours are not rectified, give FILE itself to run --rig.
     """
-    from motionstereo_cli.rig import format_rig, write_rig
+    from motionstereo_cli.files.targets import write_output
+    from motionstereo_cli.rig import format_rig
     from motionstereo_cli.rig.calibration import read_calibration
 
     calibration = read_calibration(files, size, baseline_unit=baseline_unit, pair=cameras)
@@ -74,5 +75,5 @@ def rig(
     if out == _STDOUT:
         click.echo(format_rig(calibration.rig), nl=False)
     else:
-        write_rig(out, calibration.rig)
+        write_output(out, format_rig(calibration.rig).encode(), files)
         say("note", f"the rig of the rectified images is in {out}")

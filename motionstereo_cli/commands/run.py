@@ -12,6 +12,7 @@ from motionstereo_cli.batch.plan import RunPlan
 from motionstereo_cli.commands.grouped import GroupedCommand, GroupedOption
 from motionstereo_cli.commands.messages import say
 from motionstereo_cli.commands.options import (
+    config_files,
     input_options,
     output_options,
     pose_options,
@@ -22,7 +23,7 @@ from motionstereo_cli.errors import DAMAGED_EXIT_CODE, INTERRUPTED_EXIT_CODE
 from motionstereo_cli.sinks import DEFAULT_OUTPUTS, OUTPUTS
 
 if TYPE_CHECKING:
-    from motionstereo_cli.batch.run import RunReport
+    from motionstereo_cli.batch.record import RunReport
 
 
 def _names(_: click.Context, __: click.Parameter, lists: tuple[str, ...]) -> tuple[str, ...]:
@@ -94,7 +95,7 @@ def run(**given: Any) -> int:
     is a video on standard input. Without RIGHT, LEFT is a KITTI or EuRoC folder or, with
     --layout, one recording of both views.
     """
-    plan = RunPlan(**given)
+    plan = RunPlan(**given, reads=config_files())
 
     from tqdm import tqdm
 

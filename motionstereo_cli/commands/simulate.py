@@ -9,7 +9,7 @@ import click
 
 from motionstereo_cli.commands.grouped import GroupedCommand
 from motionstereo_cli.commands.messages import foretelling, say
-from motionstereo_cli.commands.options import settings_options
+from motionstereo_cli.commands.options import config_files, settings_options
 from motionstereo_cli.simulate.settings import SimulateSettings
 
 
@@ -31,5 +31,11 @@ def simulate(out: Path, overwrite: bool, chosen: dict[str, Any]) -> None:
 
     frames = len(settings.frame_range)
     with tqdm(total=frames, unit="frame", disable=None) as bar:
-        write(out, settings, overwrite=overwrite, progress=foretelling(frames, bar))
+        write(
+            out,
+            settings,
+            overwrite=overwrite,
+            inputs=config_files(),
+            progress=foretelling(frames, bar),
+        )
     say("note", f"{frames} frames of the {settings.scene} in {out}")

@@ -15,6 +15,7 @@ import numpy as np
 
 from motionstereo_cli.errors import OutputError
 from motionstereo_cli.files.atomic import open_new, part_of, reported, segment_of, sync
+from motionstereo_cli.files.reading import sha256_of
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -189,6 +190,10 @@ class VideoWriter:
         return av.VideoFrame.from_ndarray(np.concatenate([luma, chroma]), "yuv420p")
 
 
+#: What is left of a video: the SHA-256 of each segment, and the last time stamp.
+VideoMark = tuple[tuple[str, ...], int | None]
+
+
 class SegmentedVideo:
     """A preview that can go on after the process that began it is gone.
 
@@ -199,24 +204,19 @@ class SegmentedVideo:
     Args:
         path: final name; see :class:`VideoWriter`.
         time_base: seconds per unit of the time stamps given to :meth:`write`.
-        since: go on from this checkpoint: number of segments, and the last time stamp.
+        since: go on from this checkpoint.
 
     Raises:
-        OutputError: the file cannot be written, or a segment is missing.
+        OutputError: the file cannot be written, or a segment is missing or was changed.
     """
 
-    def __init__(
-        self, path: Path, time_base: Fraction, since: tuple[int, int | None] = (0, None)
-    ) -> None:
+    def __init__(self, path: Path, time_base: Fraction, since: VideoMark = ((), None)) -> None:
         self._path = path
         self._time_base = time_base
         self._complete, self._last_pts = since
         self._writer: VideoWriter | None = None
-        for number in range(self._complete):
-            if not (segment := segment_of(path, number)).exists():
-                raise OutputError(
-                    f"{segment} is missing: --resume cannot go on without it, give --overwrite"
-                )
+        for segment, sums in zip(self._segments(), self._complete, strict=True):
+            _check(segment, sums)
 
     def write(self, image: NDArray[np.uint8] | NDArray[np.uint16], pts: int) -> None:
         """Append an image; one not after the last gets the next time stamp.
@@ -225,14 +225,14 @@ class SegmentedVideo:
             OutputError: the file cannot be written.
         """
         if self._writer is None:
-            segment = segment_of(self._path, self._complete)
+            segment = segment_of(self._path, len(self._complete))
             self._writer = VideoWriter(
                 self._path, self._time_base, part=segment, preview=True, after=self._last_pts
             )
         self._writer.write(image, pts)
         self._last_pts = self._writer.last_pts
 
-    def checkpoint(self) -> tuple[int, int | None]:
+    def checkpoint(self) -> VideoMark:
         """End the segment, and return what a new process needs to go on.
 
         Raises:
@@ -240,9 +240,11 @@ class SegmentedVideo:
         """
         if self._writer is not None:
             self._writer.finish()
-            sync(segment_of(self._path, self._complete))
+            segment = segment_of(self._path, len(self._complete))
+            sync(segment)
             self._writer = None
-            self._complete += 1
+            with reported(segment):
+                self._complete = (*self._complete, sha256_of(segment))
         return self._complete, self._last_pts
 
     def close(self) -> None:
@@ -263,7 +265,20 @@ class SegmentedVideo:
                 segment.unlink(missing_ok=True)
 
     def _segments(self) -> list[Path]:
-        return [segment_of(self._path, number) for number in range(self._complete)]
+        return [segment_of(self._path, number) for number in range(len(self._complete))]
+
+
+def _check(segment: Path, sums: str) -> None:
+    """Make sure that a segment is what a checkpoint says."""
+    try:
+        found = None if segment.is_symlink() else sha256_of(segment)
+    except OSError as error:
+        raise OutputError(
+            f"{segment} is missing ({error.strerror}): --resume cannot go on without it, give "
+            "--overwrite"
+        ) from error
+    if found != sums:
+        raise OutputError(f"{segment} was cut or changed: --resume cannot go on, give --overwrite")
 
 
 def join(segments: Sequence[Path], path: Path) -> None:

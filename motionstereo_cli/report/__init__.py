@@ -5,7 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from motionstereo_cli.errors import OutputError
-from motionstereo_cli.files.atomic import reported, write_whole
+from motionstereo_cli.files.atomic import reported
+from motionstereo_cli.files.targets import is_stream, write_output
 
 #: Its name in a folder.
 PAGE = "report.html"
@@ -20,9 +21,9 @@ def write_report(path: Path, html: str) -> None:
     Raises:
         OutputError: the file is there and is no such page, or cannot be written.
     """
-    if path.exists() and not is_report(path):
+    if path.exists() and not is_stream(path) and not is_report(path):
         raise OutputError(f"{path} is no report of motionstereo: give another name with -o")
-    write_whole(path, html.encode())
+    write_output(path, html.encode())
 
 
 def is_report(path: Path) -> bool:

@@ -13,7 +13,8 @@ import cv2
 import numpy as np
 
 from motionstereo_cli import __version__
-from motionstereo_cli.batch.folder import FolderKind, RunFolder
+from motionstereo_cli.batch.contents import FolderKind
+from motionstereo_cli.batch.folder import RunFolder
 from motionstereo_cli.files.atomic import write_whole
 from motionstereo_cli.files.images import encode_png
 from motionstereo_cli.files.video import VideoWriter

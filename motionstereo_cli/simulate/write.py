@@ -7,7 +7,8 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
-from motionstereo_cli.batch.folder import FolderKind, RunFolder
+from motionstereo_cli.batch.contents import FolderKind
+from motionstereo_cli.batch.folder import RunFolder
 from motionstereo_cli.files.atomic import make_folder, write_whole
 from motionstereo_cli.files.images import encode_png
 from motionstereo_cli.files.video import VideoWriter

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from motionstereo_cli.files.images import encode_pfm, encode_png, encode_tiff
-from motionstereo_cli.sinks.writers import NumberedFiles
+from motionstereo_cli.sinks.writers import FilesMark, NumberedFiles
 from motionstereo_cli.types import FrameResult
 
 if TYPE_CHECKING:
@@ -95,6 +95,7 @@ class NumberedImages(NumberedFiles):
         path: see :class:`~motionstereo_cli.sinks.writers.NumberedFiles`; its suffix says the
             format: uint8 and uint16 images go to .png, float32 ones to .pfm and .tiff.
         stream: what is known of the run.
+        since: go on from this checkpoint.
         image: makes the (height, width) image of a result.
     """
 
@@ -102,11 +103,11 @@ class NumberedImages(NumberedFiles):
         self,
         path: Path,
         stream: RunContext,
-        _: None = None,
+        since: FilesMark | None = None,
         *,
         image: Callable[[FrameResult, RunContext], NDArray[Any]],
     ) -> None:
-        super().__init__(path)
+        super().__init__(path, since)
         self._stream = stream
         self._image = image
         self._encode = _ENCODE[path.suffix]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from motionstereo_cli.sinks.writers import TableFile, cell
+from motionstereo_cli.sinks.writers import TableFile, TableMark, cell
 from motionstereo_cli.types import FrameResult, MovingObject
 
 if TYPE_CHECKING:
@@ -39,6 +39,6 @@ class ObjectsFile(TableFile):
         self.add(object_row(result.frame.index, thing) for thing in result.objects)
 
 
-def objects_file(path: Path, _: RunContext, since: int | None = None) -> ObjectsFile:
+def objects_file(path: Path, _: RunContext, since: TableMark | None = None) -> ObjectsFile:
     """Return a sink for the table of moving objects."""
     return ObjectsFile(path, HEADER, since)

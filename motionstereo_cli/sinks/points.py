@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from motionstereo_cli.robot.mapper import camera_points
-from motionstereo_cli.sinks.writers import NumberedFiles
+from motionstereo_cli.sinks.writers import FilesMark, NumberedFiles
 from motionstereo_cli.types import FrameResult
 
 if TYPE_CHECKING:
@@ -52,10 +52,11 @@ class NumberedClouds(NumberedFiles):
     Args:
         path: see :class:`~motionstereo_cli.sinks.writers.NumberedFiles`.
         stream: what is known of the run; it has a rig.
+        since: go on from this checkpoint.
     """
 
-    def __init__(self, path: Path, stream: RunContext, _: None = None) -> None:
-        super().__init__(path)
+    def __init__(self, path: Path, stream: RunContext, since: FilesMark | None = None) -> None:
+        super().__init__(path, since)
         self._stream = stream
         camera = stream.settings.reference
         self._comment = f"m, optical frame of the {camera} camera: x right, y down, z forward"

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import cv2
 import numpy as np
 
-from motionstereo_cli.files.video import SegmentedVideo
+from motionstereo_cli.files.video import SegmentedVideo, VideoMark
 from motionstereo_cli.sinks.images import depth_png, known_depth_m, motion_png
 from motionstereo_cli.sinks.legend import strip, time_text
 from motionstereo_cli.sinks.scale import FARTHEST, DepthScale, palette
@@ -46,11 +46,11 @@ class ResultVideo:
         self,
         path: Path,
         stream: RunContext,
-        since: tuple[tuple[int, int | None], int | None] | None = None,
+        since: tuple[VideoMark, int | None] | None = None,
         *,
         image: Callable[[FrameResult, RunContext], NDArray[Any]],
     ) -> None:
-        segments, self._begin = since or ((0, None), None)
+        segments, self._begin = since or (((), None), None)
         self._video = SegmentedVideo(path, stream.time_base, segments)
         self._stream = stream
         self._image = image
@@ -62,7 +62,7 @@ class ResultVideo:
             self._begin = pts if pts * self._stream.time_base > EPOCH_S else 0
         self._video.write(self._image(result, self._stream), pts - self._begin)
 
-    def checkpoint(self) -> tuple[tuple[int, int | None], int | None]:
+    def checkpoint(self) -> tuple[VideoMark, int | None]:
         """End a segment."""
         return self._video.checkpoint(), self._begin
 

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO
 
 from motionstereo_cli.files.atomic import reported
-from motionstereo_cli.sinks.writers import TableFile, cell
+from motionstereo_cli.sinks.writers import TableFile, TableMark, cell
 from motionstereo_cli.types import FrameResult
 
 if TYPE_CHECKING:
@@ -102,7 +102,9 @@ class SteeringFile(TableFile):
         OutputError: the file cannot be written, or is not what the checkpoint says.
     """
 
-    def __init__(self, path: Path, table_format: str = "csv", since: int | None = None) -> None:
+    def __init__(
+        self, path: Path, table_format: str = "csv", since: TableMark | None = None
+    ) -> None:
         super().__init__(path, _header(table_format), since)
         self._format = table_format
 
@@ -111,6 +113,6 @@ class SteeringFile(TableFile):
         self.add([steering_line(result, self._format)])
 
 
-def steering_file(path: Path, _: RunContext, since: int | None = None) -> SteeringFile:
+def steering_file(path: Path, _: RunContext, since: TableMark | None = None) -> SteeringFile:
     """Return a sink for the steering table, its format told by the name's suffix."""
     return SteeringFile(path, path.suffix.removeprefix("."), since)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import math
 import os
 from collections.abc import Iterable
@@ -10,7 +11,16 @@ from io import BufferedRandom, BufferedWriter
 from pathlib import Path
 
 from motionstereo_cli.errors import OutputError
-from motionstereo_cli.files.atomic import part_of, reported, sync, write_whole
+from motionstereo_cli.files.atomic import (
+    make_folder,
+    open_again,
+    open_new,
+    part_of,
+    reported,
+    sync,
+    write_whole,
+)
+from motionstereo_cli.files.reading import open_regular
 
 
 def cell(value: float | None, decimals: int) -> str:
@@ -20,37 +30,54 @@ def cell(value: float | None, decimals: int) -> str:
     return f"{value:z.{decimals}f}"  # z: no -0.0000
 
 
+#: What is left of a table: its size in bytes, and the SHA-256 of these.
+TableMark = tuple[int, str]
+#: What is left of numbered files: how many, and a SHA-256 that follows from all of them.
+FilesMark = tuple[int, str]
+
+_PIECE_BYTES = 1 << 20
+
+
 class TableFile:
     """A table as a file that has its name only when it is complete: RFC 4180, but for LF.
 
     Args:
         path: final name.
         header: names of the columns; none if empty.
-        since: go on from this checkpoint of an earlier table: its size in bytes.
+        since: go on from this checkpoint of an earlier table.
 
     Raises:
         OutputError: the file cannot be written, or is not what the checkpoint says.
     """
 
-    def __init__(self, path: Path, header: str, since: int | None = None) -> None:
+    def __init__(self, path: Path, header: str, since: TableMark | None = None) -> None:
         self._path = path
         self._file: BufferedWriter | BufferedRandom
         with reported(path):
-            self._file = part_of(path).open("wb") if since is None else _reopened(path, since)
+            if since is None:
+                self._sums = hashlib.sha256()
+                self._file = os.fdopen(open_new(part_of(path)), "wb")
+            else:
+                self._sums = _checked(path, since)
+                self._file = os.fdopen(open_again(part_of(path)), "r+b")
+                self._file.truncate(since[0])
+                self._file.seek(since[0])
         if header and since is None:
             self.add([header])
 
     def add(self, lines: Iterable[str]) -> None:
         """Append lines, without their ends, and pass them on at once."""
+        content = "".join(f"{line}\n" for line in lines).encode("ascii")
+        self._sums.update(content)
         with reported(self._path):
-            self._file.writelines(line.encode("ascii") + b"\n" for line in lines)
+            self._file.write(content)
             self._file.flush()
 
-    def checkpoint(self) -> int:
-        """Have the disk hold what was written so far, and return its size in bytes."""
+    def checkpoint(self) -> TableMark:
+        """Have the disk hold what was written so far."""
         with reported(self._path):
             os.fsync(self._file.fileno())
-            return self._file.tell()
+            return self._file.tell(), self._sums.hexdigest()
 
     def close(self) -> None:
         """Complete the table and give it its name."""
@@ -66,16 +93,27 @@ class TableFile:
             part_of(self._path).unlink(missing_ok=True)
 
 
-def _reopened(path: Path, size: int) -> BufferedRandom:
-    if path.exists():  # completed, but not all that belongs to it
-        os.replace(path, part_of(path))
-    file = part_of(path).open("r+b")
-    if file.seek(0, os.SEEK_END) < size:
-        file.close()
-        raise OutputError(f"{part_of(path)} was cut: --resume cannot go on, give --overwrite")
-    file.truncate(size)
-    file.seek(size)
-    return file
+def _checked(path: Path, since: TableMark) -> hashlib._Hash:
+    """Have the ``.part`` of a table hold what a checkpoint says, and return its hash so far.
+
+    The table may be complete, where something else that belongs to it was not.
+    """
+    for place in (part_of(path), path):
+        with contextlib.suppress(FileNotFoundError):
+            if place.is_symlink():
+                continue
+            sums, left = hashlib.sha256(), since[0]
+            with open_regular(place) as file:
+                while left and (piece := file.read(min(left, _PIECE_BYTES))):
+                    sums.update(piece)
+                    left -= len(piece)
+            if not left and sums.hexdigest() == since[1]:
+                if place == path:
+                    os.replace(path, part_of(path))
+                return sums
+    raise OutputError(
+        f"{part_of(path)} was cut or changed: --resume cannot go on, give --overwrite"
+    )
 
 
 class NumberedFiles:
@@ -83,31 +121,64 @@ class NumberedFiles:
 
     Args:
         path: where they go; ``{:06d}`` in its name is the number of the frame.
+        since: go on from this checkpoint of earlier files.
 
     Raises:
-        OutputError: the folder cannot be made or a file not written.
+        OutputError: the folder cannot be made or a file not written, or the files are not what
+            the checkpoint says.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, since: FilesMark | None = None) -> None:
         self._path = path
         self._unsynced: list[Path] = []
-        with reported(path.parent):
-            path.parent.mkdir(exist_ok=True)
+        self._mark: FilesMark = (0, "")
+        make_folder(path.parent)
+        if since is not None:
+            self._check(since)
 
     def add(self, number: int, content: bytes) -> None:
         """Write the file of a frame."""
-        path = self._path.with_name(self._path.name.format(number))
+        path = self._named(number)
+        if path.parent.is_symlink():
+            raise OutputError(f"{path.parent} has become a link: the results would go elsewhere")
         write_whole(path, content)
         self._unsynced.append(path)
+        self._count(content)
 
-    def checkpoint(self) -> None:
+    def checkpoint(self) -> FilesMark:
         """Have the disk hold what was written so far."""
         for path in self._unsynced:
             sync(path)
         self._unsynced.clear()
+        return self._mark
 
     def close(self) -> None:
         """Do nothing: every file is complete."""
 
     def abandon(self, *, keep: bool) -> None:
         """Do nothing: every file is complete."""
+
+    def _named(self, number: int) -> Path:
+        return self._path.with_name(self._path.name.format(number))
+
+    def _count(self, content: bytes) -> None:
+        count, sums = self._mark
+        chained = hashlib.sha256(sums.encode() + hashlib.sha256(content).digest())
+        self._mark = (count + 1, chained.hexdigest())
+
+    def _check(self, since: FilesMark) -> None:
+        for number in range(since[0]):
+            path = self._named(number)
+            try:
+                with open_regular(path) as file:
+                    self._count(file.read())
+            except OSError as error:
+                raise OutputError(
+                    f"{path} cannot be read ({error.strerror}): --resume cannot go on without "
+                    "it, give --overwrite"
+                ) from error
+        if self._mark != since:
+            raise OutputError(
+                f"{self._path.parent} has a file that was changed: --resume cannot go on, give "
+                "--overwrite"
+            )

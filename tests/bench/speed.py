@@ -32,7 +32,7 @@ from bench.peers import bm_matcher, sgbm_matcher
 from bench.speed_report import format_markdown, goals
 from bench.timing import Cost, Samples, core_count, on_cores, python
 from motionstereo_cli import memory, pipeline
-from motionstereo_cli.batch.run import versions
+from motionstereo_cli.batch.record import versions
 from motionstereo_cli.errors import MotionStereoError
 from motionstereo_cli.robot.guide import ImageGuide
 from motionstereo_cli.robot.tracker import Tracker

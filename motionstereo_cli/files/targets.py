@@ -1,0 +1,108 @@
+"""What a command may write to: one rule for all of them.
+
+Never an input, and nothing in a folder that is one. What is no file, such as a device or a FIFO,
+is written into and not replaced by a file.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import stat
+import time
+from collections.abc import Iterable
+from pathlib import Path
+from typing import BinaryIO
+
+from motionstereo_cli.errors import OutputError
+from motionstereo_cli.files.atomic import reported, write_whole
+
+#: How long to wait for a reader of a FIFO, in s, and how often to look.
+_PATIENCE_S = 10.0
+_GLANCE_S = 0.05
+
+
+def check_target(path: Path, inputs: Iterable[Path]) -> None:
+    """Make sure that writing to a file or folder harms no input.
+
+    Args:
+        path: what is to be written.
+        inputs: files and folders that are read.
+
+    Raises:
+        OutputError: it is one of them, under whatever name, or lies in one.
+    """
+    place = path.resolve()
+    for taken in inputs:
+        if place == taken.resolve() or _same(path, taken):
+            raise OutputError(f"{path} is an input of this run: give another name")
+        if taken.is_dir() and place.is_relative_to(taken.resolve()):
+            raise OutputError(f"{path} lies in {taken}, an input of this run: give another place")
+
+
+def write_output(path: Path, content: bytes, inputs: Iterable[Path] = ()) -> None:
+    """Write the file that a user named, in the place of an older one if there is one.
+
+    Args:
+        path: the file; a device or FIFO is written into.
+        content: all of it.
+        inputs: files and folders that are read.
+
+    Raises:
+        OutputError: it is an input, or cannot be written.
+    """
+    check_target(path, inputs)
+    if not is_stream(path):
+        write_whole(path, content)
+        return
+    with reported(path), open_stream(path) as stream:
+        stream.write(content)
+
+
+def is_stream(path: Path) -> bool:
+    """Return whether a name stands for no file but a device, a FIFO, or the standard output."""
+    try:
+        status = path.stat()
+    except OSError:
+        return False
+    return not (stat.S_ISREG(status.st_mode) or stat.S_ISDIR(status.st_mode)) or (
+        path.is_symlink() and _is_stdout(status)
+    )
+
+
+def open_stream(path: Path) -> BinaryIO:
+    """Open a device or FIFO for writing.
+
+    Raises:
+        OSError: it cannot be opened, or no program reads the FIFO within 10 s.
+    """
+    if path.is_symlink() and _is_stdout(path.stat()):
+        return os.fdopen(os.dup(1), "wb")
+    latest_s = time.monotonic() + _PATIENCE_S
+    while True:
+        try:
+            # Without waiting: a FIFO nobody reads would keep the program for ever.
+            descriptor = os.open(path, os.O_WRONLY | getattr(os, "O_NONBLOCK", 0))
+            break
+        except OSError as error:
+            if error.errno != errno.ENXIO or not path.is_fifo():
+                raise
+            if time.monotonic() > latest_s:
+                raise OSError(errno.ENXIO, "no program reads this FIFO") from None
+            time.sleep(_GLANCE_S)
+    os.set_blocking(descriptor, True)
+    return os.fdopen(descriptor, "wb")
+
+
+def _is_stdout(status: os.stat_result) -> bool:
+    try:
+        return os.path.samestat(status, os.fstat(1))
+    except OSError:
+        return False
+
+
+def _same(path: Path, other: Path) -> bool:
+    try:
+        return path.samefile(other)
+    except OSError:
+        return False  # one of them is not there
