@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 #: Parts of run.json that may differ silently, or with a note, from machine to machine.
 _IGNORED = frozenset(
-    {"program", "outputs", "table", "options", "shares", "warnings", "damage", "timing"}
+    {"program", "outputs", "sums", "table", "options", "shares", "warnings", "damage", "timing"}
 )
 _NOTED = frozenset({"versions", "inputs", "files"})
 

@@ -126,29 +126,24 @@ class RunFolder(Sinks):
             OutputError: it cannot be written.
         """
         said = {**self._identity, **record}
-        if "outputs" in said:
-            said["outputs"] = self._with_sums(said["outputs"], said["counts"]["written"])
+        if self._kind.keeps:
+            with reported(self.path):
+                said["sums"] = {
+                    name: sums_of(self.path, self._kind.outputs[name], said["counts"]["written"])
+                    for name in self._outputs
+                }
         complete(self.path, said, self._kind)
         super().complete(record)
 
-    def _with_sums(self, outputs: Mapping[str, Any], frames: int) -> dict[str, Any]:
-        """Return what a record says of the outputs, with what they have come to."""
-        with reported(self.path):
-            return {
-                name: {**said, **sums_of(self.path, self._kind.outputs[name], frames)}
-                for name, said in outputs.items()
-            }
-
     def _check_sums(self, finished: Mapping[str, Any]) -> None:
         """Make sure that a complete run is still what it was."""
-        for name, said in finished.get("outputs", {}).items():
-            if "sha256" not in said:
-                continue
+        for name, sums in finished.get("sums", {}).items():
+            paths = self._kind.outputs[name]
             try:
-                found = sums_of(self.path, self._kind.outputs[name], finished["counts"]["written"])
-            except OSError as error:
-                found = {"sha256": error.strerror}
-            if found["sha256"] != said["sha256"]:
+                same = sums == sums_of(self.path, paths, finished["counts"]["written"])
+            except OSError:
+                same = False
+            if not same:
                 raise OutputError(
                     f"{self.path} is complete, but {name} is no longer what the run wrote: "
                     "give --overwrite to begin anew"
