@@ -14,7 +14,7 @@ from motionstereo_cli.analysis.check import WINDOW_FRAMES, check, watched
 from motionstereo_cli.analysis.findings import CheckReport, Finding
 from motionstereo_cli.simulate.scenes import render_scene
 from motionstereo_cli.simulate.settings import SimulateSettings
-from motionstereo_cli.types import StereoFrame
+from motionstereo_cli.types import Rig, StereoFrame
 
 SAMPLE = Path(__file__).parent.parent / "sample_data"
 MAX_DISPARITY = 64
@@ -151,9 +151,27 @@ def test_range_below_and_above(corridor: Views) -> None:
 def test_known_principal_points_excuse_negative_disparities(corridor: Views) -> None:
     left, right = corridor
     frames = frames_of((left[:, :, 12:], right[:, :, :-12]))
-    report = check(frames, MAX_DISPARITY, expected_frames=SHORT, doffs=12.0)
+    height, width = left[0].shape
+    rig = Rig(width - 12, height, 200.0, 0.1, 100.0, 80.0, doffs=12.0)
+    report = check(frames, MAX_DISPARITY, expected_frames=SHORT, rig=rig)
     assert "swapped" not in [finding.name for finding in report.findings]
     assert "negative-disparity" in [finding.name for finding in report.findings]
+
+
+def test_where_a_calibration_was_given_it_is_what_does_not_fit(corridor: Views) -> None:
+    left, right = corridor
+    height, width = left[0].shape
+    rig = Rig(width, height, 200.0, 0.1, 100.0, 80.0)
+    for views, name in (
+        ((left[:, :-3], right[:, 3:]), "misaligned"),
+        ((left[:, :, 5:], right[:, :, :-5]), "negative-disparity"),
+        ((right, left), "swapped"),
+    ):
+        frames = frames_of(views)
+        report = check(frames, MAX_DISPARITY, expected_frames=len(views[0]), rig=rig)
+        text = next(finding.text for finding in report.findings if finding.name == name)
+        assert "calibration" in text
+        assert "--rig" not in text
 
 
 def test_grey_difference(corridor: Views) -> None:

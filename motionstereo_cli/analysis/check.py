@@ -25,7 +25,7 @@ from motionstereo_cli.types import StereoFrame
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from motionstereo_cli.types import Grey
+    from motionstereo_cli.types import Grey, Rig
 
     Column = NDArray[np.float64]
 
@@ -54,7 +54,7 @@ def check(
     max_disparity: int,
     *,
     expected_frames: int | None = None,
-    doffs: float = 0.0,
+    rig: Rig | None = None,
     progress: Callable[[], object] = lambda: None,
 ) -> CheckReport:
     """Look at windows spread over a recording, and at the motion in all of it.
@@ -63,14 +63,14 @@ def check(
         frames: stereo frames of one size.
         max_disparity: range that the processing is to look in, in px.
         expected_frames: how many frames there are, None if unknown.
-        doffs: as in :class:`~motionstereo_cli.types.Rig`.
+        rig: what a calibration says of the frames; None without one.
         progress: called after each frame.
     """
     checker = _Checker(_starts(expected_frames), _MOMENTS)
     for frame in frames:
         checker.see(frame)
         progress()
-    return checker.report(max_disparity, doffs)
+    return checker.report(max_disparity, rig)
 
 
 def watched(
@@ -78,7 +78,7 @@ def watched(
     max_disparity: int,
     say: Callable[[Finding], object],
     *,
-    doffs: float = 0.0,
+    rig: Rig | None = None,
 ) -> Iterator[StereoFrame]:
     """Yield the frames as they come, and say what is wrong once the first window has gone by.
 
@@ -91,16 +91,16 @@ def watched(
             checker.see(frame)
             left_to_see -= 1
             if not left_to_see:
-                _tell(checker, max_disparity, doffs, say)
+                _tell(checker, max_disparity, rig, say)
         yield frame
     if left_to_see:
-        _tell(checker, max_disparity, doffs, say)
+        _tell(checker, max_disparity, rig, say)
 
 
 def _tell(
-    checker: _Checker, max_disparity: int, doffs: float, say: Callable[[Finding], object]
+    checker: _Checker, max_disparity: int, rig: Rig | None, say: Callable[[Finding], object]
 ) -> None:
-    for finding in checker.report(max_disparity, doffs).findings:
+    for finding in checker.report(max_disparity, rig).findings:
         if finding.name != "few-matches":  # so little seen is no reason to interrupt a run
             say(finding)
 
@@ -151,8 +151,10 @@ class _Checker:
         half: int = frame.left.shape[1] // 2
         return min(_FEATURE_WIDTH, max(_QUICK_WIDTH, half))
 
-    def report(self, max_disparity: int, doffs: float) -> CheckReport:
-        report = CheckReport(max_disparity, self._frames, **_motion(*self._moved))
+    def report(self, max_disparity: int, rig: Rig | None) -> CheckReport:
+        report = CheckReport(
+            max_disparity, self._frames, calibrated=rig is not None, **_motion(*self._moved)
+        )
         if not self._windows:
             return report
         matches = [window.matches(0) for window in self._windows]
@@ -169,7 +171,7 @@ class _Checker:
             drift=drift,
             matches=len(seen),
             **_alignment(rows, seen, self._windows[0].shape, self._scale),
-            **_disparities(agreed, self._scale, max_disparity, doffs),
+            **_disparities(agreed, self._scale, max_disparity, rig.doffs if rig else 0.0),
         )
 
 

@@ -39,6 +39,7 @@ class CheckReport:
     Attributes:
         max_disparity: range that the processing is to look in, in px.
         frames: stereo frames seen.
+        calibrated: a calibration was given, and the views are as it says.
         matches: features matched between the views.
         misaligned_px, misaligned_p90_px: median and 90th percentile of their vertical distance.
         misaligned_image_px: distance that the rows exceed in a tenth of the image.
@@ -59,6 +60,7 @@ class CheckReport:
 
     max_disparity: int
     frames: int = 0
+    calibrated: bool = False
     matches: int = 0
     misaligned_px: float | None = None
     misaligned_p90_px: float | None = None
@@ -179,6 +181,12 @@ def _drifting(report: CheckReport) -> str:
     )
 
 
+#: What to do where a calibration was given and the views are not as it says.
+_MISFIT = (
+    "by so much the calibration given does not fit: see that it is of these cameras at this size, "
+    "and that the images are rectified if it is a rig.yaml; otherwise calibrate again"
+)
+
 RULES = (
     Rule(
         "drifting",
@@ -247,7 +255,8 @@ RULES = (
         lambda r: (
             f"rows do not agree: objects are {r.misaligned_px:.1f} px higher or lower on the "
             f"right (90th percentile {r.misaligned_p90_px:.1f}; shifted by {r.shifted_px:+.1f} px, "
-            f"turned by {r.turned_deg:+.2f} degrees): rectify, by giving the calibration to --rig"
+            f"turned by {r.turned_deg:+.2f} degrees): "
+            + (_MISFIT if r.calibrated else "rectify, by giving the calibration to --rig")
         ),
     ),
     Rule(
@@ -258,7 +267,12 @@ RULES = (
         _always,
         lambda r: (
             f"left and right are swapped: {r.behind:.0%} of the matches lie farther right in "
-            "the right image: exchange the two recordings (or, if the cameras converge, rectify)"
+            "the right image: exchange "
+            + (
+                "the two recordings or, if they are right, the order of the calibration's cameras"
+                if r.calibrated
+                else "the two recordings (or, if the cameras converge, rectify)"
+            )
         ),
     ),
     Rule(
@@ -269,8 +283,12 @@ RULES = (
         lambda r: (r.negative or 0) > RUINED_SHARE,
         lambda r: (
             f"{r.negative:.0%} of the matches have disparities below 0 (down to "
-            f"{r.disparity_low_px:.0f} px), which are not looked for: the cameras converge, so "
-            "rectify them by giving the calibration to --rig"
+            f"{r.disparity_low_px:.0f} px), which are not looked for: "
+            + (
+                _MISFIT
+                if r.calibrated
+                else "the cameras converge, so rectify them by giving the calibration to --rig"
+            )
         ),
     ),
     Rule(

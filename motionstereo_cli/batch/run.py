@@ -225,12 +225,11 @@ def _results(job: Job, sinks: Sinks, watcher: Watcher) -> Iterator[FrameResult]:
     plan, context = job.plan, job.context
     frames: Iterable[StereoFrame] = job.source
     if plan.with_check:
-        doffs = context.rig.doffs if context.rig is not None else 0.0
         frames = watched(
             job.source,
             plan.settings.max_disparity,
             lambda finding: watcher.say("warning", finding.text),
-            doffs=doffs,
+            rig=context.rig,
         )
     frames = iter(frames)
     for _ in itertools.islice(frames, sinks.totals.frames):

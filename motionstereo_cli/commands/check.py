@@ -60,12 +60,11 @@ def check(
         tqdm(total=source.expected_frames, unit="frame", disable=None) as bar,
     ):
         calibration = rectify_source(source, rig, baseline_unit)
-        doffs = adapted_rig(calibration.rig, input_settings).doffs if calibration else 0.0
         report = check_library(
             source,
             max_disparity,
             expected_frames=source.expected_frames,
-            doffs=doffs,
+            rig=adapted_rig(calibration.rig, input_settings) if calibration else None,
             progress=bar.update,
         )
     for line in (*source.warnings, *(calibration.warnings if calibration else ()), *source.damage):
