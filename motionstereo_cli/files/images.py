@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import struct
 from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
+from isal import isal_zlib
 
+from motionstereo_cli.compiled.pictures import sub_filtered_8, sub_filtered_16
 from motionstereo_cli.errors import OutputError
 
 if TYPE_CHECKING:
@@ -15,17 +18,34 @@ if TYPE_CHECKING:
     from motionstereo_cli.types import Real
 
 
+_SUB = cv2.IMWRITE_PNG_FILTER, cv2.IMWRITE_PNG_FILTER_SUB
+_ISAL_LEVEL = 1
+
+
 def encode_png(image: NDArray[np.uint8] | NDArray[np.uint16]) -> bytes:
     """Return a uint8 or uint16 image, grey or BGR, as a PNG file.
 
-    The fastest compression level, and the difference to the left pixel in every row: what takes
-    longer saves a few per cent.
+    The difference to the left pixel in every row (the filter Sub), at a level of compression that
+    takes little time: what takes longer saves a few per cent.
 
     Raises:
         OutputError: the image cannot be encoded.
     """
-    how = (cv2.IMWRITE_PNG_COMPRESSION, 1, cv2.IMWRITE_PNG_FILTER, cv2.IMWRITE_PNG_FILTER_SUB)
-    return _encoded(".png", image, *how)
+    if image.ndim == 3:
+        return _encoded(".png", image, cv2.IMWRITE_PNG_COMPRESSION, 1, *_SUB)
+    height, width = image.shape
+    rows = np.empty((height, image.itemsize * width + 1), np.uint8)
+    filtered = sub_filtered_8 if image.dtype == np.uint8 else sub_filtered_16
+    filtered(np.ascontiguousarray(image), rows)
+    header = struct.pack(">IIBBBBB", width, height, 8 * image.itemsize, 0, 0, 0, 0)
+    content = isal_zlib.compress(rows, _ISAL_LEVEL)
+    chunks = (b"IHDR", header), (b"IDAT", content), (b"IEND", b"")
+    return b"\x89PNG\r\n\x1a\n" + b"".join(_chunk(kind, each) for kind, each in chunks)
+
+
+def _chunk(kind: bytes, content: bytes) -> bytes:
+    check = isal_zlib.crc32(content, isal_zlib.crc32(kind))
+    return struct.pack(">I", len(content)) + kind + content + struct.pack(">I", check)
 
 
 def encode_pfm(image: Real) -> bytes:

@@ -22,8 +22,8 @@ from motionstereo_cli.robot.heading import (
     heading,
     nearest,
     plan,
+    quantiles,
     steadied,
-    strip_nearness,
     travelled,
 )
 from motionstereo_cli.robot.local_map import (
@@ -155,10 +155,12 @@ class ImageGuide:
 
     def profile(self, disparity_px: Real, _: NDArray[np.bool_]) -> ImageProfile:
         """Return what is taken from a frame, see :meth:`Guide.profile`."""
-        near = _thinned(self.rig.nearness_px(disparity_px) if self.rig else disparity_px)
+        near = _thinned(disparity_px)
+        near = self.rig.nearness_px(near) if self.rig else near
         width = near.shape[1]
-        strips = strip_nearness(near, min(self.settings.steer_strips, width), MIN_KNOWN_SHARE)
-        return ImageProfile(strips, nearest(near, MIN_KNOWN_SHARE), width)
+        found = quantiles(near, min(self.settings.steer_strips, width), MIN_KNOWN_SHARE)
+        nearest_px = float(found[-1])
+        return ImageProfile(found[:-1], None if math.isnan(nearest_px) else nearest_px, width)
 
     def steer(
         self,

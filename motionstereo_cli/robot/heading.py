@@ -14,12 +14,17 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from motionstereo_cli.compiled import heading as loops
+from motionstereo_cli.compiled import reused
+
 #: Share of a strip of the image, or of all of it, below which its matches are taken for noise.
 MIN_KNOWN_SHARE = 0.002
 
 
 #: Of the pixels of a strip, the share allowed to be nearer than its nearness says: noise.
 _NEARER_SHARE = 0.2
+#: Of all known pixels, the share that is farther than the nearest thing.
+_FARTHER_SHARE = 0.99
 
 
 def strip_nearness(
@@ -35,25 +40,22 @@ def strip_nearness(
         strips: number of strips, at most the width.
         min_share: share of a strip that has to be known.
     """
-    result = np.full(strips, np.nan, np.float32)
-    for number, strip in enumerate(np.array_split(nearness_px, strips, axis=1)):
-        result[number] = _quantile(strip, 1 - _NEARER_SHARE, min_share)
+    return quantiles(nearness_px, strips, min_share)[:-1]
+
+
+def quantiles(
+    nearness_px: NDArray[np.float32], strips: int, min_share: float
+) -> NDArray[np.float32]:
+    """Return :func:`strip_nearness` and, at the end, :func:`nearest`, (strips + 1,) float32 px."""
+    values = np.ascontiguousarray(nearness_px)
+    height, width = values.shape
+    # As np.array_split has it: the first strips are wider by one.
+    begin = np.array([i * (width // strips) + min(i, width % strips) for i in range(strips + 1)])
+    result = np.empty(strips + 1, np.float32)
+    work = reused(loops.Workspace, strips, height, width)
+    shares = 1 - _NEARER_SHARE, _FARTHER_SHARE, min_share
+    loops.quantiles(values, begin.astype(np.int32), *shares, work, result)
     return result
-
-
-def _quantile(values: NDArray[np.float32], share: float, min_share: float) -> float:
-    """Return the quantile of all but NaN, between the two nearest; NaN if too few are known.
-
-    NaN sorts behind all numbers. To pick the numbers first takes longer than the rest.
-    """
-    known = values.size - np.count_nonzero(np.isnan(values))
-    if known <= min_share * values.size:
-        return np.nan
-    place = (known - 1) * share
-    number = math.floor(place)
-    part = np.partition(values, number, axis=None)
-    below, above = part[number], np.fmin.reduce(part[number + 1 :], initial=np.inf)
-    return float(below + (above - below) * np.float32(place - number) if place > number else below)
 
 
 def heading(nearness_px: NDArray[np.float32]) -> float | None:
@@ -90,7 +92,7 @@ def nearest(nearness_px: NDArray[np.float32], min_share: float) -> float | None:
         nearness_px: disparity + doffs, (height, width) float32, NaN = unknown.
         min_share: share of the image, 0..1, that has to be known.
     """
-    found = _quantile(nearness_px, 0.99, min_share)
+    found = float(quantiles(nearness_px, 1, min_share)[-1])
     return None if math.isnan(found) else found
 
 

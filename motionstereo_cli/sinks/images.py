@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from motionstereo_cli.compiled.pictures import to_uint16
 from motionstereo_cli.files.images import encode_pfm, encode_png, encode_tiff
 from motionstereo_cli.sinks.writers import FilesMark, NumberedFiles
 from motionstereo_cli.types import FrameResult
@@ -75,10 +76,10 @@ def known_depth_m(result: FrameResult) -> Real:
 
 
 def _to_uint16(values: Real, per_unit: int) -> NDArray[np.uint16]:
-    # NaN is neither above nor below anything, so it is not known; fmax takes the other number.
-    known = (values >= 0) & (values <= np.float32(_UINT16_MAX / per_unit))
-    scaled = np.rint(np.fmin(np.fmax(values * np.float32(per_unit), 1), _UINT16_MAX))
-    return np.asarray(scaled.astype(np.uint16) * known, np.uint16)
+    values = np.ascontiguousarray(values)
+    result = np.empty(values.shape, np.uint16)
+    to_uint16(values, per_unit, _UINT16_MAX / per_unit, result)
+    return result
 
 
 _ENCODE: dict[str, Callable[[Any], bytes]] = {

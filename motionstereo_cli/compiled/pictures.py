@@ -1,0 +1,126 @@
+"""Pixels as files hold them: the loops of :mod:`motionstereo_cli.files` and of the sinks."""
+
+import cython
+
+#: Added to a float and taken off again, it rounds half to even, as rint does.
+ROUND = cython.declare(cython.float, 8388608)
+ZERO = cython.declare(cython.float, 0)
+ONE = cython.declare(cython.float, 1)
+MOST = cython.declare(cython.float, 65535)
+
+
+def to_uint16(
+    values: cython.const[cython.float][:, ::1],
+    per_unit: cython.float,
+    largest: cython.float,
+    result: cython.ushort[:, ::1],
+) -> None:
+    """Fill in 16-bit fixed point: 0 = unknown or over ``largest``; what rounds to 0 is 1.
+
+    Args:
+        values: (height, width) float32, NaN = unknown.
+        per_unit: steps of the result in a unit of ``values``.
+        largest: largest value that fits.
+        result: (height, width) uint16.
+    """
+    x: cython.Py_ssize_t
+    y: cython.Py_ssize_t
+    with cython.nogil:
+        for y in range(values.shape[0]):
+            for x in range(values.shape[1]):
+                value: cython.float = values[y, x]
+                scaled: cython.float = value * per_unit
+                scaled = scaled if scaled > ONE else ONE  # also where it is unknown
+                scaled = scaled if scaled < MOST else MOST
+                step: cython.int = cython.cast(cython.int, (scaled + ROUND) - ROUND)
+                known: cython.bint = (value >= 0) & (value <= largest)
+                result[y, x] = step if known else 0
+
+
+def sub_filtered_8(image: cython.const[cython.uchar][:, ::1], result: cython.uchar[:, ::1]) -> None:
+    """Fill in PNG's rows of an 8-bit image by the filter Sub, (height, width + 1) uint8."""
+    x: cython.Py_ssize_t
+    y: cython.Py_ssize_t
+    with cython.nogil:
+        for y in range(image.shape[0]):
+            result[y, 0] = 1
+            result[y, 1] = image[y, 0]
+            for x in range(1, image.shape[1]):
+                result[y, x + 1] = (image[y, x] - image[y, x - 1]) & 255
+
+
+def sub_filtered_16(
+    image: cython.const[cython.ushort][:, ::1], result: cython.uchar[:, ::1]
+) -> None:
+    """Fill in PNG's rows of a 16-bit image by the filter Sub, (height, 2 * width + 1) uint8."""
+    x: cython.Py_ssize_t
+    y: cython.Py_ssize_t
+    with cython.nogil:
+        for y in range(image.shape[0]):
+            result[y, 0] = 1
+            high: cython.int = 0
+            low: cython.int = 0
+            for x in range(image.shape[1]):
+                here: cython.int = cython.cast(cython.int, image[y, x])
+                result[y, 2 * x + 1] = ((here >> 8) - high) & 255
+                result[y, 2 * x + 2] = ((here & 255) - low) & 255
+                high, low = here >> 8, here & 255
+
+
+def planes(
+    levels: cython.const[cython.uchar][:, ::1],
+    table: cython.const[cython.uchar][:, ::1],
+    luma: cython.uchar[:, :],
+    blue: cython.uchar[:, :],
+    red: cython.uchar[:, :],
+) -> None:
+    """Fill in the planes of a yuv420p picture whose colours are in a table.
+
+    Args:
+        levels: which colour each pixel has, (height, width) uint8; both even.
+        table: luma, blue and red difference of each colour, (3, 256) uint8.
+        luma: (height, width) uint8.
+        blue, red: (height / 2, width / 2) uint8; each has the colour of the upper left of its four.
+    """
+    x: cython.Py_ssize_t
+    y: cython.Py_ssize_t
+    with cython.nogil:
+        for y in range(levels.shape[0]):
+            for x in range(levels.shape[1]):
+                luma[y, x] = table[0, levels[y, x]]
+        for y in range(levels.shape[0] // 2):
+            for x in range(levels.shape[1] // 2):
+                blue[y, x] = table[1, levels[2 * y, 2 * x]]
+                red[y, x] = table[2, levels[2 * y, 2 * x]]
+
+
+def levels_of(
+    disparity: cython.const[cython.float][:, ::1],
+    doffs: cython.float,
+    per_px: cython.float,
+    table: cython.const[cython.uchar][::1],
+    result: cython.uchar[:, ::1],
+) -> cython.bint:
+    """Fill in the level of each disparity by a table, 0 = unknown; return whether any is known.
+
+    Args:
+        disparity: px, (height, width) float32, NaN = unknown.
+        doffs: added to it, px.
+        per_px: entries of the table in a px.
+        table: level of each disparity from 0 on; of larger ones, the last.
+        result: (height, width) uint8.
+    """
+    x: cython.Py_ssize_t
+    y: cython.Py_ssize_t
+    found: cython.bint = False
+    last: cython.float = cython.cast(cython.float, table.shape[0] - 1)
+    with cython.nogil:
+        for y in range(disparity.shape[0]):
+            for x in range(disparity.shape[1]):
+                place: cython.float = (disparity[y, x] + doffs) * per_px
+                result[y, x] = 0
+                if place == place:  # noqa: PLR0124
+                    found = True
+                    place = max(min(place, last), ZERO)
+                    result[y, x] = table[cython.cast(cython.int, place)]
+    return found
