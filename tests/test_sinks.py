@@ -24,7 +24,7 @@ from motionstereo_cli.batch.contents import head
 from motionstereo_cli.batch.folder import complete, prepare, tidy
 from motionstereo_cli.errors import OutputError, SettingsError
 from motionstereo_cli.files.atomic import part_of, reported, segment_of, write_whole
-from motionstereo_cli.files.images import encode_pfm
+from motionstereo_cli.files.images import encode_pfm, encode_png
 from motionstereo_cli.files.video import SegmentedVideo, VideoWriter
 from motionstereo_cli.params import params
 from motionstereo_cli.settings import Settings
@@ -405,6 +405,7 @@ from fractions import Fraction
 from pathlib import Path
 import numpy as np
 from motionstereo_cli.errors import OutputError
+from motionstereo_cli.files.images import encode_png
 from motionstereo_cli.files.video import VideoWriter
 video = VideoWriter(Path(sys.argv[1]), Fraction(1, 25))
 noise = np.random.default_rng(0)
@@ -607,3 +608,11 @@ def test_a_failed_run_leaves_its_record_only_beside_images(tmp_path):
     (tmp_path / "depth/000000.png").unlink()
     tidy(tmp_path)
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+@pytest.mark.parametrize("shape", [(1, 1), (3, 7), (20, 31)])
+def test_a_png_holds_its_pixels(dtype, shape):
+    image = np.random.default_rng(0).integers(0, np.iinfo(dtype).max, shape).astype(dtype)
+    content = np.frombuffer(encode_png(image), np.uint8)
+    assert np.array_equal(cv2.imdecode(content, cv2.IMREAD_UNCHANGED), image)

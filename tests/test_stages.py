@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from motionstereo_cli.robot.heading import heading, nearest, steadied, strip_nearness
+from motionstereo_cli.robot.heading import heading, nearest, quantiles, steadied, strip_nearness
 from motionstereo_cli.stages.bands import band_table, bands, blur
 from motionstereo_cli.stages.charge import accumulate, age, permanency
 from motionstereo_cli.stages.confidence import confidence
@@ -264,3 +264,24 @@ class TestGuidance:
         near[:3] = 30
         assert nearest(near, 0.1) == 30
         assert nearest(np.full((4, 4), NAN, np.float32), 0.1) is None
+
+
+class TestQuantiles:
+    @given(
+        arrays(
+            np.float32,
+            st.tuples(st.integers(1, 9), st.integers(1, 14)),
+            elements=st.one_of(st.just(np.float32(np.nan)), st.floats(-4, 200, width=32)),
+        ),
+        st.integers(1, 14),
+    )
+    def test_they_are_those_of_the_sorted_values(self, near, strips):
+        strips = min(strips, near.shape[1])
+        found = quantiles(near, strips, min_share=0.1)
+        parts = [*np.array_split(near, strips, axis=1), near]
+        for part, share, got in zip(parts, [0.8] * strips + [0.99], found, strict=True):
+            known = part[~np.isnan(part)]
+            if len(known) <= 0.1 * part.size:
+                assert np.isnan(got)
+            else:
+                assert got == pytest.approx(np.quantile(known, share), rel=1e-5, abs=1e-5)
