@@ -41,7 +41,7 @@ PURE = [
 #: What each room may import of the package besides itself; "" is the modules at the root.
 GROUND = {"errors", "types", "compiled", "params", "settings", "matchers"}
 MAY_IMPORT = {
-    "files": {"errors", "types"},
+    "files": {"compiled", "errors", "types"},
     "sources": {"errors", "types", "params", "settings", "files", "rig"},
     "rig": {"errors", "types", "params", "settings", "files", "sources"},
     "sinks": GROUND | {"files", "rig", "robot", "stages"},
