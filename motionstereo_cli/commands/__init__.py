@@ -18,7 +18,18 @@ from motionstereo_cli.commands.run import run
 from motionstereo_cli.commands.simulate import simulate
 
 
-@click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
+class _InOrder(click.Group):
+    """A group whose help has its commands in the order in which they were added."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        return list(self.commands)
+
+
+@click.group(
+    cls=_InOrder,
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
+    epilog="motionstereo help lists the topics of the documentation.",
+)
 @click.version_option(__version__, message="motionstereo %(version)s")
 def cli() -> None:
     """Depth and steering from what moves in two stereo videos."""

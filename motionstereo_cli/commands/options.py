@@ -175,7 +175,7 @@ _preset_option = click.option(
     type=click.Choice(list(PRESETS)),
     default="default",
     show_default=True,
-    help="Values of the method's options that are not given.",
+    help="Set of values for the method; options that are given win.",
 )
 
 
