@@ -25,12 +25,13 @@ from motionstereo_cli.batch.folder import complete, prepare, tidy
 from motionstereo_cli.errors import OutputError, SettingsError
 from motionstereo_cli.files.atomic import part_of, reported, segment_of, write_whole
 from motionstereo_cli.files.images import encode_pfm, encode_png
-from motionstereo_cli.files.video import SegmentedVideo, VideoWriter
+from motionstereo_cli.files.video import Indexed, SegmentedVideo, VideoWriter, table_of
 from motionstereo_cli.params import params
 from motionstereo_cli.settings import Settings
 from motionstereo_cli.sinks import DEFAULT_OUTPUTS, OUTPUTS, RunContext, available
 from motionstereo_cli.sinks.images import depth_png, disparity_png
 from motionstereo_cli.sinks.previews import depth_colours
+from motionstereo_cli.sinks.scale import palette
 from motionstereo_cli.sinks.settings import OutputSettings
 from motionstereo_cli.sinks.steering import SteeringFile, SteeringStream
 from motionstereo_cli.sinks.threaded import Threaded
@@ -616,3 +617,17 @@ def test_a_png_holds_its_pixels(dtype, shape):
     image = np.random.default_rng(0).integers(0, np.iinfo(dtype).max, shape).astype(dtype)
     content = np.frombuffer(encode_png(image), np.uint8)
     assert np.array_equal(cv2.imdecode(content, cv2.IMREAD_UNCHANGED), image)
+
+
+def test_a_video_of_indexed_colours_is_that_of_its_rgb(tmp_path):
+    levels = np.random.default_rng(0).integers(0, 256, (8, 6)).repeat(4, 0).repeat(4, 1)
+    levels = levels.astype(np.uint8)
+    shown = []
+    for image in (Indexed(levels, table_of(palette("turbo"))), palette("turbo")[levels][:, :, 0]):
+        video = VideoWriter(tmp_path / "colours.mp4", Fraction(1, 25))
+        video.write([image, image], 0)
+        video.close()
+        with av.open(str(tmp_path / "colours.mp4")) as file:
+            shown.append(next(file.decode(video=0)).to_ndarray(format="rgb24"))
+    assert shown[0].shape == (64, 24, 3)
+    assert np.array_equal(shown[0], shown[1])

@@ -6,12 +6,19 @@ import functools
 import math
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
 
-from motionstereo_cli.files.video import SegmentedVideo, VideoMark
+from motionstereo_cli.compiled.pictures import levels_of
+from motionstereo_cli.files.video import (
+    Indexed,
+    Picture,
+    SegmentedVideo,
+    VideoMark,
+    table_of,
+)
 from motionstereo_cli.sinks.images import depth_png, known_depth_m, motion_png
 from motionstereo_cli.sinks.legend import strip, time_text
 from motionstereo_cli.sinks.scale import FARTHEST, DepthScale, palette
@@ -22,6 +29,10 @@ if TYPE_CHECKING:
 
     from motionstereo_cli.sinks import RunContext
     from motionstereo_cli.types import Grey, Real
+
+#: Steps in which disparities are told apart for their colours, and how many there are at most.
+_LEVELS_PER_PX = 256
+_MAX_LEVELS = 1 << 20
 
 #: Time stamps that begin beyond this count from an epoch; no player waits for that long.
 EPOCH_S = 86_400
@@ -36,7 +47,7 @@ class ResultVideo:
         path: final name; its suffix says the format, see :class:`SegmentedVideo`.
         stream: what is known of the run.
         since: go on from this checkpoint: that of the video, and the first time stamp.
-        image: makes the image of a result, grey or RGB.
+        image: makes what the video shows of a result, as ``VideoWriter.write`` takes it.
 
     Raises:
         OutputError: the file cannot be written, or is not what the checkpoint says.
@@ -48,7 +59,7 @@ class ResultVideo:
         stream: RunContext,
         since: tuple[VideoMark, int | None] | None = None,
         *,
-        image: Callable[[FrameResult, RunContext], NDArray[Any]],
+        image: Callable[[FrameResult, RunContext], Picture | list[Picture]],
     ) -> None:
         segments, self._begin = since or (((), None), None)
         self._video = SegmentedVideo(path, stream.time_base, segments)
@@ -93,11 +104,41 @@ def depth_colours(
     Returns:
         (height, width, 3) uint8 RGB.
     """
-    scale = math.log(max(near_px / far_px, 2))
-    nearness = cv2.log(np.fmax(disparity_px * np.float32(1 / far_px), 1))  # not of NaN
-    steps = np.minimum(FARTHEST + nearness * np.float32((255 - FARTHEST) / scale), 255)
-    levels = steps.astype(np.uint8) * ~np.isnan(disparity_px)
+    scale = DepthScale(max(near_px, 2 * far_px), far_px, None, colours)
+    levels, _ = depth_levels(disparity_px, scale)
     return cv2.applyColorMap(levels, palette(colours)).astype(np.uint8, copy=False)
+
+
+def depth_levels(disparity_px: Real, scale: DepthScale) -> tuple[NDArray[np.uint8], bool]:
+    """Return which colour of the palette each disparity has, 0 = unknown, and whether any is known.
+
+    Args:
+        disparity_px: (height, width) float32, without doffs; NaN = unknown.
+        scale: the scale of the colours.
+
+    Returns:
+        (height, width) uint8; True where a disparity is known.
+    """
+    disparity_px = np.ascontiguousarray(disparity_px)
+    per_px, table = _level_table(scale)
+    levels = np.empty(disparity_px.shape, np.uint8)
+    known = levels_of(disparity_px, scale.doffs, per_px, table, levels)
+    return levels, bool(known)
+
+
+@functools.lru_cache(maxsize=8)
+def _level_table(scale: DepthScale) -> tuple[float, NDArray[np.uint8]]:
+    """Return how many entries there are in a px, and the level of each disparity from 0 px on."""
+    per_px = min(_LEVELS_PER_PX, _MAX_LEVELS / scale.near_px)
+    disparity_px = np.arange(math.ceil(scale.near_px * per_px) + 1) / per_px
+    nearness = np.log(np.maximum(disparity_px / scale.far_px, 1))
+    step = (255 - FARTHEST) / math.log(scale.near_px / scale.far_px)
+    return per_px, np.minimum(FARTHEST + nearness * step, 255).astype(np.uint8)
+
+
+@functools.lru_cache(maxsize=8)
+def _colour_table(colours: str) -> NDArray[np.uint8]:
+    return table_of(palette(colours))
 
 
 def _bands(result: FrameResult, stream: RunContext) -> NDArray[np.uint8]:
@@ -135,12 +176,17 @@ def depth_picture(result: FrameResult, stream: RunContext) -> NDArray[np.uint8]:
     )
 
 
-def _depth(result: FrameResult, stream: RunContext) -> NDArray[np.uint8]:
-    picture = depth_picture(result, stream)
-    if not stream.output.legend:
-        return picture
-    below = strip(picture.shape[1], depth_scale(stream), time_text(result.frame))
-    return np.concatenate([picture, below])
+def _depth(result: FrameResult, stream: RunContext) -> list[Picture]:
+    scale = depth_scale(stream)
+    levels, known = depth_levels(result.disparity_px, scale)
+    parts: list[Picture] = [
+        Indexed(levels, _colour_table(scale.colours))
+        if known
+        else reference_view(result, stream) // np.uint8(3)
+    ]
+    if stream.output.legend:
+        parts.append(strip(levels.shape[1], scale, time_text(result.frame)))
+    return parts
 
 
 def _preview(result: FrameResult, stream: RunContext) -> NDArray[np.uint8]:
@@ -153,7 +199,7 @@ def _preview(result: FrameResult, stream: RunContext) -> NDArray[np.uint8]:
 
 
 def _video(
-    image: Callable[[FrameResult, RunContext], NDArray[Any]],
+    image: Callable[[FrameResult, RunContext], Picture | list[Picture]],
 ) -> functools.partial[ResultVideo]:
     return functools.partial(ResultVideo, image=image)
 
