@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import dataclasses
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from motionstereo_cli.errors import SettingsError
 from motionstereo_cli.files.targets import is_stream
@@ -16,6 +19,14 @@ from motionstereo_cli.sources.settings import InputSettings
 
 #: Names of standard input and output. Files of that name are ``./-``.
 _STANDARD = "-"
+
+_PATHS = ("out", "poses", "table")
+_PARAMETERS = {
+    "settings": Settings,
+    "input_settings": InputSettings,
+    "output_settings": OutputSettings,
+    "pose_settings": PoseSettings,
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,6 +107,23 @@ class RunPlan:
                 advice = near_match(name, OUTPUTS) or f": choose from {', '.join(OUTPUTS)}"
                 raise SettingsError(f"--save knows no {name!r}{advice}")
 
+    def as_json(self) -> dict[str, Any]:
+        """Return the plan as JSON-able values, for another process."""
+        return {key: _plain(value) for key, value in dataclasses.asdict(self).items()}
+
+    @classmethod
+    def of_json(cls, values: Mapping[str, Any]) -> RunPlan:
+        """Return the plan that :meth:`as_json` gave.
+
+        Raises:
+            SettingsError: a value is out of range, or two contradict each other.
+        """
+        paths = {key: None if values[key] is None else Path(values[key]) for key in _PATHS}
+        lists = {key: tuple(values[key]) for key in ("rig", "save", "reads")}
+        parameters = {key: kind(**values[key]) for key, kind in _PARAMETERS.items()}
+        rig, reads = (tuple(map(Path, lists[key])) for key in ("rig", "reads"))
+        return cls(**{**values, **paths, **lists, **parameters, "rig": rig, "reads": reads})
+
     @property
     def folder(self) -> Path | None:
         """The output folder; None where there is only a table on standard output."""
@@ -122,3 +150,9 @@ class RunPlan:
         words = [word for path in self.rig for word in ("--rig", str(path))]
         words += ["--poses", str(self.poses)] if self.poses else []
         return words + (["--baseline-unit", self.baseline_unit] if self.baseline_unit else [])
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Path):
+        return str(value)
+    return [_plain(each) for each in value] if isinstance(value, tuple) else value

@@ -5,6 +5,7 @@ from __future__ import annotations
 import click
 
 from motionstereo_cli import __version__
+from motionstereo_cli.commands.batch import batch
 from motionstereo_cli.commands.check import check
 from motionstereo_cli.commands.compare import compare
 from motionstereo_cli.commands.drive import drive
@@ -36,6 +37,7 @@ def cli() -> None:
 
 
 cli.add_command(run)
+cli.add_command(batch)
 cli.add_command(report)
 cli.add_command(info)
 cli.add_command(check)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -35,59 +36,71 @@ def _complete_names(_: click.Context, __: click.Parameter, incomplete: str) -> l
     return [before + comma + known for known in OUTPUTS if known.startswith(name)]
 
 
+_OPTIONS = (
+    click.option(
+        "-o",
+        "--out",
+        type=click.Path(allow_dash=True, path_type=Path),
+        default="motionstereo_out",
+        show_default=True,
+        help="Folder for the results. - writes only the steering table, to standard output.",
+    ),
+    rig_options,
+    pose_options,
+    click.option(
+        "--save",
+        multiple=True,
+        metavar="NAMES",
+        callback=_names,
+        shell_complete=_complete_names,
+        help="What to write, as a comma list. May be repeated. Names are "
+        f"{', '.join(OUTPUTS)}; motionstereo help outputs describes them.  "
+        f"[default: {','.join(DEFAULT_OUTPUTS)}]",
+    ),
+    click.option(
+        "--csv",
+        "table",
+        type=click.Path(dir_okay=False, allow_dash=True, path_type=Path),
+        help="Write the steering table here too. - is standard output, row by row.",
+    ),
+    output_options,
+    click.option("--overwrite", is_flag=True, help="Replace the results of an earlier run in OUT."),
+    click.option(
+        "--resume",
+        is_flag=True,
+        help="Go on where the same run into OUT was interrupted. Begins if there is none.",
+    ),
+    click.option(
+        "--jobs",
+        type=click.IntRange(1, 256),
+        metavar="INTEGER",
+        help="Frames matched at the same time. Results do not depend on it, but come that many "
+        "frames later, less one.  [default: number of cores, 1 with standard input]",
+    ),
+    click.option(
+        "--check/--no-check",
+        "with_check",
+        cls=GroupedOption,
+        group="Robustness",
+        default=True,
+        help="Look for mistakes in the first frames, as the command check does in all frames, and "
+        "warn.  "
+        "[default: on]",
+    ),
+    input_options,
+    processing_options,
+)
+
+
+def run_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Give a command LEFT, RIGHT and all options of ``run``: what a plan is made of."""
+    for option in reversed(_OPTIONS):
+        command = option(command)
+    return command
+
+
 @click.command(cls=GroupedCommand)
-@click.option(
-    "-o",
-    "--out",
-    type=click.Path(allow_dash=True, path_type=Path),
-    default="motionstereo_out",
-    show_default=True,
-    help="Folder for the results. - writes only the steering table, to standard output.",
-)
-@rig_options
-@pose_options
-@click.option(
-    "--save",
-    multiple=True,
-    metavar="NAMES",
-    callback=_names,
-    shell_complete=_complete_names,
-    help="What to write, as a comma list. May be repeated. Names are "
-    f"{', '.join(OUTPUTS)}; motionstereo help outputs describes them.  "
-    f"[default: {','.join(DEFAULT_OUTPUTS)}]",
-)
-@click.option(
-    "--csv",
-    "table",
-    type=click.Path(dir_okay=False, allow_dash=True, path_type=Path),
-    help="Write the steering table here too. - is standard output, row by row.",
-)
-@output_options
-@click.option("--overwrite", is_flag=True, help="Replace the results of an earlier run in OUT.")
-@click.option(
-    "--resume",
-    is_flag=True,
-    help="Go on where the same run into OUT was interrupted. Begins if there is none.",
-)
-@click.option(
-    "--jobs",
-    type=click.IntRange(1, 256),
-    metavar="INTEGER",
-    help="Frames matched at the same time. Results do not depend on it, but come that many frames "
-    "later, less one.  [default: number of cores, 1 with standard input]",
-)
-@click.option(
-    "--check/--no-check",
-    "with_check",
-    cls=GroupedOption,
-    group="Robustness",
-    default=True,
-    help="Look for mistakes in the first frames, as the command check does in all frames, and "
-    "warn.  "
-    "[default: on]",
-)
-@input_options
-@processing_options
+@run_options
 def run(**given: Any) -> int:
     """Find depth and steering in the two videos of a stereo camera.
 

@@ -1,0 +1,196 @@
+"""What a batch is to do: a table of recordings, or patterns that find them."""
+
+from __future__ import annotations
+
+import csv
+import glob
+import io
+import os
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+
+from motionstereo_cli.batch.plan import RunPlan
+from motionstereo_cli.errors import InputError, MotionStereoError
+from motionstereo_cli.files.reading import MAX_TABLE_BYTES, read_text
+
+#: Columns that are no options of ``run``.
+_OWN = ("left", "right", "out")
+_NEEDED = ("left", "out")
+#: Between two calibration files in a cell.
+_BETWEEN = ";"
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """A recording of a batch.
+
+    Attributes:
+        name: its folder under that of the batch.
+        arguments: those of ``run`` without the folder: options, LEFT, and RIGHT if there is one.
+        place: where it stands, for messages.
+    """
+
+    name: str
+    arguments: tuple[str, ...]
+    place: str
+
+
+def read_manifest(path: Path, options: Mapping[str, bool], files: Collection[str]) -> list[Entry]:
+    """Read a manifest: CSV with a header, a row a recording, paths relative to the manifest.
+
+    Args:
+        path: the file.
+        options: the options of ``run`` by name, without dashes, and whether they are flags.
+        files: those of them that are paths.
+
+    Raises:
+        InputError: the table cannot be used; its notes say all that is wrong, a line each.
+    """
+    text = read_text(path, "the manifest", MAX_TABLE_BYTES)
+    rows = list(csv.reader(io.StringIO(text, newline="")))
+    header = [name.strip().replace("_", "-") for name in rows[0]] if rows else []
+    head = f"{path} line 1"
+    twice = {name for name in header if header.count(name) > 1}
+    wrong = [f"{head}: there is no column {name}" for name in _NEEDED if name not in header]
+    unknown = [name for name in header if name not in (*_OWN, *options)]
+    wrong += [f"{head}: run has no option {name!r}" for name in unknown]
+    wrong += [f"{head}: column {name!r} comes twice" for name in sorted(twice)]
+    entries = []
+    for number, cells in enumerate(rows[1:], 2):
+        if not any(cell.strip() for cell in cells):
+            continue
+        place = f"{path} line {number}"
+        if len(cells) != len(header):
+            wrong.append(f"{place}: {len(cells)} cells and not {len(header)}")
+            continue
+        row = {name: cell.strip() for name, cell in zip(header, cells, strict=True) if cell.strip()}
+        if missing := [name for name in _NEEDED if name not in row]:
+            wrong.append(f"{place}: {' and '.join(missing)} cannot be empty")
+        elif not wrong:
+            entries.append(_entry(row, place, path.parent, options, files))
+    if not entries and not wrong:
+        wrong = [f"{path} names no recording: give a row for each"]
+    _refuse(path, wrong)
+    return entries
+
+
+def _entry(
+    row: Mapping[str, str],
+    place: str,
+    folder: Path,
+    options: Mapping[str, bool],
+    files: Collection[str],
+) -> Entry:
+    arguments: list[str] = []
+    for name, cell in row.items():
+        if name in _OWN:
+            continue
+        if options[name]:
+            no = cell.lower() in ("0", "no", "false", "off")
+            arguments.append(f"--no-{name}" if no else f"--{name}")
+            continue
+        values = cell.split(_BETWEEN) if name == "rig" else [cell]
+        for value in values:
+            shown = value.strip()
+            arguments += [f"--{name}", str(folder / shown) if name in files else shown]
+    inputs = [str(folder / row[name]) for name in ("left", "right") if name in row]
+    return Entry(str(PurePosixPath(row["out"])), (*arguments, "--", *inputs), place)
+
+
+def matched(left: str, right: str | None) -> list[Entry]:
+    """Return the recordings that patterns find, one for each match, paired by what differs.
+
+    ``archive/*/left.mp4`` and ``archive/*/right.mp4`` give a recording for each folder that both
+    have, named after it.
+
+    Raises:
+        InputError: nothing matches, or one side has no partner; the notes say which.
+    """
+    sides = [_found(pattern) for pattern in (left, right) if pattern is not None]
+    wrong = [
+        f"{path} has no partner: nothing matches {pattern} there"
+        for mine, other, pattern in ((sides[0], sides[-1], right), (sides[-1], sides[0], left))
+        for name, path in mine.items()
+        if name not in other
+    ]
+    if not sides[0]:
+        wrong = [f"nothing matches {left}"]
+    _refuse(left, list(dict.fromkeys(wrong)))
+    return [
+        Entry(name, ("--", *(side[name] for side in sides)), sides[0][name]) for name in sides[0]
+    ]
+
+
+def _found(pattern: str) -> dict[str, str]:
+    """Return the paths that match by what the wildcards stand for."""
+    start = len(os.path.commonpath([pattern.partition("*")[0] + "x", pattern]))
+    found = {}
+    for path in sorted(glob.glob(pattern, recursive=True)):
+        parts, wild = Path(path).parts, Path(pattern).parts
+        different = [part for part, each in zip(parts, wild, strict=False) if glob.has_magic(each)]
+        name = "/".join(different) if len(parts) == len(wild) else path[start:].strip("/")
+        # A file's own suffix says nothing of which recording it is.
+        found[name if glob.has_magic(Path(pattern).parent.as_posix()) else Path(name).stem] = path
+    return found
+
+
+def plans(
+    entries: Iterable[Entry], out: Path, plan_of: Callable[[Sequence[str]], RunPlan]
+) -> dict[str, RunPlan]:
+    """Return what to do for each recording, by name.
+
+    Args:
+        entries: the recordings.
+        out: folder of the batch.
+        plan_of: makes a plan of the arguments of ``run``.
+
+    Raises:
+        InputError: names are used twice or lie in one another, an option cannot be used, or a
+            path is not there; its notes say all that is wrong, a line each.
+    """
+    found: dict[str, RunPlan] = {}
+    places: dict[str, str] = {}
+    wrong = []
+    for entry in entries:
+        if problem := _wrong_name(entry.name, places):
+            wrong.append(f"{entry.place}: {problem}")
+            continue
+        places[entry.name] = entry.place
+        try:
+            plan = plan_of(("--out", str(out / entry.name), "--resume", *entry.arguments))
+        except MotionStereoError as error:
+            wrong.append(f"{entry.place}: {error}")
+            continue
+        paths = [plan.left, plan.right, *plan.rig, plan.poses]
+        missing = [str(path) for path in paths if path and not _there(str(path))]
+        wrong += [f"{entry.place}: there is no {path}" for path in missing]
+        found[entry.name] = plan
+    _refuse("the batch", wrong)
+    return found
+
+
+def _there(path: str) -> bool:
+    return os.path.exists(path) or bool(glob.glob(path))
+
+
+def _wrong_name(name: str, places: Mapping[str, str]) -> str:
+    parts = PurePosixPath(name).parts
+    if not parts or name.startswith("/") or ".." in parts:
+        return f"out {name!r} does not lie in the folder of the batch"
+    for other, place in places.items():
+        shorter, longer = sorted((parts, PurePosixPath(other).parts), key=len)
+        if longer[: len(shorter)] == shorter:
+            how = "is" if shorter == longer else "lies in one another with"
+            return f"out {name} {how} that of {place}"
+    return ""
+
+
+def _refuse(what: object, wrong: Sequence[str]) -> None:
+    if not wrong:
+        return
+    count = "one mistake" if len(wrong) == 1 else f"{len(wrong)} mistakes"
+    error = InputError(f"{what} has {count}, nothing was begun: {wrong[0]}")
+    for line in wrong[1:]:
+        error.add_note(line)
+    raise error

@@ -1,0 +1,334 @@
+"""Many recordings, on this machine or a cluster, by Dask.
+
+The truth lies on the disk: a ``run.json`` where a recording is done, a status file beside each
+folder. Futures only say when to look, so that a batch whose client or workers were killed goes on
+from what is there.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import hashlib
+import json
+import os
+import signal
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from motionstereo_cli.batch.plan import RunPlan
+from motionstereo_cli.batch.run import versions
+from motionstereo_cli.batch.status import (
+    DONE,
+    FAILED,
+    Status,
+    format_statuses,
+    read_status,
+    write_status,
+)
+from motionstereo_cli.batch.worker import work
+from motionstereo_cli.errors import InputError
+from motionstereo_cli.files.atomic import write_whole
+from motionstereo_cli.files.lock import locked
+from motionstereo_cli.sinks import RECORD
+
+if TYPE_CHECKING:
+    from distributed import Client, Future
+
+#: The table of all recordings.
+TABLE = "batch.csv"
+#: Topic of the words of workers on how far they are.
+_PROGRESS = "motionstereo-frames"
+#: The table is renewed at most once in this time, in s.
+_RENEW_S = 1.0
+#: How long a scheduler may take to answer, in s.
+_ANSWER_S = 10
+
+
+@dataclass(frozen=True, slots=True)
+class Cluster:
+    """Where to work.
+
+    Attributes:
+        workers: processes on this machine; None = one for each core. Of a cluster, not used.
+        scheduler: address of a scheduler, ``tcp://host:port``; None = processes on this machine.
+        scheduler_file: file in which a scheduler has left its address.
+        tls: paths of ``ca``, ``cert`` and ``key``, for a scheduler that asks for them.
+    """
+
+    workers: int | None = None
+    scheduler: str | None = None
+    scheduler_file: Path | None = None
+    tls: Mapping[str, str] = dataclasses.field(default_factory=dict)
+
+    @property
+    def local(self) -> bool:
+        """Whether the workers are processes on this machine."""
+        return self.scheduler is None and self.scheduler_file is None
+
+
+@dataclass(frozen=True, slots=True)
+class BatchWatcher:
+    """Who hears how a batch goes.
+
+    Attributes:
+        say: called with a kind, ``note`` or ``warning``, and a line.
+        frames: called with how many more frames are done.
+        ended: called with what became of each recording.
+    """
+
+    say: Callable[[str, str], object]
+    frames: Callable[[int], object]
+    ended: Callable[[Status], object]
+
+
+def usable_cores() -> int:
+    """Return how many cores this process may use."""
+    try:
+        return len(os.sched_getaffinity(0))
+    except AttributeError:  # not on this system
+        return os.cpu_count() or 1
+
+
+def run_batch(
+    plans: Mapping[str, RunPlan],
+    out: Path,
+    cluster: Cluster,
+    watcher: BatchWatcher,
+    *,
+    retry_failed: bool = False,
+) -> list[Status]:
+    """Process recordings, and return what became of each, in order.
+
+    What is done is not done again; what failed is only tried again with ``retry_failed``.
+
+    Args:
+        plans: what to do for each recording, by the name of its folder under ``out``.
+        out: folder of the batch.
+        cluster: where to work.
+        watcher: who hears how it goes.
+        retry_failed: try those again that failed or were lost.
+
+    Raises:
+        InputError: the cluster cannot be reached, or its versions differ.
+        OutputError: the folder of the batch cannot be written.
+        KeyboardInterrupt: it was interrupted; the recordings under way have left checkpoints.
+    """
+    with locked(out):
+        batch = _Batch(plans, out, watcher)
+        waiting = [name for name in plans if batch.to_do(name, retry_failed=retry_failed)]
+        if waiting:
+            with _client(cluster, watcher, len(waiting)) as client:
+                jobs = max(usable_cores() // _threads(client), 1) if cluster.local else 1
+                batch.process(client, waiting, jobs)
+        batch.renew(at_once=True)
+        return batch.statuses
+
+
+class _Batch:
+    """The recordings of a batch, and what is known of each."""
+
+    def __init__(self, plans: Mapping[str, RunPlan], out: Path, watcher: BatchWatcher) -> None:
+        self._out, self._watcher = out, watcher
+        self._plans = {name: plan.as_json() for name, plan in plans.items()}
+        self._hashes = {name: _hash(plan) for name, plan in self._plans.items()}
+        self._known = {name: read_status(out, name) for name in plans}
+        self._stop = out / f".stop-{os.getpid()}"
+        self._renewed_s = 0.0
+
+    @property
+    def statuses(self) -> list[Status]:
+        return list(self._known.values())
+
+    def to_do(self, name: str, *, retry_failed: bool) -> bool:
+        known = self._known[name]
+        same = known.plan == self._hashes[name]
+        if same and known.status in DONE and (self._out / name / RECORD).is_file():
+            return False
+        return retry_failed or not (same and known.status in FAILED)
+
+    def process(self, client: Client, names: Sequence[str], jobs: int) -> None:
+        """Keep each worker busy with one recording at a time, until all were tried."""
+        from distributed import as_completed
+
+        rest = iter(names)
+        client.subscribe_topic(_PROGRESS, lambda event: self._watcher.frames(event[1]))
+        self._stop.unlink(missing_ok=True)
+        ended = as_completed()
+        try:
+            # No more at a time than there are workers: all tasks that a worker holds are
+            # suspects when it dies.
+            for name, _ in zip(rest, range(_threads(client)), strict=False):
+                ended.add(self._submit(client, name, jobs))
+            for future in ended:
+                self._note(future)
+                if (name := next(rest, None)) is not None:
+                    ended.add(self._submit(client, name, jobs))
+        except KeyboardInterrupt:
+            self._stop.touch()
+            for future in ended:  # what is under way leaves its checkpoints
+                self._note(future)
+            raise
+        finally:
+            self._stop.unlink(missing_ok=True)
+            with contextlib.suppress(OSError):
+                self.renew(at_once=True)
+
+    def _submit(self, client: Client, name: str, jobs: int) -> Future:
+        plan = self._plans[name]
+        task = {
+            "plan": {**plan, "jobs": plan["jobs"] or jobs},
+            "out": str(self._out),
+            "name": name,
+            "hash": self._hashes[name],
+            "stop": str(self._stop),
+        }
+        future: Future = client.submit(_work, task, key=f"{name}-{os.getpid()}", pure=False)
+        return future
+
+    def _note(self, future: Future) -> None:
+        name = future.key.rpartition("-")[0]
+        status = read_status(self._out, name)
+        if future.status in ("error", "lost", "cancelled"):
+            status = self._unended(name, status, future)
+        self._known[name] = status
+        self._watcher.ended(status)
+        future.release()
+        self.renew()
+
+    def _unended(self, name: str, status: Status, future: Future) -> Status:
+        """Return the status of a recording that did not say itself how it ended."""
+        from distributed.scheduler import KilledWorker
+
+        error = future.exception() if future.status == "error" else None
+        if error is None:
+            raise InputError(
+                "the scheduler has gone: the same command goes on once it is there again"
+            )
+        lost = isinstance(error, KilledWorker)
+        reason = "it ended the process that worked on it, twice" if lost else str(error)
+        status = dataclasses.replace(
+            status,
+            status="lost" if lost else "failed",
+            reason=reason.splitlines()[0] if reason else type(error).__name__,
+            plan=self._hashes[name],
+        )
+        write_status(self._out, status)
+        return status
+
+    def renew(self, *, at_once: bool = False) -> None:
+        """Write the table of all recordings anew, where it is time to."""
+        if at_once or time.monotonic() > self._renewed_s + _RENEW_S:
+            write_whole(self._out / TABLE, format_statuses(self.statuses))
+            self._renewed_s = time.monotonic()
+
+
+def _hash(plan: Mapping[str, Any]) -> str:
+    # How fast, and whether to replace what is there, changes nothing in the results.
+    said = {key: value for key, value in plan.items() if key not in ("jobs", "resume", "overwrite")}
+    return hashlib.sha256(json.dumps(said, sort_keys=True).encode()).hexdigest()[:16]
+
+
+def _work(task: Mapping[str, Any]) -> None:
+    """Work on a task in a worker of Dask."""
+    from distributed import get_worker
+
+    worker, done = get_worker(), 0
+
+    def tell(frames: int) -> None:
+        nonlocal done
+        worker.log_event(_PROGRESS, frames - done)
+        done = frames
+
+    work(task, tell)
+
+
+def _threads(client: Client) -> int:
+    return max(sum(client.nthreads().values()), 1)
+
+
+@contextlib.contextmanager
+def _client(cluster: Cluster, watcher: BatchWatcher, tasks: int) -> Iterator[Client]:
+    """Yield a client of a cluster whose versions are those of this process.
+
+    Raises:
+        InputError: Dask is not installed, the scheduler does not answer, or versions differ.
+    """
+    try:
+        import dask
+        from distributed import Client, LocalCluster
+        from distributed.security import Security
+    except ImportError:
+        raise InputError("batch needs Dask: pip install 'motionstereo[batch]'") from None
+    # A worker that dies is tried once more.
+    settings = {"distributed.scheduler.allowed-failures": 1, "logging.distributed": "critical"}
+    with contextlib.ExitStack() as opened:
+        opened.enter_context(dask.config.set(settings))
+        if cluster.local:
+            workers = min(cluster.workers or usable_cores(), tasks)
+            with _deaf_children():
+                local = opened.enter_context(
+                    LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address=None)
+                )
+            client = opened.enter_context(Client(local))
+        else:
+            address = cluster.scheduler or str(cluster.scheduler_file)
+            security = None
+            if cluster.tls:
+                files = {
+                    f"tls_{key}_file" if key == "ca" else f"tls_client_{key}": value
+                    for key, value in cluster.tls.items()
+                }
+                security = Security(**files, require_encryption=True)
+            where = (
+                {"address": cluster.scheduler}
+                if cluster.scheduler
+                else {"scheduler_file": str(cluster.scheduler_file)}
+            )
+            try:
+                client = opened.enter_context(Client(**where, timeout=_ANSWER_S, security=security))
+            except (OSError, ValueError) as error:
+                raise InputError(
+                    f"there is no scheduler at {address} ({error}): start it, or check the "
+                    "address; the same command goes on then"
+                ) from None
+            if not client.nthreads():
+                raise InputError(f"the scheduler at {address} has no workers: start some")
+            watcher.say("note", f"{_threads(client)} workers; see {client.dashboard_link}")
+        _check_versions(client)
+        yield client
+
+
+@contextlib.contextmanager
+def _deaf_children() -> Iterator[None]:
+    """Have processes that are started ignore Ctrl-C, which a terminal sends to all of them."""
+    former = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, former)
+
+
+def _check_versions(client: Client) -> None:
+    """Make sure that all workers would give the same bytes.
+
+    Raises:
+        InputError: a version differs.
+    """
+    mine = versions()
+    try:
+        theirs = client.run(versions)
+    except Exception as error:
+        raise InputError(
+            f"the workers cannot run motionstereo: {error}: install it there"
+        ) from None
+    for worker, found in theirs.items():
+        for name, version in mine.items():
+            if found.get(name) != version:
+                raise InputError(
+                    f"{name} is {found.get(name)} on {worker}, but {version} here: install the "
+                    "same versions, so that all give the same results"
+                )

@@ -1,0 +1,200 @@
+"""``motionstereo batch``."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from motionstereo_cli.batch.plan import RunPlan
+from motionstereo_cli.commands.grouped import GroupedCommand
+from motionstereo_cli.commands.messages import say
+from motionstereo_cli.commands.run import run_options
+from motionstereo_cli.errors import DAMAGED_EXIT_CODE, INTERRUPTED_EXIT_CODE, SettingsError
+
+if TYPE_CHECKING:
+    from motionstereo_cli.batch.manifest import Entry
+    from motionstereo_cli.batch.status import Status
+
+
+@click.command("run")
+@run_options
+def _plan(**given: Any) -> RunPlan:
+    return RunPlan(**given)
+
+
+def plan_of(arguments: Sequence[str]) -> RunPlan:
+    """Return what ``run`` would do with these arguments.
+
+    Raises:
+        SettingsError: an option is unknown or out of range, or two contradict each other.
+    """
+    try:
+        with _plan.make_context("run", list(arguments)) as context:
+            plan: RunPlan = _plan.invoke(context)
+            return plan
+    except click.UsageError as error:
+        raise SettingsError(error.format_message()) from None
+
+
+@click.command(
+    cls=GroupedCommand,
+    context_settings={"ignore_unknown_options": True},
+    options_metavar="MANIFEST [OPTIONS] [OPTIONS OF RUN]",
+)
+@click.option(
+    "-o",
+    "--out",
+    type=click.Path(file_okay=False, path_type=Path),
+    default="motionstereo_batch",
+    show_default=True,
+    help="Folder for the results: a folder for each recording, and the table batch.csv.",
+)
+@click.option(
+    "--workers",
+    type=click.IntRange(1, 1024),
+    help="Processes on this machine.  [default: number of cores]",
+)
+@click.option("--scheduler", help="Address of a Dask scheduler, such as tcp://HOST:8786.")
+@click.option(
+    "--scheduler-file",
+    type=click.Path(dir_okay=False, path_type=Path),
+    help="File in which a Dask scheduler has left its address.",
+)
+@click.option("--tls-ca", help="Certificate of the authority, for a scheduler with TLS.")
+@click.option("--tls-cert", help="Certificate of this client.")
+@click.option("--tls-key", help="Key of this client.")
+@click.option(
+    "--retry-failed", is_flag=True, help="Try again what failed or was lost, not only what is new."
+)
+@click.option(
+    "--json",
+    "as_json",
+    is_flag=True,
+    help="Print a line of JSON for each recording that has ended.",
+)
+@click.argument("given", nargs=-1, type=click.UNPROCESSED, metavar="")
+def batch(
+    *,
+    out: Path,
+    given: tuple[str, ...],
+    retry_failed: bool,
+    as_json: bool,
+    **cluster: Any,
+) -> int:
+    """Process many recordings, side by side on this machine or on a cluster.
+
+    MANIFEST is a CSV file with a header: left, right, out (its folder under OUT), and any options
+    of run by name; paths are relative to it. Or two quoted patterns take its place:
+    'archive/*/left.mp4' 'archive/*/right.mp4' is a recording for each match. Options of run hold
+    for all recordings, those of a row for its own. The same command again does what is not done.
+    """
+    from motionstereo_cli.batch.manifest import plans
+    from motionstereo_cli.batch.many import BatchWatcher, Cluster, run_batch
+
+    shared, inputs = _apart(given)
+    tls = {key: cluster.pop(f"tls_{key}") for key in ("ca", "cert", "key")}
+    where = Cluster(**cluster, tls={key: value for key, value in tls.items() if value})
+    found = plans(_entries(inputs, shared), out, plan_of)
+    with _bar(len(found)) as bar:
+
+        def ended(status: Status) -> None:
+            bar.update()
+            _say_ended(status, as_json=as_json, quiet=not bar.disable)
+
+        watcher = BatchWatcher(say, lambda frames: bar.set_postfix_str(bar.more(frames)), ended)
+        try:
+            statuses = run_batch(found, out, where, watcher, retry_failed=retry_failed)
+        except KeyboardInterrupt:
+            say("error", f"interrupted: the same command goes on; see {out / 'batch.csv'}")
+            return INTERRUPTED_EXIT_CODE
+    return _say_what_came(statuses, out)
+
+
+def _apart(given: Sequence[str]) -> tuple[list[str], list[str]]:
+    """Return the options of ``run`` among some arguments, and the rest."""
+    context = click.Context(_plan)
+    values, rest, _ = _plan.make_parser(context).parse_args(list(given))
+    options = {option.name: option for option in _plan.params}
+    shared: list[str] = []
+    for name, value in values.items():
+        option = options[name]
+        if not isinstance(option, click.Option):
+            continue
+        if option.is_flag:
+            flags = option.opts if value else option.secondary_opts
+            shared.append(flags[0])
+            continue
+        for each in value if option.multiple else [value]:
+            shared += [option.opts[-1], str(each)]
+    return shared, rest
+
+
+def _entries(inputs: Sequence[str], shared: Sequence[str]) -> list[Entry]:
+    import dataclasses
+
+    from motionstereo_cli.batch.manifest import matched, read_manifest
+
+    if not 1 <= len(inputs) <= 2:
+        raise click.UsageError(
+            "give a MANIFEST, or the patterns of LEFT and RIGHT in quotes: "
+            f"{len(inputs)} inputs were given"
+        )
+    if len(inputs) == 1 and inputs[0].endswith(".csv"):
+        options = {
+            flag.removeprefix("--"): option
+            for option in _plan.params
+            if isinstance(option, click.Option)
+            for flag in option.opts
+            if flag.startswith("--") and option.name not in ("out", "overwrite", "resume")
+        }
+        found = read_manifest(
+            Path(inputs[0]),
+            {name: option.is_flag for name, option in options.items()},
+            {name for name, option in options.items() if isinstance(option.type, click.Path)},
+        )
+    else:
+        found = matched(inputs[0], inputs[1] if len(inputs) == 2 else None)
+    return [dataclasses.replace(each, arguments=(*shared, *each.arguments)) for each in found]
+
+
+def _bar(recordings: int) -> Any:
+    from tqdm import tqdm
+
+    class Bar(tqdm):  # type: ignore[misc]
+        """Recordings, with frames beside them."""
+
+        frames = 0
+
+        def more(self, frames: int) -> str:
+            self.frames += frames
+            return f"{self.frames} frames"
+
+    return Bar(total=recordings, unit="recording", disable=None)
+
+
+def _say_ended(status: Status, *, as_json: bool, quiet: bool) -> None:
+    if as_json:
+        click.echo(json.dumps(status.row()))
+        sys.stdout.flush()
+    if status.reason:
+        say("error", f"{status.name}: {status.status}: {status.reason}")
+    elif not quiet:
+        say("note", f"{status.name}: {status.status}, {status.frames} frames")
+
+
+def _say_what_came(statuses: Sequence[Status], out: Path) -> int:
+    """Report in words, and return the exit code."""
+    counts = {
+        name: sum(status.status == name for status in statuses)
+        for name in dict.fromkeys(status.status for status in statuses)
+    }
+    said = ", ".join(f"{count} {name}" for name, count in counts.items())
+    say("note", f"{len(statuses)} recordings: {said}; see {out / 'batch.csv'}")
+    if counts.keys() - {"done", "damaged"}:
+        return 1
+    return DAMAGED_EXIT_CODE if "damaged" in counts else 0

@@ -1,0 +1,262 @@
+"""Batches: the manifest is checked whole, workers are real processes, the truth is on the disk."""
+
+import csv
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from motionstereo_cli.__main__ import main
+from motionstereo_cli.batch.manifest import matched, plans, read_manifest
+from motionstereo_cli.batch.plan import RunPlan
+from motionstereo_cli.batch.status import COLUMNS, Status, format_statuses, read_status, write_status
+from motionstereo_cli.commands.batch import plan_of
+from motionstereo_cli.errors import InputError
+from motionstereo_cli.settings import Settings
+from motionstereo_cli.simulate.settings import SimulateSettings
+from motionstereo_cli.simulate.write import simulate
+
+pytest.importorskip("distributed")
+
+FRAMES = 6
+OPTIONS = {"rig": False, "max-disparity": False, "check": True, "preset": False}
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("recording")
+    settings = SimulateSettings(frames=f"300:{300 + FRAMES}", width=96, height=64, noise_sigma=1.5)
+    simulate(folder / "clip", settings)
+    return folder / "clip"
+
+
+@pytest.fixture(scope="module")
+def archive(tmp_path_factory, recording):
+    """Three good recordings, and one whose left video is text."""
+    folder = tmp_path_factory.mktemp("archive")
+    for name in ("a", "b", "c", "bad"):
+        (folder / name).mkdir()
+        for side in ("left.mp4", "right.mp4", "rig.yaml"):
+            shutil.copy(recording / side, folder / name / side)
+    (folder / "bad/left.mp4").write_text("no video")
+    rows = [f"{name}/left.mp4,{name}/right.mp4,{name}/rig.yaml,day/{name}" for name in
+            ("a", "b", "c", "bad")]
+    (folder / "all.csv").write_text("left,right,rig,out\n" + "\n".join(rows) + "\n")
+    return folder
+
+
+def batched(*arguments):
+    return main(["batch", *map(str, arguments), "--workers", "2", "--no-check"])
+
+
+def table(out):
+    with (out / "batch.csv").open(newline="") as file:
+        return {row["name"]: row for row in csv.DictReader(file)}
+
+
+def manifest(tmp_path, text):
+    path = tmp_path / "all.csv"
+    path.write_text(text)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("text", "lines"),
+    [
+        ("left,right\na,b\n", ["line 1: there is no column out"]),
+        ("left,out,speed\na,b,1\n", ["line 1: run has no option 'speed'"]),
+        ("left,out\na\n,x\n", ["line 2: 1 cells and not 2", "line 3: left cannot be empty"]),
+        ("left,out\n", ["names no recording"]),
+        ("", ["there is no column left", "there is no column out"]),
+    ],
+)
+def test_all_that_is_wrong_with_a_manifest_is_said_with_its_line(tmp_path, text, lines):
+    with pytest.raises(InputError) as refused:
+        read_manifest(manifest(tmp_path, text), OPTIONS, {"rig"})
+    said = "\n".join([str(refused.value), *getattr(refused.value, "__notes__", [])])
+    for line in lines:
+        assert line in said
+
+
+def test_paths_are_relative_to_the_manifest_and_cells_are_options(tmp_path):
+    path = manifest(
+        tmp_path,
+        "left,right,out,rig,max_disparity,check\n"
+        "l.mp4,r.mp4,one,k1.yaml; k2.yaml,96,no\n"
+        "both.mp4,,two,,,\n",
+    )
+    one, two = read_manifest(path, OPTIONS, {"rig"})
+    assert one.arguments == (
+        *("--rig", str(tmp_path / "k1.yaml"), "--rig", str(tmp_path / "k2.yaml")),
+        *("--max-disparity", "96", "--no-check", "--"),
+        *(str(tmp_path / "l.mp4"), str(tmp_path / "r.mp4")),
+    )
+    assert two.arguments == ("--", str(tmp_path / "both.mp4"))
+
+
+@pytest.mark.parametrize(
+    ("rows", "said"),
+    [
+        ("left,out\nx,a\nx,a\n", "line 3: out a is that of"),
+        ("left,out\nx,a\nx,a/b\n", "line 3: out a/b lies in one another with"),
+        ("left,out\nx,../a\n", "does not lie in the folder"),
+        ("left,out,max-disparity\nx,a,none\n", "line 2: --max-disparity cannot be 'none'"),
+        ("left,out\nmissing.mp4,a\n", "line 2: there is no"),
+    ],
+)
+def test_a_batch_is_refused_whole(tmp_path, rows, said):
+    (tmp_path / "x").touch()
+    entries = read_manifest(manifest(tmp_path, rows), OPTIONS, set())
+    with pytest.raises(InputError) as refused:
+        plans(entries, tmp_path / "out", plan_of)
+    assert said in "\n".join([str(refused.value), *getattr(refused.value, "__notes__", [])])
+    assert not (tmp_path / "out").exists()
+
+
+def test_patterns_pair_what_differs(archive):
+    found = matched(str(archive / "*/left.mp4"), str(archive / "*/right.mp4"))
+    assert [entry.name for entry in found] == ["a", "b", "bad", "c"]
+    assert found[0].arguments[1:] == (str(archive / "a/left.mp4"), str(archive / "a/right.mp4"))
+    with pytest.raises(InputError, match="no partner"):
+        matched(str(archive / "*/left.mp4"), str(archive / "[ab]/right.mp4"))
+    with pytest.raises(InputError, match="nothing matches"):
+        matched(str(archive / "*/none.mp4"), None)
+
+
+def test_a_plan_survives_the_way_to_another_process():
+    plan = plan_of(["a.mp4", "b.mp4", "--rig", "r.yaml", "--max-disparity", "96", "--save", "depth"])
+    there = RunPlan.of_json(json.loads(json.dumps(plan.as_json())))
+    assert there == plan
+    assert there.settings == Settings(max_disparity=96)
+
+
+def test_a_status_is_read_as_it_was_written_and_a_broken_one_is_waiting(tmp_path):
+    status = Status("day/a", "failed", 3, 1.5, 0.25, None, 0, 'a "reason", with commas')
+    write_status(tmp_path, status)
+    assert read_status(tmp_path, "day/a") == status
+    rows = list(csv.DictReader(format_statuses([status]).decode().splitlines()))
+    assert list(rows[0]) == list(COLUMNS)
+    assert rows[0]["reason"] == status.reason
+    (tmp_path / "day/a.status.json").write_text("{")
+    assert read_status(tmp_path, "day/a").status == "waiting"
+
+
+def test_good_recordings_are_done_as_run_does_them_and_bad_ones_named(archive, tmp_path, capsys):
+    out = tmp_path / "out"
+    assert batched(archive / "all.csv", "-o", out, "--json") == 1
+    lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert {line["name"] for line in lines} == {"day/a", "day/b", "day/c", "day/bad"}
+    rows = table(out)
+    assert [rows[f"day/{name}"]["status"] for name in "abc"] == ["done"] * 3
+    assert rows["day/bad"]["status"] == "failed"
+    assert "left.mp4" in rows["day/bad"]["reason"]
+    assert rows["day/a"]["frames"] == str(FRAMES)
+    alone = tmp_path / "alone"
+    clip = archive / "a"
+    assert main(["run", str(clip / "left.mp4"), str(clip / "right.mp4"), "--no-check",
+                 "--rig", str(clip / "rig.yaml"), "-o", str(alone)]) == 0
+    for file in alone.rglob("*"):
+        if file.is_file() and file.name != "run.json":
+            assert file.read_bytes() == (out / "day/a" / file.relative_to(alone)).read_bytes()
+    assert "failed" in (out / "day/bad.log").read_text()
+
+    # The same again does nothing; what failed is only tried again where that is asked for.
+    before = {path: path.stat().st_mtime_ns for path in out.rglob("*.status.json")}
+    assert batched(archive / "all.csv", "-o", out) == 1
+    assert before == {path: path.stat().st_mtime_ns for path in before}
+    assert batched(archive / "all.csv", "-o", out, "--retry-failed") == 1
+    changed = [path.name for path in before if before[path] != path.stat().st_mtime_ns]
+    assert changed == ["bad.status.json"]
+
+
+KILLER = """
+import os, signal
+from motionstereo_cli.batch import worker
+run = worker.run
+def killing(plan, watcher):
+    if "/b/" in plan.left:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return run(plan, watcher)
+worker.run = killing
+"""
+
+
+def test_what_ends_its_worker_is_lost_by_itself(archive, tmp_path, monkeypatch):
+    (tmp_path / "killer.py").write_text(KILLER)
+    monkeypatch.setenv("DASK_DISTRIBUTED__WORKER__PRELOAD", str(tmp_path / "killer.py"))
+    out = tmp_path / "out"
+    command = [sys.executable, "-m", "motionstereo_cli", "batch", "--workers", "2", "--no-check"]
+    command += [str(archive / "*/left.mp4"), str(archive / "*/right.mp4"), "-o", str(out)]
+    ended = subprocess.run(command, capture_output=True, text=True, timeout=180, check=False)
+    assert ended.returncode == 1, ended.stderr
+    rows = table(out)
+    assert {name: row["status"] for name, row in rows.items()} == {
+        "a": "done",
+        "b": "lost",
+        "bad": "failed",
+        "c": "done",
+    }
+    assert "ended the process" in rows["b"]["reason"]
+    assert "Traceback" not in ended.stderr
+
+
+def test_an_interrupted_batch_goes_on(archive, tmp_path):
+    out = tmp_path / "out"
+    command = [sys.executable, "-m", "motionstereo_cli", "batch", "--workers", "1", "--no-check"]
+    command += [str(archive / "all.csv"), "-o", str(out)]
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+    until_s = time.monotonic() + 120
+    while not list(out.glob("day/*/run.json")) and time.monotonic() < until_s:
+        time.sleep(0.05)
+    process.send_signal(signal.SIGINT)
+    _, said = process.communicate(timeout=120)
+    assert process.returncode == 130, said
+    assert "the same command goes on" in said
+    done = {path: path.stat().st_mtime_ns for path in out.glob("day/*/run.json")}
+    assert batched(archive / "all.csv", "-o", out) == 1
+    assert done == {path: path.stat().st_mtime_ns for path in done}
+    assert sorted(path.parent.name for path in out.glob("day/*/run.json")) == ["a", "b", "c"]
+
+
+def test_a_scheduler_and_workers_by_hand(archive, tmp_path):
+    """Separate processes that meet over TCP."""
+    file = tmp_path / "scheduler.json"
+    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    dask = [sys.executable, "-m", "distributed.cli.dask_scheduler"]
+    worker = [sys.executable, "-m", "distributed.cli.dask_worker"]
+    started = [
+        subprocess.Popen([*dask, "--host", "127.0.0.1", "--port", "0", "--no-dashboard",
+                          "--scheduler-file", str(file)], **quiet),
+        subprocess.Popen([*worker, "--scheduler-file", str(file), "--nthreads", "1",
+                          "--no-dashboard", "--local-directory", str(tmp_path)], **quiet),
+    ]
+    try:
+        until_s = time.monotonic() + 60
+        while not file.exists() and time.monotonic() < until_s:
+            time.sleep(0.1)
+        time.sleep(float(os.environ.get("DASK_START_S", "3")))
+        out = tmp_path / "out"
+        arguments = [str(archive / "[ab]/left.mp4"), str(archive / "[ab]/right.mp4")]
+        assert main(["batch", *arguments, "-o", str(out), "--scheduler-file", str(file),
+                     "--no-check"]) == 0
+        assert [row["status"] for row in table(out).values()] == ["done", "done"]
+    finally:
+        for process in reversed(started):
+            process.terminate()
+            process.wait(timeout=30)
+
+
+def test_without_a_scheduler_there_is_one_line(archive, tmp_path, capsys):
+    arguments = [str(archive / "all.csv"), "-o", str(tmp_path / "out")]
+    assert main(["batch", *arguments, "--scheduler", "tcp://127.0.0.1:9"]) == 1
+    errors = [line for line in capsys.readouterr().err.splitlines() if line.startswith("error:")]
+    assert len(errors) == 1
+    assert "there is no scheduler at tcp://127.0.0.1:9" in errors[0]
+
+
