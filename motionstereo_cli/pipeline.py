@@ -24,7 +24,7 @@ from motionstereo_cli.robot.guide import Guide, guide_of
 from motionstereo_cli.robot.tracker import Tracker, Tracks
 from motionstereo_cli.settings import FOREVER, Settings
 from motionstereo_cli.stages.depth import depth
-from motionstereo_cli.types import FrameResult, MovingObject, Pose, Rig, StereoFrame
+from motionstereo_cli.types import FrameResult, MovingObject, Pose, Rig, Steering, StereoFrame
 
 if TYPE_CHECKING:
     from motionstereo_cli.robot.objects import Region
@@ -123,33 +123,70 @@ def process(
     """
     settings, state = settings or Settings(), state or State()
     joints = Joints.of(settings, rig, with_poses=pose_of is not None, with_objects=with_objects)
-    guided, tracks = state.guided, state.tracks or Tracks()
-    for frame, right, left, seen in _looked(frames, joints, state, jobs):
+    course = Course(state.guided, state.tracks or Tracks())
+    for frame, right, left, seen in looked(frames, joints, state, jobs):
         pose = None if pose_of is None else pose_of(frame)
-        objects: tuple[MovingObject, ...] = ()
-        if joints.tracker is not None:
-            tracks, objects = joints.tracker.follow(tracks, seen.findings.regions, frame, pose)
-        guided, steering = joints.guide.steer(guided, seen.findings.profile, pose, objects)
+        course, steering, objects = follow(course, seen.findings, frame, pose, joints)
+        after = State(right, left, course.guided, course.tracks)
         shown = right if settings.reference == "right" else left
-        yield FrameResult(
-            frame=frame,
-            bands=shown.bands,
-            motion=shown.moved,
-            charge=shown.charge,
-            age_frames=seen.age_frames,
-            disparity_px=seen.disparity_px,
-            confidence=seen.confidence,
-            depth_m=seen.depth_m,
-            steering=steering,
-            charged=seen.findings.charged,
-            matched=seen.findings.matched,
-            state=State(right, left, guided, tracks),
-            pose=pose,
-            objects=objects,
-        )
+        yield result_of(frame, shown, seen, steering, state=after, pose=pose, objects=objects)
 
 
-def _looked(
+class Course(NamedTuple):
+    """What follows from frame to frame, besides the memories: heading and objects."""
+
+    guided: Any = None
+    tracks: Tracks = Tracks()
+
+
+def follow(
+    course: Course, findings: Findings, frame: StereoFrame, pose: Pose | None, joints: Joints
+) -> tuple[Course, Steering, tuple[MovingObject, ...]]:
+    """Return the course after a frame, its heading, and the objects in it.
+
+    Args:
+        course: that of the frame before.
+        findings: what the frame shows.
+        frame: its number and time.
+        pose: where the rig was; None where it is not known.
+        joints: what is the same for all frames.
+    """
+    tracks, objects = course.tracks, ()
+    if joints.tracker is not None:
+        tracks, objects = joints.tracker.follow(tracks, findings.regions, frame, pose)
+    guided, steering = joints.guide.steer(course.guided, findings.profile, pose, objects)
+    return Course(guided, tracks), steering, objects
+
+
+def result_of(
+    frame: StereoFrame, shown: Memory, seen: Look, steering: Steering, **more: Any
+) -> FrameResult:
+    """Return all that was found out about a frame.
+
+    Args:
+        frame: the frame.
+        shown: the memory of the reference camera after it.
+        seen: what that moment shows.
+        steering: its heading.
+        more: state, pose and objects, as :class:`FrameResult` has them.
+    """
+    return FrameResult(
+        frame=frame,
+        bands=shown.bands,
+        motion=shown.moved,
+        charge=shown.charge,
+        age_frames=seen.age_frames,
+        disparity_px=seen.disparity_px,
+        confidence=seen.confidence,
+        depth_m=seen.depth_m,
+        steering=steering,
+        charged=seen.findings.charged,
+        matched=seen.findings.matched,
+        **more,
+    )
+
+
+def looked(
     frames: Iterable[StereoFrame], joints: Joints, state: State, jobs: int
 ) -> Iterator[tuple[StereoFrame, Memory, Memory, Look]]:
     """Yield each frame, the right and the left memory after it, and what they show."""

@@ -2,20 +2,24 @@
 
 import csv
 import json
-import os
 import shutil
 import signal
 import subprocess
 import sys
 import time
-from pathlib import Path
 
 import pytest
 
 from motionstereo_cli.__main__ import main
 from motionstereo_cli.batch.manifest import matched, plans, read_manifest
 from motionstereo_cli.batch.plan import RunPlan
-from motionstereo_cli.batch.status import COLUMNS, Status, format_statuses, read_status, write_status
+from motionstereo_cli.batch.status import (
+    COLUMNS,
+    Status,
+    format_statuses,
+    read_status,
+    write_status,
+)
 from motionstereo_cli.commands.batch import plan_of
 from motionstereo_cli.errors import InputError
 from motionstereo_cli.settings import Settings
@@ -45,8 +49,10 @@ def archive(tmp_path_factory, recording):
         for side in ("left.mp4", "right.mp4", "rig.yaml"):
             shutil.copy(recording / side, folder / name / side)
     (folder / "bad/left.mp4").write_text("no video")
-    rows = [f"{name}/left.mp4,{name}/right.mp4,{name}/rig.yaml,day/{name}" for name in
-            ("a", "b", "c", "bad")]
+    rows = [
+        f"{name}/left.mp4,{name}/right.mp4,{name}/rig.yaml,day/{name}"
+        for name in ("a", "b", "c", "bad")
+    ]
     (folder / "all.csv").write_text("left,right,rig,out\n" + "\n".join(rows) + "\n")
     return folder
 
@@ -130,7 +136,9 @@ def test_patterns_pair_what_differs(archive):
 
 
 def test_a_plan_survives_the_way_to_another_process():
-    plan = plan_of(["a.mp4", "b.mp4", "--rig", "r.yaml", "--max-disparity", "96", "--save", "depth"])
+    plan = plan_of(
+        ["a.mp4", "b.mp4", "--rig", "r.yaml", "--max-disparity", "96", "--save", "depth"]
+    )
     there = RunPlan.of_json(json.loads(json.dumps(plan.as_json())))
     assert there == plan
     assert there.settings == Settings(max_disparity=96)
@@ -159,8 +167,21 @@ def test_good_recordings_are_done_as_run_does_them_and_bad_ones_named(archive, t
     assert rows["day/a"]["frames"] == str(FRAMES)
     alone = tmp_path / "alone"
     clip = archive / "a"
-    assert main(["run", str(clip / "left.mp4"), str(clip / "right.mp4"), "--no-check",
-                 "--rig", str(clip / "rig.yaml"), "-o", str(alone)]) == 0
+    assert (
+        main(
+            [
+                "run",
+                str(clip / "left.mp4"),
+                str(clip / "right.mp4"),
+                "--no-check",
+                "--rig",
+                str(clip / "rig.yaml"),
+                "-o",
+                str(alone),
+            ]
+        )
+        == 0
+    )
     for file in alone.rglob("*"):
         if file.is_file() and file.name != "run.json":
             assert file.read_bytes() == (out / "day/a" / file.relative_to(alone)).read_bytes()
@@ -178,8 +199,7 @@ def test_good_recordings_are_done_as_run_does_them_and_bad_ones_named(archive, t
 KILLER = """
 import os, signal
 from motionstereo_cli.batch import worker
-run = worker.run
-def killing(plan, watcher):
+def killing(plan, watcher, run=worker.run):
     if "/b/" in plan.left:
         os.kill(os.getpid(), signal.SIGKILL)
     return run(plan, watcher)
@@ -231,20 +251,43 @@ def test_a_scheduler_and_workers_by_hand(archive, tmp_path):
     dask = [sys.executable, "-m", "distributed.cli.dask_scheduler"]
     worker = [sys.executable, "-m", "distributed.cli.dask_worker"]
     started = [
-        subprocess.Popen([*dask, "--host", "127.0.0.1", "--port", "0", "--no-dashboard",
-                          "--scheduler-file", str(file)], **quiet),
-        subprocess.Popen([*worker, "--scheduler-file", str(file), "--nthreads", "1",
-                          "--no-dashboard", "--local-directory", str(tmp_path)], **quiet),
+        subprocess.Popen(
+            [
+                *dask,
+                "--host",
+                "127.0.0.1",
+                "--port",
+                "0",
+                "--no-dashboard",
+                "--scheduler-file",
+                str(file),
+            ],
+            **quiet,
+        ),
+        subprocess.Popen(
+            [
+                *worker,
+                "--scheduler-file",
+                str(file),
+                "--nthreads",
+                "1",
+                "--no-dashboard",
+                "--local-directory",
+                str(tmp_path),
+            ],
+            **quiet,
+        ),
     ]
     try:
         until_s = time.monotonic() + 60
         while not file.exists() and time.monotonic() < until_s:
             time.sleep(0.1)
-        time.sleep(float(os.environ.get("DASK_START_S", "3")))
         out = tmp_path / "out"
         arguments = [str(archive / "[ab]/left.mp4"), str(archive / "[ab]/right.mp4")]
-        assert main(["batch", *arguments, "-o", str(out), "--scheduler-file", str(file),
-                     "--no-check"]) == 0
+        assert (
+            main(["batch", *arguments, "-o", str(out), "--scheduler-file", str(file), "--no-check"])
+            == 0
+        )
         assert [row["status"] for row in table(out).values()] == ["done", "done"]
     finally:
         for process in reversed(started):
@@ -258,5 +301,3 @@ def test_without_a_scheduler_there_is_one_line(archive, tmp_path, capsys):
     errors = [line for line in capsys.readouterr().err.splitlines() if line.startswith("error:")]
     assert len(errors) == 1
     assert "there is no scheduler at tcp://127.0.0.1:9" in errors[0]
-
-

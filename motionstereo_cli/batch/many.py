@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import hashlib
+import itertools
 import json
 import os
 import signal
@@ -46,6 +47,8 @@ _PROGRESS = "motionstereo-frames"
 _RENEW_S = 1.0
 #: How long a scheduler may take to answer, in s.
 _ANSWER_S = 10
+#: How long its workers may take to come, in s.
+_WORKERS_S = 60
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,7 +164,7 @@ class _Batch:
         try:
             # No more at a time than there are workers: all tasks that a worker holds are
             # suspects when it dies.
-            for name, _ in zip(rest, range(_threads(client)), strict=False):
+            for name in itertools.islice(rest, _threads(client)):
                 ended.add(self._submit(client, name, jobs))
             for future in ended:
                 self._note(future)
@@ -295,8 +298,10 @@ def _client(cluster: Cluster, watcher: BatchWatcher, tasks: int) -> Iterator[Cli
                     f"there is no scheduler at {address} ({error}): start it, or check the "
                     "address; the same command goes on then"
                 ) from None
-            if not client.nthreads():
-                raise InputError(f"the scheduler at {address} has no workers: start some")
+            try:
+                client.wait_for_workers(1, timeout=_WORKERS_S)
+            except TimeoutError:
+                raise InputError(f"the scheduler at {address} has no workers: start some") from None
             watcher.say("note", f"{_threads(client)} workers; see {client.dashboard_link}")
         _check_versions(client)
         yield client

@@ -119,19 +119,22 @@ def _apart(given: Sequence[str]) -> tuple[list[str], list[str]]:
     """Return the options of ``run`` among some arguments, and the rest."""
     context = click.Context(_plan)
     values, rest, _ = _plan.make_parser(context).parse_args(list(given))
+    inputs = [
+        word
+        for item in _plan.params
+        if isinstance(item, click.Argument) and isinstance(word := values.pop(item.name), str)
+    ]
     options = {option.name: option for option in _plan.params}
     shared: list[str] = []
     for name, value in values.items():
         option = options[name]
-        if not isinstance(option, click.Option):
-            continue
+        assert isinstance(option, click.Option)
         if option.is_flag:
-            flags = option.opts if value else option.secondary_opts
-            shared.append(flags[0])
+            shared.append((option.opts if value else option.secondary_opts)[0])
             continue
         for each in value if option.multiple else [value]:
             shared += [option.opts[-1], str(each)]
-    return shared, rest
+    return shared, [*inputs, *rest]
 
 
 def _entries(inputs: Sequence[str], shared: Sequence[str]) -> list[Entry]:

@@ -134,10 +134,17 @@ class Mapper:
 
     def add(self, result: FrameResult) -> None:
         """Take in a frame; its result has depth and pose."""
-        s, pose = self._settings, result.pose
-        assert pose is not None
+        assert result.pose is not None
+        self.add_points(*self.points_of(result), result.pose)
+
+    def points_of(self, result: FrameResult) -> tuple[Points, Grey]:
+        """Return what moves in a frame, as :func:`camera_points` does; from this frame only."""
+        return camera_points(result, result.motion, self._settings, self._rig)
+
+    def add_points(self, seen: Points, grey: Grey, pose: Pose) -> None:
+        """Take in the points of a frame, as :meth:`points_of` gives them, and its pose."""
+        s = self._settings
         known = self.known or self._nothing(pose)
-        seen, grey = camera_points(result, result.motion, s, self._rig)
         placed = in_world(
             seen,
             camera_left_m=self._rig.left_of_middle_m(s.reference),

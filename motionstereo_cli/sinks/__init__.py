@@ -74,6 +74,7 @@ class Output:
         needs_rig: it cannot be had without a rig.
         needs_poses: nor without poses.
         beside: further files that come with it.
+        in_order: what it says of a frame depends on the frames before.
         kind: what its files are to a reader: images of disparity or of depth, a table, or other.
     """
 
@@ -84,6 +85,7 @@ class Output:
     needs_poses: bool = False
     beside: tuple[str, ...] = ()
     kind: Kind = "other"
+    in_order: bool = False
 
     @property
     def paths(self) -> tuple[str, ...]:
@@ -125,11 +127,13 @@ OUTPUTS = {
         "empty = unknown",
         "steering.steering_file",
         kind="table",
+        in_order=True,
     ),
     "steering-jsonl": Output(
         "steering.jsonl",
         "the same as JSON lines, one object for each frame; null = unknown",
         "steering.steering_file",
+        in_order=True,
     ),
     "objects": Output(
         "objects.csv",
@@ -138,6 +142,7 @@ OUTPUTS = {
         "0..1; empty = unknown",
         "objects.objects_file",
         kind="table",
+        in_order=True,
     ),
     "depth": Output(
         "depth/{:06d}.png",
@@ -220,6 +225,7 @@ OUTPUTS = {
         "to show to others: reference view with the heading as an arrow, charge and depth beside "
         "each other, with scale and time; panels of at most 640 px",
         "previews.preview",
+        in_order=True,
     ),
     "charge": Output(
         "charge.mp4", "permanency memory of the reference view, charge as grey", "previews.charge"
@@ -245,6 +251,7 @@ OUTPUTS = {
         needs_rig=True,
         needs_poses=True,
         beside=("map.png", "map.yaml"),
+        in_order=True,
     ),
 }
 
