@@ -151,7 +151,8 @@ def follow(
         pose: where the rig was; None where it is not known.
         joints: what is the same for all frames.
     """
-    tracks, objects = course.tracks, ()
+    tracks = course.tracks
+    objects: tuple[MovingObject, ...] = ()
     if joints.tracker is not None:
         tracks, objects = joints.tracker.follow(tracks, findings.regions, frame, pose)
     guided, steering = joints.guide.steer(course.guided, findings.profile, pose, objects)

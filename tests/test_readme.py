@@ -200,7 +200,8 @@ def test_every_command_in_the_documentation_is_understood():
             if name.startswith("-") or "MOTIONSTEREO" in line:
                 continue
             assert name in cli.commands, f"{page}: {line}"
-            context = click.Context(cli.commands[name], info_name=name)
+            command = cli.commands[name]
+            context = click.Context(command, info_name=name, **command.context_settings)
             try:
                 cli.commands[name].make_parser(context).parse_args(args)
             except click.UsageError as error:

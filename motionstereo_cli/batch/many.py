@@ -168,7 +168,7 @@ class _Batch:
                 ended.add(self._submit(client, name, jobs))
             for future in ended:
                 self._note(future)
-                if (name := next(rest, None)) is not None:
+                for name in itertools.islice(rest, 1):
                     ended.add(self._submit(client, name, jobs))
         except KeyboardInterrupt:
             self._stop.touch()
@@ -250,7 +250,8 @@ def _work(task: Mapping[str, Any]) -> None:
 
 
 def _threads(client: Client) -> int:
-    return max(sum(client.nthreads().values()), 1)
+    count: int = sum(client.nthreads().values())
+    return max(count, 1)
 
 
 @contextlib.contextmanager
