@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from motionstereo_cli.batch.plan import RunPlan
-from motionstereo_cli.batch.run import versions
+from motionstereo_cli.batch.record import versions
 from motionstereo_cli.batch.status import (
     DONE,
     FAILED,

@@ -12,7 +12,8 @@ from pathlib import Path
 from typing import Any
 
 from motionstereo_cli.batch.plan import RunPlan
-from motionstereo_cli.batch.run import RunReport, Watcher, run
+from motionstereo_cli.batch.record import RunReport
+from motionstereo_cli.batch.run import Watcher, run
 from motionstereo_cli.batch.status import Status, write_status
 from motionstereo_cli.errors import BusyError, MotionStereoError
 
