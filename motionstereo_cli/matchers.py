@@ -37,6 +37,40 @@ def _trails(right: Memory, left: Memory, settings: Settings) -> tuple[Real, Real
     return disparity, confidence(disparity, matched, votes, differs, age_of(right, s))
 
 
+def _dense(right: Memory, left: Memory, settings: Settings) -> tuple[Real, Real]:
+    import numpy as np
+
+    from motionstereo_cli.memory import age_of, keys_of
+    from motionstereo_cli.stages.balance import balanced
+    from motionstereo_cli.stages.cleaning import filled, without_speckles
+    from motionstereo_cli.stages.confidence import confidence_by_margin
+    from motionstereo_cli.stages.dense import ROWS, match_dense
+    from motionstereo_cli.stages.trails import match_trails
+
+    s, wanted, ages = settings, keys_of(right, settings), age_of(right, settings)
+    charged = wanted > 0
+    proposed, _ = match_trails(
+        wanted[::ROWS],
+        keys_of(left, s)[::ROWS],
+        s.max_disparity,
+        block_px=(max(s.vote_rows // ROWS, 1), s.vote_columns),
+        max_ratio=s.max_ratio,
+        min_votes=max(s.min_votes // ROWS, 1),
+    )
+    disparity, margin = match_dense(
+        right.grey,
+        balanced(right.grey, left.grey, s.max_disparity),
+        charged,
+        proposed,
+        ages[::ROWS] == 0,
+        s.max_disparity,
+    )
+    matched = without_speckles(disparity, ~np.isnan(disparity), s.speckle_px)
+    disparity = filled(matched, charged, s.gap_px)
+    disparity[~charged] = np.nan
+    return disparity, confidence_by_margin(disparity, matched, margin, ages)
+
+
 def _regions(right: Memory, left: Memory, settings: Settings) -> tuple[Real, Real]:
     import numpy as np
 
@@ -67,6 +101,10 @@ class Matcher:
 
 MATCHERS = {
     "trails": Matcher("pair runs of equal charge by their ends", _trails),
+    "dense": Matcher(
+        "semi-global matching of what both views show now, trails where grey does not tell",
+        _dense,
+    ),
     "regions": Matcher(
         "largest connected region of equal charge at each displacement",
         _regions,

@@ -11,6 +11,7 @@ import numpy as np
 from motionstereo_cli.settings import Settings
 from motionstereo_cli.stages.bands import band_table, bands, blur
 from motionstereo_cli.stages.charge import accumulate, age, permanency
+from motionstereo_cli.stages.contrast import contrast
 from motionstereo_cli.stages.match_keys import match_keys
 from motionstereo_cli.stages.motion import motion
 
@@ -30,12 +31,14 @@ class Memory:
 
     Attributes:
         grey: the image, blurred, (height, width) uint8.
+        contrast: what bands are taken from: the local contrast of the image, blurred, or its grey.
         bands: its grey-level bands 1..n, (height, width) uint8, or uint16 for 256 bands.
         moved: where the band has just changed, (height, width) bool.
         charge: charge of each pixel, (height, width) uint8.
     """
 
     grey: Grey
+    contrast: Grey
     bands: NDArray[np.uint8 | np.uint16]
     moved: NDArray[np.bool_]
     charge: Grey
@@ -53,18 +56,21 @@ def see(memory: Memory | None, image: Grey, settings: Settings) -> Memory:
     """
     s = settings
     grey = blur(image, s.blur_px)
-    banded = bands(grey, _band_table(s.bands, s.grey_min, s.grey_max))
+    local = grey
+    if s.contrast_px > 0:
+        local = blur(contrast(image, s.contrast_px, s.contrast_floor), s.blur_px)
+    banded = bands(local, _band_table(s.bands, s.grey_min, s.grey_max))
     if memory is None:
         at_rest = np.full_like(grey, s.charge_min)
-        return Memory(grey, banded, np.zeros(grey.shape, np.bool_), at_rest)
-    moved = motion(banded, memory.bands, grey, memory.grey, s.min_jump)
+        return Memory(grey, local, banded, np.zeros(grey.shape, np.bool_), at_rest)
+    moved = motion(banded, memory.bands, local, memory.contrast, s.min_jump)
     limits = {"charge_max": s.charge_max, "charge_min": s.charge_min}
     if s.charge_mode == "permanency":
         charge = permanency(memory.charge, moved, leak=s.charge_leak, **limits)
     else:
         gains = {"gain": s.charge_gain, "leak": s.charge_leak}
         charge = accumulate(memory.charge, moved, **gains, **limits)
-    return Memory(grey, banded, moved, charge)
+    return Memory(grey, local, banded, moved, charge)
 
 
 def age_of(memory: Memory, settings: Settings) -> Grey:
@@ -89,6 +95,7 @@ def in_mirror(memory: Memory) -> Memory:
     """Return what a camera would remember that saw the same in a mirror."""
     return Memory(
         mirrored(memory.grey),
+        mirrored(memory.contrast),
         mirrored(memory.bands),
         mirrored(memory.moved),
         mirrored(memory.charge),

@@ -29,6 +29,22 @@ class Settings:
     blur_px: float = param(
         1.0, "Gaussian blur before the bands (0 = none).", unit="px", low=0, high=20
     )
+    contrast_px: float = param(
+        0.0,
+        "Window of the local contrast that bands are taken from; it makes them independent of "
+        "brightness. 0: bands of the grey itself, as in the paper.",
+        unit="px",
+        low=0,
+        high=200,
+    )
+    contrast_floor: float = param(
+        12.0,
+        "Standard deviation of grey below which contrast is weak; 8 times the noise if that is "
+        "more. Only with --contrast-px.",
+        unit="grey levels",
+        low=0.1,
+        high=255,
+    )
     bands: int = param(8, "Number n of grey-level bands.", low=2, high=256)
     grey_min: int = param(0, "Grey level where the first band begins.", low=0, high=254)
     grey_max: int = param(255, "Grey level where the last band ends.", low=1, high=255)

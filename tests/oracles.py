@@ -150,3 +150,80 @@ def match_trails(right, left, max_disparity, block_px, max_ratio, min_votes):
                 disparity[y, x], agreement[y, x] = elected, agreeing
     disparity[agreement < min_votes] = np.nan
     return disparity, agreement
+
+
+def semi_global(right, left, right_slope, left_slope, where, proposed_px, weight, max_disparity):
+    """Disparity and margin of each right pixel by semi-global matching, path by path."""
+    rows, width = right.shape
+    reach = range(max_disparity + 1)
+
+    def pixel_cost(y, x, d):
+        def grey(at):
+            return int(left[y, min(max(at, 0), width - 1)])
+
+        at = x + d
+        between = [grey(at), (grey(at) + grey(at - 1)) // 2, (grey(at) + grey(at + 1)) // 2]
+        here = int(right[y, x])
+        differs = max(0, min(between) - here, here - max(between))
+        leans = abs(int(right_slope[y, x]) - int(left_slope[y, min(at, width - 1)]))
+        return min(differs, 20) + min(leans, 20)
+
+    def cost(y, x, d):
+        total = sum(
+            pixel_cost(min(max(y + i, 0), rows - 1), min(max(x + j, 0), width - 1), d)
+            for i in (-1, 0, 1)
+            for j in (-1, 0, 1)
+        )
+        w = int(weight[y, x])
+        near = abs(d - proposed_px[y, x]) < 2 if w else False
+        return total + w - (int(w * (1 - abs(d - proposed_px[y, x]) / 2)) if near else 0)
+
+    costs = {
+        (y, x): [cost(y, x, d) for d in reach]
+        for y in range(rows)
+        for x in range(width)
+        if where[y, x]
+    }
+    totals = {place: np.zeros(len(reach), int) for place in costs}
+    for down, across in ((0, 1), (0, -1), (1, 0)):
+        path = {}
+        for y, x in sorted(costs, reverse=across < 0):
+            before = path.get((y - down, x - across))
+            if before is None:
+                path[y, x] = list(costs[y, x])
+            else:
+                change = abs(int(right[y, x]) - int(right[y - down, x - across]))
+                leap = max(120, 300 - 3 * change)
+                path[y, x] = [
+                    costs[y, x][d]
+                    - min(before)
+                    + min(
+                        before[e] + (0 if d == e else 72 if abs(d - e) == 1 else leap)
+                        for e in reach
+                    )
+                    for d in reach
+                ]
+            totals[y, x] += path[y, x]
+    disparity, margin = np.full((2, rows, width), np.nan, np.float32)
+    for y in range(rows):
+        partner = {}  # of each left place: cost and disparity
+        for x in range(width):
+            if where[y, x]:
+                d = int(np.argmin(totals[y, x]))
+                found = int(totals[y, x][d]), d
+                if x + d not in partner or found[0] < partner[x + d][0]:
+                    partner[x + d] = found
+        for x in range(width):
+            if not where[y, x]:
+                continue
+            total = totals[y, x]
+            d = int(np.argmin(total))
+            second = min((int(total[e]) for e in reach if abs(d - e) > 1), default=32767)
+            excess = second - int(total[d])
+            if excess < max(60, 0.05 * second) or abs(partner[x + d][1] - d) > 1:
+                continue
+            margin[y, x], disparity[y, x] = excess, d
+            if 0 < d < max_disparity:
+                below, above = (int(total[d + i] - total[d]) for i in (-1, 1))
+                disparity[y, x] += (below - above) / (2 * max(below, above, 1))
+    return disparity, margin

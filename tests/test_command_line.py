@@ -343,7 +343,7 @@ def test_every_command_says_that_the_input_was_damaged(run_args, command, capsys
         (["--max-disparity", "-4"], "--max-disparity cannot be '-4'"),
         (["--max-disparity", "many"], "give a whole number px"),
         (["--grey-min", "200", "--grey-max", "100"], "--grey-min 200 is not below"),
-        (["--matcher", "sgbm"], "choose trails | regions"),
+        (["--matcher", "sgbm"], "choose trails | dense | regions"),
         (["--preset", "paper2"], "paper2"),
         (["--save", "steering,dept"], "--save knows no 'dept' (did you mean 'depth'?)"),
         (["--save", ""], "choose from steering, "),

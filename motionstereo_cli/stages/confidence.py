@@ -23,11 +23,21 @@ _MAX_VOTES = 512
 _FILLED_VOTES = np.float32(340)
 _FILLED_RESIDUAL = np.float32(3)
 
+#: The same for the dense matcher: constant, log2 of the margin, age in frames.
+_DENSE_CONSTANT = -6.0
+_PER_DOUBLED_MARGIN = 1.0
+_PER_DENSE_FRAME = np.float32(-0.03)
+_MAX_MARGIN = 1024
+_FILLED_MARGIN = np.float32(100)
+
 #: Tables, for logarithms and exponentials take their time: what votes contribute, and the
 #: logistic function from minus to plus the largest logit in steps of 1/64.
 _PER_VOTE = (_CONSTANT + _PER_DOUBLING * np.log2(np.maximum(np.arange(_MAX_VOTES + 1), 1))).astype(
     np.float32
 )
+_PER_MARGIN = (
+    _DENSE_CONSTANT + _PER_DOUBLED_MARGIN * np.log2(np.maximum(np.arange(_MAX_MARGIN + 1), 1))
+).astype(np.float32)
 _LARGEST_LOGIT = np.float32(10)
 _STEPS = np.float32(64)
 _LOGISTIC = (1 / (1 + np.exp(10 - np.arange(2 * 10 * 64 + 1) / 64))).astype(np.float32)
@@ -60,6 +70,34 @@ def confidence(
         np.ascontiguousarray(residual),
         np.ascontiguousarray(age_frames),
         *(_PER_VOTE, _PER_GREY_LEVEL, _PER_FRAME, _FILLED_VOTES, _FILLED_RESIDUAL),
+        *(_LOGISTIC, _LARGEST_LOGIT, _STEPS, chance),
+    )
+    return chance
+
+
+def confidence_by_margin(
+    disparity_px: NDArray[np.float32],
+    matched_px: NDArray[np.float32],
+    margin: NDArray[np.float32],
+    age_frames: NDArray[np.uint8],
+) -> NDArray[np.float32]:
+    """Return the same for the dense matcher, (height, width) float32.
+
+    Args:
+        disparity_px: (height, width) float32, NaN = unknown.
+        matched_px: the same without what was filled in, (height, width) float32.
+        margin: by how much the second best disparity costs more, (height, width) float32.
+        age_frames: frames since something moved there, (height, width) uint8.
+    """
+    chance = np.empty(disparity_px.shape, np.float32)
+    margin = np.ascontiguousarray(margin)
+    loops.confidence(
+        np.ascontiguousarray(disparity_px),
+        np.ascontiguousarray(matched_px),
+        margin,
+        margin,
+        np.ascontiguousarray(age_frames),
+        *(_PER_MARGIN, np.float32(0), _PER_DENSE_FRAME, _FILLED_MARGIN, np.float32(0)),
         *(_LOGISTIC, _LARGEST_LOGIT, _STEPS, chance),
     )
     return chance

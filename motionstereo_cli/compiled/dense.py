@@ -1,0 +1,446 @@
+"""Semi-global matching: the loops of :mod:`motionstereo_cli.stages.dense`.
+
+Costs are int16, and the innermost loops run over disparities, along the memory: compilers turn
+them into vector instructions.
+"""
+
+import cython
+import numpy as np
+
+NAN = cython.declare(cython.float, np.nan)
+#: Cost of what lies outside the range, and more than any cost.
+OUTSIDE = cython.declare(cython.short, 20000)
+MAX_COST = cython.declare(cython.short, 32767)
+
+
+@cython.cclass
+class Workspace:
+    """What the matching of a frame needs besides input and output, used again for the next one.
+
+    Args:
+        width: of the images in px.
+        count: number of disparities.
+    """
+
+    low: cython.short[::1]  # of a left row, continued beyond its border by its last pixel:
+    high: cython.short[::1]  # the least and the largest grey within half a pixel
+    slope: cython.short[::1]
+    single: cython.short[:, ::1]  # costs of the pixels of a row
+    boxes: cython.short[:, :, ::1]  # of three rows, added up across
+    window: cython.short[:, ::1]  # and added up down
+    cost: cython.short[:, ::1]
+    total: cython.short[:, ::1]  # of all paths
+    across: cython.short[:, ::1]  # paths: from the left and from the right, old and new
+    down: cython.short[:, :, ::1]  # from above, old and new
+    min_down: cython.short[::1]  # below 0 where no path comes from above
+    best: cython.int[::1]
+    partner: cython.int[::1]  # of each left pixel: its disparity
+    partner_cost: cython.int[::1]
+    kept: cython.short[::1]  # costs beside the least one
+
+    def __init__(self, width: cython.Py_ssize_t, count: cython.Py_ssize_t):
+        self.low = np.zeros(width + count, np.int16)
+        self.high = np.zeros(width + count, np.int16)
+        self.slope = np.zeros(width + count, np.int16)
+        self.single = np.zeros((width, count), np.int16)
+        self.boxes = np.zeros((3, width, count), np.int16)
+        self.window = np.zeros((width, count), np.int16)
+        self.cost = np.zeros((width, count), np.int16)
+        self.total = np.zeros((width, count), np.int16)
+        self.across = np.full((4, count + 2), OUTSIDE, np.int16)
+        self.down = np.full((2, width, count + 2), OUTSIDE, np.int16)
+        self.min_down = np.zeros(width, np.int16)
+        self.best = np.zeros(width, np.int32)
+        self.partner = np.zeros(width + count, np.int32)
+        self.partner_cost = np.zeros(width + count, np.int32)
+        self.kept = np.zeros(3, np.int16)
+
+
+@cython.cclass
+class Weights:
+    """What the costs are made of; see :mod:`motionstereo_cli.stages.dense`."""
+
+    max_grey: cython.short
+    max_slope: cython.short
+    step: cython.short
+    leap: cython.short
+    min_leap: cython.short
+    per_grey_level: cython.short
+    min_margin: cython.float
+    min_share: cython.float
+
+    def __init__(
+        self,
+        max_grey: cython.short,
+        max_slope: cython.short,
+        step: cython.short,
+        leap: cython.short,
+        min_leap: cython.short,
+        per_grey_level: cython.short,
+        min_margin: cython.float,
+        min_share: cython.float,
+    ):
+        self.max_grey = max_grey
+        self.max_slope = max_slope
+        self.step = step
+        self.leap = leap
+        self.min_leap = min_leap
+        self.per_grey_level = per_grey_level
+        self.min_margin = min_margin
+        self.min_share = min_share
+
+
+def semi_global(
+    right: cython.const[cython.short][:, ::1],
+    left: cython.const[cython.short][:, ::1],
+    right_slope: cython.const[cython.short][:, ::1],
+    left_slope: cython.const[cython.short][:, ::1],
+    where: cython.const[cython.uchar][:, ::1],
+    proposed: cython.const[cython.float][:, ::1],
+    weight: cython.const[cython.short][:, ::1],
+    weights: Weights,
+    work: Workspace,
+    disparity: cython.float[:, ::1],
+    margin: cython.float[:, ::1],
+) -> None:
+    """Fill in disparity and margin, NaN = unknown.
+
+    Args:
+        right, left: grey of both views, (rows, width) int16.
+        right_slope, left_slope: slopes of grey, of the same kind.
+        where: pixels to match, 0 or 1.
+        proposed: preferred disparities in px.
+        weight: what speaks against all others, 0 where none is preferred.
+        weights: what the costs are made of.
+        work: workspace for this width and number of disparities.
+        disparity, margin: get the results, (rows, width) float32.
+    """
+    rows: cython.int = cython.cast(cython.int, right.shape[0])
+    last: cython.int
+    with cython.nogil:
+        work.window[:, :] = 0
+        work.boxes[:, :, :] = 0
+        work.min_down[:] = -1
+        for last in range(-1, rows + 1):  # row of the window
+            source: cython.int = min(max(last, 0), rows - 1)
+            extend(left, left_slope, source, work)
+            differences(right, right_slope, source, weights, work)
+            add_up((last + 1) % 3, work)
+            y: cython.int = last - 1
+            if y < 0:
+                continue
+            propose(where, proposed, weight, y, work)
+            go_across(right, where, y, weights, work)
+            go_down(right, where, y, weights, work)
+            choose(where, y, weights, work, margin)
+            paint(y, work, disparity, margin)
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def extend(
+    left: cython.const[cython.short][:, ::1],
+    left_slope: cython.const[cython.short][:, ::1],
+    y: cython.int,
+    work: Workspace,
+) -> cython.void:
+    """Fill in slopes, and the least and largest grey within half a pixel, of a left row."""
+    x: cython.int
+    last: cython.int = cython.cast(cython.int, left.shape[1]) - 1
+    for x in range(cython.cast(cython.int, work.low.shape[0])):
+        here: cython.int = left[y, min(x, last)]
+        before: cython.int = (here + left[y, min(max(x - 1, 0), last)]) // 2
+        after: cython.int = (here + left[y, min(x + 1, last)]) // 2
+        work.low[x] = cython.cast(cython.short, min(here, before, after))
+        work.high[x] = cython.cast(cython.short, max(here, before, after))
+        work.slope[x] = left_slope[y, min(x, last)]
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def differences(
+    right: cython.const[cython.short][:, ::1],
+    right_slope: cython.const[cython.short][:, ::1],
+    y: cython.int,
+    weights: Weights,
+    work: Workspace,
+) -> cython.void:
+    """Fill in how much each right pixel of a row differs from the left one of each disparity."""
+    x: cython.Py_ssize_t
+    d: cython.Py_ssize_t
+    low: cython.short[::1] = work.low
+    high: cython.short[::1] = work.high
+    slopes: cython.short[::1] = work.slope
+    cost: cython.short[:, ::1] = work.single
+    max_grey: cython.short = weights.max_grey
+    max_slope: cython.short = weights.max_slope
+    for x in range(cost.shape[0]):
+        grey: cython.short = right[y, x]
+        slope: cython.short = right_slope[y, x]
+        for d in range(cost.shape[1]):
+            below: cython.short = low[x + d] - grey
+            above: cython.short = grey - high[x + d]
+            differs: cython.short = above if above > below else below
+            differs = differs if differs > 0 else 0
+            differs = differs if differs < max_grey else max_grey
+            less: cython.short = slopes[x + d] - slope
+            more: cython.short = slope - slopes[x + d]
+            leans: cython.short = more if more > less else less
+            leans = leans if leans < max_slope else max_slope
+            cost[x, d] = differs + leans
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def add_up(slot: cython.int, work: Workspace) -> cython.void:
+    """Add up a row's costs across, and put them in the place of an older row's in the windows."""
+    x: cython.Py_ssize_t
+    d: cython.Py_ssize_t
+    single: cython.short[:, ::1] = work.single
+    boxes: cython.short[:, :, ::1] = work.boxes
+    window: cython.short[:, ::1] = work.window
+    last: cython.Py_ssize_t = single.shape[0] - 1
+    for x in range(last + 1):
+        before: cython.Py_ssize_t = max(x - 1, 0)
+        after: cython.Py_ssize_t = min(x + 1, last)
+        for d in range(single.shape[1]):
+            box: cython.short = single[before, d] + single[x, d] + single[after, d]
+            window[x, d] = window[x, d] - boxes[slot, x, d] + box
+            boxes[slot, x, d] = box
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def propose(
+    where: cython.const[cython.uchar][:, ::1],
+    proposed: cython.const[cython.float][:, ::1],
+    weight: cython.const[cython.short][:, ::1],
+    y: cython.int,
+    work: Workspace,
+) -> cython.void:
+    """Fill in the costs of a row: those of the windows, and more where another is proposed."""
+    x: cython.Py_ssize_t
+    d: cython.Py_ssize_t
+    k: cython.int
+    window: cython.short[:, ::1] = work.window
+    cost: cython.short[:, ::1] = work.cost
+    total: cython.short[:, ::1] = work.total
+    count: cython.int = cython.cast(cython.int, cost.shape[1])
+    for x in range(cost.shape[0]):
+        if not where[y, x]:
+            continue
+        w: cython.short = weight[y, x]
+        for d in range(cost.shape[1]):
+            cost[x, d] = window[x, d] + w
+            total[x, d] = 0
+        if w > 0:
+            wanted: cython.float = proposed[y, x]
+            near: cython.int = cython.cast(cython.int, wanted + 0.5)
+            for k in range(max(near - 2, 0), min(near + 3, count)):
+                away: cython.float = abs(k - wanted)
+                if away < 2:
+                    cost[x, k] = cost[x, k] - cython.cast(cython.short, w * (1 - away / 2))
+
+
+@cython.cfunc
+@cython.nogil
+@cython.inline
+@cython.exceptval(check=False)
+def leap_between(a: cython.short, b: cython.short, weights: Weights) -> cython.short:
+    """Return the penalty of a larger change of disparity between two neighbours."""
+    leap: cython.int = weights.leap - weights.per_grey_level * abs(a - b)
+    return cython.cast(cython.short, max(leap, weights.min_leap))
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def go_across(
+    right: cython.const[cython.short][:, ::1],
+    where: cython.const[cython.uchar][:, ::1],
+    y: cython.int,
+    weights: Weights,
+    work: Workspace,
+) -> cython.void:
+    """Go along a row from both ends in turn, and add the paths' costs to the total.
+
+    A step has to wait for the one before it; two ways in turn leave the processor something to do.
+    """
+    i: cython.Py_ssize_t
+    d: cython.Py_ssize_t
+    cost: cython.short[:, ::1] = work.cost
+    total: cython.short[:, ::1] = work.total
+    path: cython.short[:, ::1] = work.across
+    width: cython.Py_ssize_t = cost.shape[0]
+    count: cython.Py_ssize_t = cost.shape[1]
+    step: cython.short = weights.step
+    min_left: cython.short = -1  # below 0 where no path comes from before
+    min_right: cython.short = -1
+    for i in range(2 * width):
+        from_right: cython.Py_ssize_t = i & 1
+        x: cython.Py_ssize_t = width - 1 - (i >> 1) if from_right else i >> 1
+        now: cython.Py_ssize_t = (i & 2) + from_right
+        after: cython.Py_ssize_t = 2 - (i & 2) + from_right
+        least: cython.short = -1
+        if where[y, x]:
+            least = min_right if from_right else min_left
+            leap: cython.short = 0
+            if least < 0:
+                least = 0
+                for d in range(1, count + 1):
+                    path[now, d] = 0
+            else:
+                leap = leap_between(right[y, x], right[y, x + 1 if from_right else x - 1], weights)
+            limit: cython.short = least + leap
+            for d in range(count):
+                here: cython.short = path[now, d + 1]
+                up: cython.short = path[now, d] + step
+                more: cython.short = path[now, d + 2] + step
+                here = here if here < up else up
+                here = here if here < more else more
+                here = here if here < limit else limit
+                here = here - least + cost[x, d]
+                path[after, d + 1] = here
+                total[x, d] = total[x, d] + here
+            least = OUTSIDE
+            for d in range(1, count + 1):
+                least = path[after, d] if path[after, d] < least else least
+        if from_right:
+            min_right = least
+        else:
+            min_left = least
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def go_down(
+    right: cython.const[cython.short][:, ::1],
+    where: cython.const[cython.uchar][:, ::1],
+    y: cython.int,
+    weights: Weights,
+    work: Workspace,
+) -> cython.void:
+    """Go a row down in all columns, and add the paths' costs to the total."""
+    x: cython.Py_ssize_t
+    d: cython.Py_ssize_t
+    cost: cython.short[:, ::1] = work.cost
+    total: cython.short[:, ::1] = work.total
+    path: cython.short[:, :, ::1] = work.down
+    count: cython.Py_ssize_t = cost.shape[1]
+    step: cython.short = weights.step
+    now: cython.Py_ssize_t = y & 1
+    after: cython.Py_ssize_t = 1 - now
+    for x in range(cost.shape[0]):
+        if not where[y, x]:
+            work.min_down[x] = -1
+            continue
+        least: cython.short = work.min_down[x]
+        leap: cython.short = 0
+        if least < 0:
+            least = 0
+            for d in range(1, count + 1):
+                path[now, x, d] = 0
+        else:
+            leap = leap_between(right[y, x], right[y - 1, x], weights)
+        limit: cython.short = least + leap
+        for d in range(count):
+            here: cython.short = path[now, x, d + 1]
+            up: cython.short = path[now, x, d] + step
+            more: cython.short = path[now, x, d + 2] + step
+            here = here if here < up else up
+            here = here if here < more else more
+            here = here if here < limit else limit
+            here = here - least + cost[x, d]
+            path[after, x, d + 1] = here
+            total[x, d] = total[x, d] + here
+        least = OUTSIDE
+        for d in range(1, count + 1):
+            least = path[after, x, d] if path[after, x, d] < least else least
+        work.min_down[x] = least
+
+
+@cython.cfunc
+@cython.nogil
+@cython.inline
+@cython.exceptval(check=False)
+def min_of(total: cython.short[:, ::1], x: cython.Py_ssize_t) -> cython.short:
+    """Return the least of a row."""
+    d: cython.Py_ssize_t
+    least: cython.short = MAX_COST
+    for d in range(total.shape[1]):
+        least = total[x, d] if total[x, d] < least else least
+    return least
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def choose(
+    where: cython.const[cython.uchar][:, ::1],
+    y: cython.int,
+    weights: Weights,
+    work: Workspace,
+    margin: cython.float[:, ::1],
+) -> cython.void:
+    """Fill in the disparity of least cost, -1 = unknown, and its margin."""
+    x: cython.Py_ssize_t
+    d: cython.Py_ssize_t
+    total: cython.short[:, ::1] = work.total
+    count: cython.Py_ssize_t = total.shape[1]
+    kept: cython.short[::1] = work.kept
+    work.partner[:] = -2
+    for x in range(total.shape[0]):
+        work.best[x] = -1
+        if not where[y, x]:
+            continue
+        least: cython.short = min_of(total, x)
+        found: cython.Py_ssize_t = 0
+        while total[x, found] != least:
+            found += 1
+        # The least but for the neighbours, which are put aside meanwhile.
+        first: cython.Py_ssize_t = max(found - 1, 0)
+        last: cython.Py_ssize_t = min(found + 1, count - 1)
+        for d in range(first, last + 1):
+            kept[d - first] = total[x, d]
+            total[x, d] = MAX_COST
+        second: cython.short = min_of(total, x)
+        for d in range(first, last + 1):
+            total[x, d] = kept[d - first]
+        if work.partner[x + found] == -2 or least < work.partner_cost[x + found]:
+            work.partner[x + found] = cython.cast(cython.int, found)
+            work.partner_cost[x + found] = least
+        excess: cython.float = cython.cast(cython.float, second - least)
+        if excess >= max(weights.min_margin, weights.min_share * second):
+            work.best[x] = cython.cast(cython.int, found)
+            margin[y, x] = excess
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def paint(
+    y: cython.int, work: Workspace, disparity: cython.float[:, ::1], margin: cython.float[:, ::1]
+) -> cython.void:
+    """Fill in disparities between whole px: where lines of equal slope through three costs meet.
+
+    A left pixel is the partner of one right pixel, and of those that agree with it within 1 px.
+    """
+    x: cython.Py_ssize_t
+    total: cython.short[:, ::1] = work.total
+    last: cython.Py_ssize_t = total.shape[1] - 1
+    for x in range(total.shape[0]):
+        d: cython.int = work.best[x]
+        if d < 0 or abs(work.partner[x + d] - d) > 1:
+            disparity[y, x] = NAN
+            margin[y, x] = NAN
+            continue
+        disparity[y, x] = cython.cast(cython.float, d)
+        if 0 < d < last:
+            below: cython.int = total[x, d - 1] - total[x, d]
+            above: cython.int = total[x, d + 1] - total[x, d]
+            disparity[y, x] += cython.cast(cython.float, below - above) / (2 * max(below, above, 1))

@@ -1,0 +1,114 @@
+"""Two views as bright as each other: a difference in brightness would be taken for disparity."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+#: cv2.StereoBM finds points that both views show: it compares slopes of grey, not grey. These
+#: suit images of half the size; what it is not sure of does not count.
+_BLOCK_PX, _UNIQUENESS, _TEXTURE, _SPECKLE_PX = 15, 15, 20, 50
+
+#: Every second of its pixels, both ways, tells enough. Fewer than these tell nothing.
+_STEP, _LEAST_POINTS = 2, 100
+
+#: Differences beyond twice the median one, and these grey levels, are mistakes of the matching.
+_PLAIN = 6.0
+
+#: The gain is 1 unless brightness that varies by more than this standard deviation says otherwise.
+_LEVELS = 10.0
+
+#: Adjustments of less than this many grey levels may come from the matching itself.
+_LEAST = 1.5
+
+#: What gain and offset leave is averaged in a Gaussian window of this size in px.
+_SIGMA_PX = 48
+
+
+def balanced(
+    right: NDArray[np.uint8], left: NDArray[np.uint8], max_disparity: int
+) -> NDArray[np.uint8]:
+    """Return the left view as bright as the right one, (height, width) uint8.
+
+    A gain, an offset, and an offset that varies slowly over the image, fitted to points found in
+    both views. Where too few are found, the left view is returned as it is.
+
+    Args:
+        right, left: (height, width) uint8.
+        max_disparity: of the points looked for, px.
+    """
+    height, width = right.shape
+    half = width // 2, height // 2
+    disparities = -(-max_disparity // 32) * 16
+    if half[1] <= _BLOCK_PX or half[0] <= max(_BLOCK_PX, disparities):
+        return left
+    small_right, small_left = (
+        cv2.resize(view, half, interpolation=cv2.INTER_AREA) for view in (right, left)
+    )
+    matcher = cv2.StereoBM.create(disparities, _BLOCK_PX)
+    matcher.setUniquenessRatio(_UNIQUENESS)
+    matcher.setTextureThreshold(_TEXTURE)
+    matcher.setDisp12MaxDiff(1)
+    matcher.setSpeckleWindowSize(_SPECKLE_PX)
+    matcher.setSpeckleRange(1)
+    steps = matcher.compute(small_left, small_right)[::_STEP, ::_STEP]  # 16 a px
+    rows, columns = np.nonzero(steps > 0)
+    if len(rows) < _LEAST_POINTS:
+        return left
+    smooth_right, smooth_left = (
+        cv2.blur(view, (5, 5)).astype(np.float32) for view in (small_right, small_left)
+    )
+    place = np.maximum(_STEP * columns - steps[rows, columns].astype(np.float32) / 16, 0)
+    whole = place.astype(np.int32)  # between pixels, grey is linear
+    here, beside = (smooth_right[_STEP * rows, whole + i] for i in (0, 1))
+    rights = (here + (beside - here) * (place - whole)).astype(np.float32)
+    lefts = smooth_left[_STEP * rows, _STEP * columns]
+    gain, offset = _line(lefts, rights)
+    rest = rights - (gain * lefts + offset)
+    if float(np.median(np.abs((gain - 1) * lefts + offset))) < _LEAST:
+        gain, offset = 1.0, 0.0
+    offsets = _smooth(rest, rows, columns, steps.shape, (width, height))
+    if float(np.quantile(np.abs(offsets), 0.9)) < _LEAST:
+        if gain == 1 and offset == 0:
+            return left
+        offsets[:] = 0
+    changed = left * np.float32(gain) + (offsets + np.float32(offset))
+    return np.asarray(cv2.convertScaleAbs(np.maximum(changed, 0)), np.uint8)
+
+
+def _smooth(
+    rest: NDArray[np.float32],
+    rows: NDArray[np.int64],
+    columns: NDArray[np.int64],
+    grid: tuple[int, int],
+    size: tuple[int, int],
+) -> NDArray[np.float32]:
+    """Return what gain and offset leave, averaged nearby; 0 far from all points."""
+    plain = np.abs(rest) <= 2 * _PLAIN
+    points, counted = np.zeros((2, *grid), np.float32)
+    points[rows[plain], columns[plain]] = rest[plain]
+    counted[rows[plain], columns[plain]] = 1
+    coarse = max(size[0] // 16, 1), max(size[1] // 16, 1)
+    total, count = (
+        cv2.GaussianBlur(
+            cv2.resize(image, coarse, interpolation=cv2.INTER_AREA), (0, 0), _SIGMA_PX / 16
+        )
+        for image in (points, counted)
+    )
+    return np.asarray(cv2.resize(total / (count + np.float32(0.1)), size), np.float32)
+
+
+def _line(lefts: NDArray[np.float32], rights: NDArray[np.float32]) -> tuple[float, float]:
+    """Return gain and offset from left to right grey levels, (points,) each."""
+    gain, offset = 1.0, float(np.median(rights - lefts))
+    for _ in range(3):
+        rest = np.abs(rights - (gain * lefts + offset))
+        plain = rest <= max(_PLAIN, 2 * float(np.median(rest)))
+        x, y = lefts[plain].astype(np.float64), rights[plain].astype(np.float64)
+        if len(x) < _LEAST_POINTS:
+            break
+        prior = _LEVELS**2
+        gain = (float(np.mean((x - x.mean()) * (y - y.mean()))) + prior) / (float(x.var()) + prior)
+        offset = float(y.mean()) - gain * float(x.mean())
+    return gain, offset

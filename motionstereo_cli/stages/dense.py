@@ -1,0 +1,138 @@
+"""Disparity by what both views show now: semi-global matching, with trails as proposals.
+
+After Hirschmueller, "Stereo Processing by Semiglobal Matching and Mutual Information" (2008), with
+three paths (from the left, from the right, from above): so it goes row by row and holds no volume
+of costs. A cost is the difference of grey, insensitive to sampling (Birchfield and Tomasi, "A Pixel
+Dissimilarity Measure That Is Insensitive to Image Sampling", 1998), and that of its slope.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from motionstereo_cli.compiled import dense as loops
+from motionstereo_cli.compiled import reused
+
+#: Views are matched at half the height: half the time, and no worse, for noise averages out.
+ROWS = 2
+
+#: Largest difference of grey, and of its slope in quarters of a level per px, that counts.
+_MAX_GREY, _MAX_SLOPE = 20, 20
+
+#: Costs are those of windows of 3 x 3 pixels. Penalties of a step by 1 px and by more between
+#: neighbours; the latter falls by a share of the step of grey there: that is where things end.
+_STEP, _LEAP, _MIN_LEAP, _PER_GREY_LEVEL = 72, 300, 120, 3
+
+#: What speaks against all other disparities where one is proposed, in this very frame or before.
+_FRESH, _OLD = 15, 5
+
+#: Nothing is known where the second best disparity costs less than this more than the best, or
+#: less than this share more.
+_MIN_MARGIN, _MIN_SHARE = 60, 0.05
+
+#: Pixels so far above and below, and to the sides, of those wanted are matched as well: they tell
+#: what lies around.
+_AROUND_ROWS, _AROUND_COLUMNS = 16, 32
+
+
+_WEIGHTS = loops.Weights(
+    *(_MAX_GREY, _MAX_SLOPE, _STEP, _LEAP, _MIN_LEAP, _PER_GREY_LEVEL, _MIN_MARGIN, _MIN_SHARE)
+)
+
+
+def match_dense(
+    right: NDArray[np.uint8],
+    left: NDArray[np.uint8],
+    where: NDArray[np.bool_],
+    proposed_px: NDArray[np.float32],
+    fresh: NDArray[np.bool_],
+    max_disparity: int,
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return disparity and its margin, (height, width) float32 each, NaN = unknown.
+
+    Some pixels around those wanted have one as well. The margin is by how much the cost of the
+    second best disparity exceeds that of the best.
+
+    Args:
+        right, left: views of equal brightness, (height, width) uint8.
+        where: right pixels wanted, (height, width) bool.
+        proposed_px: disparities to prefer where grey does not decide, of every second row from
+            the first on, (ceil(height / 2), width) float32, NaN = none.
+        fresh: where they are of this very frame, of the same rows, bool.
+        max_disparity: largest x in the left view minus x in the right one, px.
+    """
+    height = right.shape[0]
+    right_grey, left_grey, wanted = (
+        _halved(view) for view in (right, left, where.view(np.uint8) * np.uint8(255))
+    )
+    weights = np.where(fresh, np.int16(_FRESH), np.int16(_OLD))
+    weights[np.isnan(proposed_px)] = 0
+    disparity, margin = semi_global(
+        right_grey.astype(np.int16),
+        left_grey.astype(np.int16),
+        _slopes(right_grey),
+        _slopes(left_grey),
+        _around(wanted > 0),
+        proposed_px,
+        weights,
+        max_disparity,
+    )
+    return (
+        np.repeat(disparity, ROWS, axis=0)[:height],
+        np.repeat(margin, ROWS, axis=0)[:height],
+    )
+
+
+def _halved(view: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Return an image of means of two rows; of an odd number of rows the last one stands alone."""
+    even = view if len(view) % ROWS == 0 else np.concatenate((view, view[-1:]))
+    size = view.shape[1], len(even) // ROWS
+    return np.asarray(cv2.resize(even, size, interpolation=cv2.INTER_AREA), np.uint8)
+
+
+def _slopes(grey: NDArray[np.uint8]) -> NDArray[np.int16]:
+    """Return slopes of grey, which do not mind a difference in brightness between the views."""
+    return (np.clip(cv2.Sobel(grey, cv2.CV_16S, 1, 0), -80, 80) // 2).astype(np.int16)
+
+
+def _around(where: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    size = 2 * _AROUND_COLUMNS + 1, 2 * _AROUND_ROWS // ROWS + 1
+    box = cv2.getStructuringElement(cv2.MORPH_RECT, size)
+    return np.asarray(cv2.dilate(where.view(np.uint8), box), np.uint8).view(np.bool_)
+
+
+def semi_global(
+    right: NDArray[np.int16],
+    left: NDArray[np.int16],
+    right_slope: NDArray[np.int16],
+    left_slope: NDArray[np.int16],
+    where: NDArray[np.bool_],
+    proposed_px: NDArray[np.float32],
+    weight: NDArray[np.int16],
+    max_disparity: int,
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return disparity and margin, (rows, width) float32 each, NaN = unknown.
+
+    Args:
+        right, left, right_slope, left_slope: grey and its slope in both views, (rows, width).
+        where: right pixels to match, (rows, width) bool.
+        proposed_px: disparities to prefer, (rows, width) float32.
+        weight: what speaks against all others, 0 where none is proposed, (rows, width).
+        max_disparity: px.
+    """
+    disparity, margin = np.empty((2, *right.shape), np.float32)
+    loops.semi_global(
+        np.ascontiguousarray(right),
+        np.ascontiguousarray(left),
+        np.ascontiguousarray(right_slope),
+        np.ascontiguousarray(left_slope),
+        np.ascontiguousarray(where).view(np.uint8),
+        np.ascontiguousarray(proposed_px),
+        np.ascontiguousarray(weight),
+        _WEIGHTS,
+        reused(loops.Workspace, right.shape[1], max_disparity + 1),
+        *(disparity, margin),
+    )
+    return disparity, margin

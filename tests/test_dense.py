@@ -1,0 +1,158 @@
+"""The dense matcher, and the grey that both cameras agree on."""
+
+import cv2
+import numpy as np
+import oracles
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from motionstereo_cli.stages.balance import balanced
+from motionstereo_cli.stages.contrast import contrast, noise_of
+from motionstereo_cli.stages.dense import match_dense, semi_global
+
+everywhere = np.ones((48, 96), np.bool_)
+fresh = everywhere[::2]
+nothing_proposed = np.full(fresh.shape, np.nan, np.float32)
+
+
+def textured(height=48, width=96, grain_px=1.5, seed=0):
+    """Grey noise of some grain, around 120."""
+    white = np.random.default_rng(seed).standard_normal((height, width + 40)).astype(np.float32)
+    smooth = cv2.GaussianBlur(white, (0, 0), grain_px)
+    return (120 + 35 * smooth / smooth.std()).clip(0, 255).astype(np.uint8)
+
+
+def views(disparity, **texture):
+    """The right and the left view of a wall."""
+    wall = textured(**texture)
+    return wall[:, 40:], wall[:, 40 - disparity : wall.shape[1] - disparity]
+
+
+class TestContrast:
+    def test_a_flat_image_has_none(self):
+        assert (contrast(np.full((40, 60), 77, np.uint8), 15, 12) == 128).all()
+
+    @pytest.mark.parametrize("change", [20, -30])
+    def test_brightness_does_not_matter(self, change):
+        grey = textured(80, 120).clip(60, 190)
+        brighter = (grey.astype(int) + change).astype(np.uint8)
+        assert np.abs(contrast(grey, 15, 12).astype(int) - contrast(brighter, 15, 12)).max() <= 1
+
+    def test_half_the_contrast_is_more_than_half_of_it(self):
+        grey = textured(80, 120)
+        half = (60 + grey / 2).astype(np.uint8)
+        whole, halved = (contrast(g, 15, 2).astype(float).std() for g in (grey, half))
+        assert halved > 0.75 * whole
+
+    def test_a_floor_keeps_weak_texture_weak(self):
+        weak = (120 + (textured(80, 120).astype(int) - 120) // 20).astype(np.uint8)
+        assert contrast(weak, 15, 12).std() < contrast(weak, 15, 1).std() / 2
+
+    def test_noise_is_no_contrast(self):
+        rng = np.random.default_rng(0)
+        calm, noisy = (np.rint(120 + s * rng.standard_normal((96, 128))) for s in (1, 6))
+        spreads = [contrast(image.astype(np.uint8), 15, 6).std() for image in (calm, noisy)]
+        assert spreads[1] < 1.5 * spreads[0]
+
+    @pytest.mark.parametrize("sigma", [1.5, 4])
+    def test_noise_is_measured(self, sigma):
+        ramp = np.linspace(40, 200, 160)[None] + np.zeros((128, 1))
+        noise = sigma * np.random.default_rng(1).standard_normal(ramp.shape)
+        assert noise_of(np.rint(ramp + noise).astype(np.uint8)) == pytest.approx(sigma, rel=0.15)
+
+    def test_no_window_returns_the_grey(self):
+        grey = textured()
+        assert contrast(grey, 0, 12) is grey
+
+    @pytest.mark.parametrize("size", [(1, 1), (1, 30), (7, 3)])
+    def test_tiny_images_have_one_too(self, size):
+        assert contrast(np.full(size, 9, np.uint8), 15, 12).shape == size
+
+
+class TestBalance:
+    def test_equal_views_stay_as_they_are(self):
+        right, left = views(10, height=160, width=240)
+        assert balanced(right, left, 32) is left
+
+    @pytest.mark.parametrize(("gain", "offset"), [(1, 16), (0.9, 20), (1.1, -25)])
+    def test_a_brighter_view_becomes_as_bright(self, gain, offset):
+        right, left = views(10, height=160, width=240)
+        changed = np.rint(left * gain + offset).clip(0, 255).astype(np.uint8)
+        seen = (changed > 0) & (changed < 255)
+        assert np.abs(balanced(right, changed, 32).astype(int) - left)[seen].mean() < 1.5
+
+    def test_most_of_a_slow_change_over_the_image_goes(self):
+        right, left = views(10, height=160, width=240)
+        changed = (left + np.linspace(0, 24, 240)).clip(0, 255).astype(np.uint8)
+        assert np.abs(balanced(right, changed, 32).astype(int) - left).mean() < 5  # of 12
+
+    @pytest.mark.parametrize("size", [(1, 1), (20, 30), (160, 240)])
+    def test_where_no_points_are_found_the_view_stays(self, size):
+        flat = np.full(size, 90, np.uint8)
+        assert balanced(flat, flat, 64) is flat
+
+
+small = arrays(np.int16, (3, 9), elements=st.integers(0, 40), fill=st.nothing())
+
+
+class TestDense:
+    @settings(max_examples=60, deadline=None)
+    @given(small, small, small, small, st.integers(0, 2**27 - 1), st.integers(1, 7), st.data())
+    def test_matches_are_the_oracles(self, right, left, right_slope, left_slope, bits, reach, data):
+        where = np.array([bits >> i & 1 for i in range(27)], np.bool_).reshape(3, 9) | (
+            bits % 3 == 0
+        )
+        proposed = np.full((3, 9), np.nan, np.float32)
+        proposed[1, ::2] = data.draw(st.floats(0, reach, width=16))
+        weight = np.where(np.isnan(proposed), 0, 15).astype(np.int16)
+        given_ = right * 3, left * 3, right_slope - 20, left_slope - 20, where, proposed, weight
+        found, wanted = semi_global(*given_, reach), oracles.semi_global(*given_, reach)
+        np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-4)
+
+    @pytest.mark.parametrize("disparity", [0, 7, 30])
+    def test_a_wall_has_its_disparity(self, disparity):
+        right, left = views(disparity)
+        found, margin = match_dense(right, left, everywhere, nothing_proposed, fresh, 32)
+        inside = np.s_[:, : 96 - disparity]
+        assert (np.abs(found[inside] - disparity) < 0.5).mean() > 0.97
+        assert (margin[~np.isnan(found)] >= 60).all()
+
+    def test_odd_heights_and_pixels_not_wanted(self):
+        right, left = views(5, height=47, width=200)
+        where = np.zeros(right.shape, np.bool_)
+        where[:, :20] = True
+        nothing = np.full((24, 200), np.nan, np.float32)
+        found, _ = match_dense(right, left, where, nothing, where[::2], 16)
+        assert found.shape == right.shape
+        assert (np.abs(found[where] - 5) < 0.5).mean() > 0.95
+        assert np.isnan(found[:, 60:]).all()
+
+    def test_where_grey_tells_nothing_proposals_decide(self):
+        flat = np.full((48, 96), 120, np.uint8)
+        proposed = np.full(fresh.shape, 9, np.float32)
+        known, _ = match_dense(flat, flat, everywhere, proposed, fresh, 32)
+        unknown, _ = match_dense(flat, flat, everywhere, nothing_proposed, fresh, 32)
+        assert np.nanmedian(known) == pytest.approx(9, abs=0.5)
+        assert np.isnan(unknown).all()
+
+    def test_where_grey_tells_proposals_do_not_decide(self):
+        right, left = views(12)
+        stale = np.full(fresh.shape, 25, np.float32)
+        found, _ = match_dense(right, left, everywhere, stale, ~fresh, 32)
+        assert (np.abs(found[:, :80] - 12) < 0.5).mean() > 0.97
+
+    def test_a_card_before_a_wall_ends_where_it_ends(self):
+        right, left = (view.copy() for view in views(4))
+        card = textured(24, 30, seed=3)[:, :30] // 2
+        right[12:36, 40:70] = card
+        left[12:36, 58:88] = card
+        found, _ = match_dense(right, left, everywhere, nothing_proposed, fresh, 32)
+        truth = np.full((48, 96), 4.0)
+        truth[12:36, 40:70] = 18
+        hidden = np.zeros((48, 96), np.bool_)
+        hidden[12:36, 70:84] = True  # of the wall, from the left camera
+        known = ~np.isnan(found) & ~hidden
+        assert (np.abs(found - truth)[known] > 1).mean() < 0.04
+        assert known.mean() > 0.8
