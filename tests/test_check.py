@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -11,7 +13,7 @@ import pytest
 
 from motionstereo_cli.__main__ import main
 from motionstereo_cli.analysis.check import WINDOW_FRAMES, check, watched
-from motionstereo_cli.analysis.findings import CheckReport, Finding
+from motionstereo_cli.analysis.findings import CheckReport, Finding, hardly_matched
 from motionstereo_cli.simulate.scenes import render_scene
 from motionstereo_cli.simulate.settings import SimulateSettings
 from motionstereo_cli.types import Rig, StereoFrame
@@ -100,6 +102,63 @@ def test_trial(trial: int) -> None:
 @pytest.fixture(scope="module")
 def corridor() -> Views:
     return simulated(0, SHORT)
+
+
+def square(views: Views) -> Views:
+    side = min(views[0].shape[1:])
+    return views[0][:, :side, :side], views[1][:, :side, :side]
+
+
+@pytest.mark.parametrize(
+    ("spoil", "said"),
+    [
+        (
+            lambda le, ri: (le, ri[:, ::-1, ::-1]),
+            "upside down against .* give --rotate-right 180",
+        ),
+        (lambda le, ri: (le, ri[:, :, ::-1]), "mirrored against the left one: give --mirror-right"),
+        (lambda le, ri: (le, ri[:, ::-1]), "give --mirror-right --rotate-right 180"),
+        (lambda le, ri: (le, np.rot90(ri, 1, (1, 2))), "on its side .* give --rotate-right 90"),
+        (lambda le, ri: (le, np.rot90(ri, -1, (1, 2))), "give --rotate-right 270"),
+        (
+            lambda le, ri: (np.rot90(le, 1, (1, 2)), np.rot90(ri, 1, (1, 2))),
+            "one above the other: give --rotate-left 90 --rotate-right 90",
+        ),
+    ],
+)
+def test_views_that_stand_otherwise_are_named(corridor: Views, spoil: Any, said: str) -> None:
+    views = square(corridor) if "9" in said or "27" in said else corridor
+    spoilt = tuple(np.ascontiguousarray(side) for side in spoil(*views))
+    report = checked((spoilt[0], spoilt[1]))
+    (line,) = [finding.text for finding in report.findings if finding.name == "turned"]
+    assert re.search(said, line)
+    assert report.ruined
+    assert "misaligned" not in [finding.name for finding in report.findings]
+
+
+def test_one_view_twice_is_named(corridor: Views) -> None:
+    noise = np.random.default_rng(0).normal(0, 0.5, corridor[0].shape)
+    again = (corridor[0] + noise).round().clip(0, 255).astype(np.uint8)
+    report = checked((corridor[0], again))
+    assert report.findings[0].name == "identical"
+    assert report.ruined
+
+
+def test_dark_images_are_named_and_light_is_asked_for(corridor: Views) -> None:
+    report = checked((corridor[0] // 16, corridor[1] // 16))
+    assert report.findings[0].name == "dark"
+    assert "give --white" in report.findings[0].text
+    assert "still" not in [finding.name for finding in report.findings]
+
+
+@pytest.mark.parametrize(
+    ("charged", "matched", "named"),
+    [(0.5, 0.001, True), (0.5, 0.1, False), (0.001, 0.0, False), (0.05, 0.0, True)],
+)
+def test_much_charged_and_hardly_matched_is_said(
+    charged: float, matched: float, named: bool
+) -> None:
+    assert bool(hardly_matched(charged, matched)) == named
 
 
 def test_what_is_measured(corridor: Views) -> None:

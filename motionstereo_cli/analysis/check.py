@@ -19,6 +19,7 @@ import numpy as np
 
 from motionstereo_cli.analysis.features import NO_MATCHES, Matches, Window, joined
 from motionstereo_cli.analysis.findings import CheckReport, Finding
+from motionstereo_cli.analysis.mounting import mounted
 from motionstereo_cli.analysis.synchrony import Fit, fit_rows, step_or_drift
 from motionstereo_cli.types import StereoFrame
 
@@ -42,6 +43,10 @@ _QUICK_WIDTH = 320
 _MOTION_WIDTH = 160
 
 
+#: Windows in which one pair of images is looked at for how the cameras stand.
+_MOUNTED_WINDOWS = 2
+#: Mean difference in grey levels of neighbouring pixels below which an image is blank.
+_MIN_TEXTURE = 0.2
 #: Disparities above minus this count as not negative.
 _ZERO_PX = 0.5
 #: A pixel moves where its grey level changes by more; an image where this share of it does.
@@ -170,9 +175,28 @@ class _Checker:
             step_frames=0 if step is None else step.whole,
             drift=drift,
             matches=len(seen),
+            mounted=self._mounted(),
+            **_light(self._windows),
             **_alignment(rows, seen, self._windows[0].shape, self._scale),
             **_disparities(agreed, self._scale, max_disparity, rig.doffs if rig else 0.0),
         )
+
+    def _mounted(self) -> str:
+        """Look at one pair of images of the first windows."""
+        middles = [(each, len(each.left) // 2) for each in self._windows[:_MOUNTED_WINDOWS]]
+        return mounted(
+            [window.left[t] for window, t in middles], [window.right[t] for window, t in middles]
+        )
+
+
+def _light(windows: Sequence[Window]) -> dict[str, Any]:
+    """Return how bright images are, and how much alike the views."""
+    pairs = [(window.left[-1], window.right[-1]) for window in windows]
+    brightest = max(int(np.percentile(image, 99.9)) for pair in pairs for image in pair)
+    apart = np.mean([np.mean(cv2.absdiff(left, right)) for left, right in pairs])
+    aside = np.mean([np.mean(cv2.absdiff(left[:, 1:], left[:, :-1])) for left, _ in pairs])
+    alike = float(apart / aside) if aside > _MIN_TEXTURE else None
+    return {"brightest": brightest, "alike": alike}
 
 
 def _shrunk(grey: Grey, width: int) -> Grey:

@@ -80,7 +80,7 @@ def joined(parts: Sequence[Matches]) -> Matches:
 NO_MATCHES = Matches(*(np.empty(0) for _ in dataclasses.fields(Matches)))
 
 
-class _Keypoints(NamedTuple):
+class Keypoints(NamedTuple):
     """SIFT keypoints of an image: points (n, 2) float32 px, descriptors (n, 128) float32."""
 
     points: NDArray[np.float32]
@@ -95,7 +95,7 @@ class Window:
         self.left: list[Grey] = []
         self.right: list[Grey] = []
         self._moments = moments
-        self._features: dict[tuple[str, int], _Keypoints] = {}
+        self._features: dict[tuple[str, int], Keypoints] = {}
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -112,11 +112,7 @@ class Window:
 
     def _match(self, t_left: int, t_right: int) -> Matches:
         left, right = self._seen("left", t_left), self._seen("right", t_right)
-        if min(len(left.points), len(right.points)) < 2:
-            return NO_MATCHES
-        forth = _clear_matches(left.descriptors, right.descriptors)
-        back = _clear_matches(right.descriptors, left.descriptors)
-        mutual = np.array([(i, j) for i, j in forth.items() if back.get(j) == i], np.intp)
+        mutual = mutual_matches(left, right)
         if not mutual.size:
             return NO_MATCHES
         at_left, at_right = left.points[mutual[:, 0]], right.points[mutual[:, 1]]
@@ -132,14 +128,29 @@ class Window:
         )
         return matches.where(followed & (np.abs(lower) < _ROW_REACH * self.shape[0]))
 
-    def _seen(self, side: str, t: int) -> _Keypoints:
+    def _seen(self, side: str, t: int) -> Keypoints:
         if (side, t) not in self._features:
             image = (self.left if side == "left" else self.right)[t]
-            sift = cv2.SIFT.create(_FEATURES, contrastThreshold=_MIN_CONTRAST)
-            keys, descriptors = sift.detectAndCompute(image, None)
-            points = np.array([key.pt for key in keys], np.float32).reshape(-1, 2)
-            self._features[side, t] = _Keypoints(points, np.asarray(descriptors, np.float32))
+            self._features[side, t] = keypoints(image)
         return self._features[side, t]
+
+
+def keypoints(image: Grey) -> Keypoints:
+    """Return the SIFT keypoints of an image."""
+    sift = cv2.SIFT.create(_FEATURES, contrastThreshold=_MIN_CONTRAST)
+    keys, descriptors = sift.detectAndCompute(image, None)
+    points = np.array([key.pt for key in keys], np.float32).reshape(-1, 2)
+    return Keypoints(points, np.asarray(descriptors, np.float32))
+
+
+def mutual_matches(left: Keypoints, right: Keypoints) -> NDArray[np.intp]:
+    """Return the indices of keypoints that clearly match each other, (n, 2): left, right."""
+    if min(len(left.points), len(right.points)) < 2:
+        return np.empty((0, 2), np.intp)
+    forth = _clear_matches(left.descriptors, right.descriptors)
+    back = _clear_matches(right.descriptors, left.descriptors)
+    both = [(i, j) for i, j in forth.items() if back.get(j) == i]
+    return np.array(both, np.intp).reshape(-1, 2)
 
 
 def _clear_matches(descriptors: Any, others: Any) -> dict[int, int]:

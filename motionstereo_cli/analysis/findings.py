@@ -16,6 +16,13 @@ RUINED_SHARE = 0.5
 NOTED_SHARE = 0.15
 #: Difference in grey levels between the views that is worth a warning.
 MAX_GREY_DIFFERENCE = 8.0
+#: Views that differ less, as a share of what 1 px of disparity makes, are one and the same.
+SAME_VIEW_SHARE = 0.2
+#: Grey level that some pixels of an image in good light exceed.
+DARK_GREY = 32
+#: A run whose charged pixels hardly find a partner: shares of the image, and of these.
+MUCH_CHARGED = 0.02
+HARDLY_MATCHED = 0.05
 #: Share of the image that changes from frame to frame below which nothing moves.
 STILL_SHARE = 5e-4
 #: Shares of images that repeat the one before: worth a warning, from two images on, and ruined.
@@ -50,6 +57,9 @@ class CheckReport:
         behind, negative, beyond: shares of the matches, 0..1, that lie beyond infinity, with a
             disparity below 0, and with one above ``max_disparity``.
         grey_difference: median of left minus right grey level.
+        brightest: grey level that a thousandth of the pixels exceed.
+        alike: mean difference between the views, as a share of that to a view 1 px aside.
+        mounted: how the right view stands against the left one, and what mends it; empty if alike.
         moving: share of the image, 0..1, that changes from a frame to the next.
         repeated_left, repeated_right: images that repeat the one before though objects move.
         first_repeated_left, first_repeated_right: the frames of the first of these.
@@ -74,6 +84,9 @@ class CheckReport:
     negative: float | None = None
     beyond: float | None = None
     grey_difference: float | None = None
+    brightest: int | None = None
+    alike: float | None = None
+    mounted: str = ""
     moving: float | None = None
     repeated_left: int = 0
     repeated_right: int = 0
@@ -187,7 +200,58 @@ _MISFIT = (
     "and that the images are rectified if it is a rig.yaml; otherwise calibrate again"
 )
 
+
+def _dark(report: CheckReport) -> bool:
+    return report.brightest is not None and report.brightest < DARK_GREY
+
+
+def hardly_matched(charged: float, matched: float) -> str:
+    """Return what to look at where much was charged and next to nothing matched, or nothing.
+
+    Args:
+        charged, matched: shares of the image, 0..1.
+    """
+    if charged < MUCH_CHARGED or matched > HARDLY_MATCHED * charged:
+        return ""
+    return (
+        f"{charged:.1%} of the image moved and only {matched:.1%} found a partner: see that both "
+        "views show one scene at one moment, upright and rectified, within --max-disparity; "
+        "motionstereo check measures it"
+    )
+
+
 RULES = (
+    Rule(
+        "identical",
+        "difference between the views, as a share of what 1 px of disparity makes",
+        f"under {SAME_VIEW_SHARE:.0%}",
+        lambda r: r.alike is not None and r.alike < SAME_VIEW_SHARE,
+        _always,
+        lambda _: (
+            "left and right show the same view, so every disparity is 0: give the recordings of "
+            "two cameras (two tracks of one file: --layout tracks)"
+        ),
+    ),
+    Rule(
+        "turned",
+        "features that match once the right view is turned or mirrored",
+        "always",
+        lambda r: bool(r.mounted),
+        _always,
+        lambda r: r.mounted,
+    ),
+    Rule(
+        "dark",
+        "the grey level that a thousandth of the pixels exceed",
+        f"under {DARK_GREY}, if nothing is seen to move; else a warning",
+        _dark,
+        lambda r: (r.moving or 0) < STILL_SHARE,
+        lambda r: (
+            f"the images are dark, nearly all below grey level {(r.brightest or 0) + 1} of 255: "
+            "where a camera puts few bits into many, give --white (4095 for 12 bits); else give "
+            "more light or exposure"
+        ),
+    ),
     Rule(
         "drifting",
         "how the step between the recordings changes",
@@ -220,7 +284,7 @@ RULES = (
         "still",
         "share of the image that changes from frame to frame",
         f"under {STILL_SHARE:.2%}",
-        lambda r: r.moving is not None and r.moving < STILL_SHARE,
+        lambda r: r.moving is not None and r.moving < STILL_SHARE and not _dark(r),
         _always,
         lambda r: (
             f"nothing moves: {r.moving:.2%} of the image changes from frame to frame in "
@@ -234,7 +298,7 @@ RULES = (
         "few-matches",
         "number of matches",
         "never; a warning",
-        lambda r: r.misaligned_px is None,
+        lambda r: r.misaligned_px is None and not r.mounted,
         _never,
         lambda r: (
             f"only {r.matches} features agree between left and right, too few to check "
@@ -248,8 +312,11 @@ RULES = (
         f"median over {MAX_MISALIGNED_PX:g} px, or over {MAX_MISALIGNED_IMAGE_PX:g} px in a tenth "
         "of the image",
         lambda r: (
-            (r.misaligned_px or 0) > MAX_MISALIGNED_PX
-            or (r.misaligned_image_px or 0) > MAX_MISALIGNED_IMAGE_PX
+            not r.mounted
+            and (
+                (r.misaligned_px or 0) > MAX_MISALIGNED_PX
+                or (r.misaligned_image_px or 0) > MAX_MISALIGNED_IMAGE_PX
+            )
         ),
         _always,
         lambda r: (
@@ -263,7 +330,7 @@ RULES = (
         "swapped",
         "share of matches with x farther right in the right image",
         f"over {SWAPPED_SHARE:.0%}",
-        lambda r: (r.behind or 0) > SWAPPED_SHARE,
+        lambda r: (r.behind or 0) > SWAPPED_SHARE and not r.mounted,
         _always,
         lambda r: (
             f"left and right are swapped: {r.behind:.0%} of the matches lie farther right in "
