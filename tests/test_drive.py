@@ -19,8 +19,8 @@ from motionstereo_cli.simulate.camera import FloorPose, stereo_cameras
 from motionstereo_cli.simulate.corridor import Corridor
 from motionstereo_cli.simulate.drive import OUTPUTS, driven
 from motionstereo_cli.simulate.drive_world import (
+    MAX_FORWARD_M,
     MAX_TURN_RAD,
-    MAX_WAY_M,
     Command,
     DriveWorld,
     command,
@@ -50,14 +50,14 @@ def steering(steer_rad=0.0, depth_m=5.0):
 
 class TestRobot:
     def test_drives_on_where_the_way_is_free_and_turns_to_its_heading(self):
-        assert command(steering()) == Command(MAX_WAY_M, 0.0)
+        assert command(steering()) == Command(MAX_FORWARD_M, 0.0)
         left = command(steering(steer_rad=0.1))
         assert left.turn_rad > 0
-        assert 0 < left.way_m < MAX_WAY_M
+        assert 0 < left.forward_m < MAX_FORWARD_M
 
     def test_slows_down_before_things(self):
-        ways = [command(steering(depth_m=d)).way_m for d in (2.0, 1.5, 1.0, 0.5, 0.3)]
-        assert ways[0] == MAX_WAY_M
+        ways = [command(steering(depth_m=d)).forward_m for d in (2.0, 1.5, 1.0, 0.5, 0.3)]
+        assert ways[0] == MAX_FORWARD_M
         assert all(a > b for a, b in pairwise(ways))
         assert ways[-1] == 0
 
@@ -87,10 +87,10 @@ class TestWorld:
         while world.ended is None:
             world.act(Command(1.0, 0.0))  # more than it can
         assert world.ended == "touched a wall"
-        assert world.way_m == pytest.approx(MAX_WAY_M * world.frames)
-        assert -MAX_WAY_M < world.nearest_pass_m <= 0
+        assert world.path_m == pytest.approx(MAX_FORWARD_M * world.frames)
+        assert -MAX_FORWARD_M < world.nearest_pass_m <= 0
         at = max(abs(world.robot.x_m), abs(world.robot.y_m))
-        assert at == pytest.approx(world.corridor.outer_m - ROBOT_RADIUS_M, abs=MAX_WAY_M)
+        assert at == pytest.approx(world.corridor.outer_m - ROBOT_RADIUS_M, abs=MAX_FORWARD_M)
 
     @pytest.mark.parametrize("seed", [0, 1])  # one of either sense
     @pytest.mark.parametrize("sense", [1, -1])
@@ -220,7 +220,7 @@ def test_finds_its_way_round_a_corner():
         world.act_on(result.steering)
     assert world.ended == "laps done"
     assert world.nearest_pass_m > 0.2
-    assert world.way_m / world.laps < 1.2 * world.lap_m
+    assert world.path_m / world.laps < 1.2 * world.lap_m
 
 
 @pytest.fixture(scope="module")

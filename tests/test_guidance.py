@@ -9,7 +9,7 @@ from motionstereo_cli.robot.guide import MapGuide
 from motionstereo_cli.robot.heading import (
     DIRECTIONS_RAD,
     Course,
-    free_ways,
+    free_distances,
     plan,
     travelled,
     wrapped,
@@ -153,7 +153,9 @@ def corridor(half_width_m=1.0, end_m=4.0, behind_m=2.0):
 
 def ways(occupied, free, directions=(0.0,)):
     middle = (CELLS / 2, CELLS / 2)
-    return free_ways(occupied, free, middle, np.array(directions), cell_m=CELL_M, radius_m=0.25)
+    return free_distances(
+        occupied, free, middle, np.array(directions), cell_m=CELL_M, radius_m=0.25
+    )
 
 
 class TestFreeWays:
@@ -194,9 +196,9 @@ class TestPlan:
         return plan(course, yaw_rad, way, possible, directions, turned_rad=turned_rad)
 
     def test_heads_for_the_longest_way(self):
-        course, way_m = self.planned(lambda d: 6.0 if abs(d - 0.4) < 0.2 else 2.0)
+        course, free_m = self.planned(lambda d: 6.0 if abs(d - 0.4) < 0.2 else 2.0)
         assert course.heading_rad == pytest.approx(0.4, abs=0.15)
-        assert way_m == 6
+        assert free_m == 6
 
     def test_does_not_turn_back_for_a_longer_way(self):
         course, _ = self.planned(lambda d: 7.0 if abs(d) > 2.5 else 1.2)
@@ -206,27 +208,27 @@ class TestPlan:
         def short(_):
             return 0.5
 
-        course, way_m = self.planned(short, possible=lambda d: 5.0 if d < 0 else 0.5)
-        assert (course.look, way_m) == (-1, None)
+        course, free_m = self.planned(short, possible=lambda d: 5.0 if d < 0 else 0.5)
+        assert (course.look, free_m) == (-1, None)
         assert course.heading_rad == pytest.approx(-math.pi / 2)
         # It goes on that way, whatever comes into view, until there is a way.
-        course, way_m = self.planned(
+        course, free_m = self.planned(
             short, possible=lambda d: 5.0 if d > 0 else 0.5, course=course, turned_rad=-0.1
         )
-        assert (course.look, way_m) == (-1, None)
-        course, way_m = self.planned(lambda d: 3.0 if abs(d + 1.4) < 0.2 else 0.5, course=course)
-        assert (course.look, way_m) == (0, 3.0)
+        assert (course.look, free_m) == (-1, None)
+        course, free_m = self.planned(lambda d: 3.0 if abs(d + 1.4) < 0.2 else 0.5, course=course)
+        assert (course.look, free_m) == (0, 3.0)
         assert course.heading_rad == pytest.approx(-1.4, abs=0.15)
 
     def test_after_looking_all_around_turns_back(self):
         course = Course(0.0, 0.0)
         turned = 0.0
         for _ in range(200):
-            course, way_m = self.planned(
+            course, free_m = self.planned(
                 lambda d: 5.0 if abs(d) > 2.5 else 0.5, course=course, turned_rad=0.1
             )
             turned += 0.1
-            if way_m is not None:
+            if free_m is not None:
                 break
         assert math.radians(500) < turned < math.radians(600)
         assert abs(wrapped(np.array(course.heading_rad))) > 2.4

@@ -46,7 +46,7 @@ def _nothing(*_: object) -> None:
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Watcher:
-    """Who hears how a run goes; by default nobody.
+    """Called while a run goes on; by default nothing is.
 
     Attributes:
         say: called with a kind, ``note`` or ``warning``, and a line.
@@ -69,7 +69,7 @@ def run(plan: RunPlan, watcher: Watcher | None = None, stdout: BinaryIO | None =
 
     Args:
         plan: what to do.
-        watcher: who hears how it goes.
+        watcher: called while it goes on.
         stdout: where a table goes that is for standard output; the process's own if None.
 
     Raises:

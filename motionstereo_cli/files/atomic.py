@@ -95,7 +95,7 @@ def write_whole(path: Path, content: bytes, *, durable: bool = False) -> None:
 
 
 def sync(path: Path) -> None:
-    """Have the disk hold a file, should the machine go down.
+    """Make sure that a file is on the disk, even if the machine goes down.
 
     Raises:
         OutputError: it cannot.

@@ -81,7 +81,7 @@ def open_stream(path: Path) -> BinaryIO:
     latest_s = time.monotonic() + _PATIENCE_S
     while True:
         try:
-            # Without waiting: a FIFO nobody reads would keep the program for ever.
+            # Without waiting: a FIFO without a reader would block for ever.
             descriptor = os.open(path, os.O_WRONLY | getattr(os, "O_NONBLOCK", 0))
             break
         except OSError as error:

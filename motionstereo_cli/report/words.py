@@ -80,7 +80,7 @@ def troubles(record: Mapping[str, Any], shares: Mapping[str, float]) -> Sequence
             "moves, or what a moving camera passes."
         )
     if shares.get("blind", 0) > 0.5:
-        lines.append(f"In {shares['blind']:.0%} of the frames nothing was known of the way.")
+        lines.append(f"In {shares['blind']:.0%} of the frames the free distance was unknown.")
     return lines
 
 

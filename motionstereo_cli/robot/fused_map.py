@@ -50,7 +50,7 @@ class Grid:
 def marked(
     known: Grid, corner: tuple[int, int], free: NDArray[np.bool_], hit: NDArray[np.bool_]
 ) -> Grid:
-    """Return the grid a frame later, grown as far as need be.
+    """Return the grid a frame later, grown as far as necessary.
 
     Args:
         known: the grid.

@@ -18,7 +18,7 @@ from motionstereo_cli.robot.heading import (
     DIRECTIONS_RAD,
     MIN_KNOWN_SHARE,
     Course,
-    free_ways,
+    free_distances,
     heading,
     nearest,
     plan,
@@ -44,19 +44,19 @@ if TYPE_CHECKING:
 
     from motionstereo_cli.types import Real
 
-#: An object is a contact if it would be at the camera within this time, and is to be believed so
-#: far. A robot keeps clear of where the first of them will be after each of these times.
+#: An object is a contact if it would be at the camera within this time, with at least this
+#: confidence. A robot keeps clear of where the first contact will be after each of these times.
 CONTACT_S = 3.0
-MIN_TRUST = 0.2
+MIN_CONFIDENCE = 0.2
 FORESEEN_S = (0.5, 1.0)
 
-#: What stands is in the map already: a contact that matters moves over ground by itself. Beyond
-#: the second speed it is a mistake. It is at most so wide.
+#: Standing objects are in the map already: a contact that matters moves over ground by itself.
+#: Above the second speed it is a mistake. It is at most this wide.
 CONTACT_MPS = (0.3, 2.5)
 CONTACT_RADIUS_M = 0.5
 
-#: Where the map has had more evidence than this, so near to a contact, it stands all the same: of
-#: a wall that the camera passes, ever new parts are seen, as if it moved along.
+#: A contact is a standing object if the map has more evidence than this within this distance of it:
+#: the camera sees ever new parts of a wall that it passes, as if the wall moved along.
 STANDS = 3.0
 STANDS_WITHIN_M = 0.25
 
@@ -108,10 +108,10 @@ def guide_of(settings: Settings, rig: Rig | None, *, with_poses: bool) -> Guide[
 def nearest_contact(objects: Iterable[MovingObject]) -> MovingObject | None:
     """Return the object that would be at the camera first; None where none would be soon."""
     first, first_s = None, CONTACT_S
-    for thing in objects:
-        there_s = thing.time_to_contact_s
-        if there_s is not None and there_s < first_s and thing.confidence >= MIN_TRUST:
-            first, first_s = thing, there_s
+    for each in objects:
+        there_s = each.time_to_contact_s
+        if there_s is not None and there_s < first_s and each.confidence >= MIN_CONFIDENCE:
+            first, first_s = each, there_s
     return first
 
 
@@ -121,7 +121,7 @@ class ImageProfile:
 
     Attributes:
         strips_px: nearness of each vertical strip of the image, (strips,) float32, NaN = unknown.
-        nearest_px: nearness of the nearest thing; None where too little is known.
+        nearest_px: nearness of the nearest object; None where too little is known.
         width: width of the image in px.
     """
 
@@ -191,9 +191,9 @@ class MapProfile:
     """What :class:`MapGuide` takes from a frame.
 
     Attributes:
-        bearings_px: nearness of the nearest thing in each bearing, (bearings,) float32, NaN =
+        bearings_px: nearness of the nearest object in each bearing, (bearings,) float32, NaN =
             unknown; see :func:`~motionstereo_cli.robot.local_map.profile`.
-        nearest_px: nearness of the nearest thing; None where too little is known.
+        nearest_px: nearness of the nearest object; None where too little is known.
         width: width of the image in px.
     """
 
@@ -221,7 +221,7 @@ class MapCourse:
 
 @dataclass(frozen=True, slots=True)
 class MapGuide:
-    """Steers by a map of what was seen of late, around a rig whose poses are known.
+    """Steers by a map of what was seen recently, around a rig whose poses are known.
 
     Args:
         settings: parameters of the guidance.
@@ -270,7 +270,7 @@ class MapGuide:
         course = before.course or Course(yaw, yaw)
         course = travelled(course, math.hypot(x_m, y_m), math.atan2(y_m, x_m))
         directions = yaw + DIRECTIONS_RAD
-        way_m, possible_m = free_ways(
+        known_m, possible_m = free_distances(
             (known.evidence > CERTAIN) | self._foreseen(nearest_contact(objects), known),
             known.evidence < -CERTAIN,
             (pose.x_m / CELL_M - known.corner[0], pose.y_m / CELL_M - known.corner[1]),
@@ -279,7 +279,7 @@ class MapGuide:
             radius_m=s.robot_radius_m,
         )
         turned = math.remainder(yaw - before.pose.yaw_rad, math.tau)
-        course, free_m = plan(course, yaw, way_m, possible_m, directions, turned_rad=turned)
+        course, free_m = plan(course, yaw, known_m, possible_m, directions, turned_rad=turned)
         angle_rad = math.remainder(course.heading_rad - yaw, math.tau)
         place = steadied(before.place, self._place_of(angle_rad, seen_now.width), s.steer_gain)
         return MapCourse(known, pose, course, place), Steering(

@@ -2,7 +2,7 @@
 
 From one image, on *nearness*: disparity plus doffs in px, which is proportional to inverse
 depth, so that it needs no rig. Or, for a robot that knows its own motion, on a map of what it has
-seen of late: toward where the way is free farthest.
+seen recently: toward where the free distance is longest.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ MIN_KNOWN_SHARE = 0.002
 
 #: Of the pixels of a strip, the share allowed to be nearer than its nearness says: noise.
 _NEARER_SHARE = 0.2
-#: Of all known pixels, the share that is farther than the nearest thing.
+#: Of all known pixels, the share that is farther than the nearest object.
 _FARTHER_SHARE = 0.99
 
 
 def strip_nearness(
     nearness_px: NDArray[np.float32], strips: int, min_share: float
 ) -> NDArray[np.float32]:
-    """Return how near things are in each vertical strip of the image, (strips,) float32 px.
+    """Return how near objects are in each vertical strip of the image, (strips,) float32 px.
 
     That is the nearness which all but a fifth of the strip's known pixels stay below.
     NaN where less than ``min_share`` (0..1) of the strip is known.
@@ -84,7 +84,7 @@ def steadied(before: float | None, target: float, gain: float) -> float:
 
 
 def nearest(nearness_px: NDArray[np.float32], min_share: float) -> float | None:
-    """Return the nearness of the nearest thing in px; None where too little is known.
+    """Return the nearness of the nearest object in px; None where too little is known.
 
     All but a hundredth of the known pixels are farther.
 
@@ -99,27 +99,27 @@ def nearest(nearness_px: NDArray[np.float32], min_share: float) -> float | None:
 #: Directions that are weighed, about the robot's yaw: a full circle, in steps of 3 degrees.
 DIRECTIONS_RAD = np.radians(np.arange(-180, 180, 3, dtype=np.float64))
 
-#: Longer ways count as this long: what lies beyond is too uncertain, and the map ends at 8 m.
+#: Longer distances count as this long: what lies beyond is too uncertain, and the map ends at 8 m.
 _LONGEST_M = 7.0
 _STEP_M = 0.05
-#: Room that is kept beside the robot, and how soon it has to be won where it starts with less.
-_ROOM_M = 0.2
+#: Clearance that is kept beside the robot, and how fast it has to grow where it is less.
+_CLEARANCE_M = 0.2
 _WIDENING = 0.35
 #: Half the width of the strip that has to be known as free; its sides only must not be occupied.
 _KNOWN_M = 0.15
 
-#: What a radian away from the direction of travel, or from the last heading, is worth in way.
+#: Free distance that is worth a radian away from the direction of travel, or the last heading.
 _TRAVEL_COST_M = 1.0
 _CHANGE_COST_M = 0.5
 #: Directions farther from the direction of travel lead back.
 _BACK_RAD = math.radians(100)
-#: A way shorter than the first is none: then the robot looks around until one of the second.
-_MIN_WAY_M = 0.9
-_FOUND_WAY_M = 1.5
+#: A free distance below the first is none: then the robot looks around until one of the second.
+_MIN_FREE_M = 0.9
+_FOUND_FREE_M = 1.5
 _AHEAD_RAD = math.radians(35)
-#: After looking around that far without success, the way back is as good as any.
+#: After looking around that far without success, the direction back is as good as any.
 _LOOK_RAD = math.radians(540)
-#: Way on which the direction of travel follows the robot.
+#: Distance over which the direction of travel follows the robot.
 _TRAVEL_M = 2.5
 
 
@@ -129,8 +129,8 @@ class Course:
 
     Attributes:
         heading_rad: where it steers, as a yaw in the world.
-        travel_rad: yaw of its way of late.
-        look: 1 while it turns left to look around, -1 to the right, 0 while it knows a way.
+        travel_rad: yaw of its recent path.
+        look: 1 while it turns left to look around, -1 to the right, 0 while it knows where to go.
         looked_rad: how far it has turned since.
     """
 
@@ -140,7 +140,7 @@ class Course:
     looked_rad: float = 0.0
 
 
-def free_ways(
+def free_distances(
     occupied: NDArray[np.bool_],
     free: NDArray[np.bool_],
     place: tuple[float, float],
@@ -151,7 +151,7 @@ def free_ways(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return how far a round robot can drive in each direction, (n,) float64 m.
 
-    First the way that is known to be free, second the way on which nothing is known to stand.
+    First the distance that is known to be free, second the distance without a known obstacle.
 
     Args:
         occupied, free: cells known to be so, (nx, ny) bool; the rest is unknown.
@@ -172,53 +172,53 @@ def free_ways(
     inside = (rows >= 0) & (rows < occupied.shape[0]) & (columns >= 0)
     inside &= columns < occupied.shape[1]
     rows, columns = np.where(inside, rows, 0), np.where(inside, columns, 0)
-    room = to_occupied[rows, columns]
-    room_here = float(to_occupied[int(place[0]), int(place[1])])
-    wanted = np.minimum(radius_m + _ROOM_M, max(room_here - cell_m, 0) + _WIDENING * step)
-    open_way = inside & (room >= wanted)
-    known = open_way & (to_unknown[rows, columns] >= np.minimum(_KNOWN_M, 0.15 * step))
-    first = [(np.cumprod(way, axis=1).sum(axis=1) * _STEP_M) for way in (known, open_way)]
+    clearance = to_occupied[rows, columns]
+    clearance_here = float(to_occupied[int(place[0]), int(place[1])])
+    wanted = np.minimum(radius_m + _CLEARANCE_M, max(clearance_here - cell_m, 0) + _WIDENING * step)
+    open_path = inside & (clearance >= wanted)
+    known = open_path & (to_unknown[rows, columns] >= np.minimum(_KNOWN_M, 0.15 * step))
+    first = [(np.cumprod(path, axis=1).sum(axis=1) * _STEP_M) for path in (known, open_path)]
     return first[0], first[1]
 
 
 def plan(
     course: Course,
     yaw_rad: float,
-    way_m: NDArray[np.float64],
+    free_m: NDArray[np.float64],
     possible_m: NDArray[np.float64],
     directions_rad: NDArray[np.float64],
     *,
     turned_rad: float,
 ) -> tuple[Course, float | None]:
-    """Return the next course and the free way on it in m, None while looking around.
+    """Return the next course and the free distance on it in m, None while looking around.
 
     Args:
         course: the last one.
         yaw_rad: yaw of the robot in the world.
-        way_m, possible_m: free ways, see :func:`free_ways`.
+        free_m, possible_m: free distances, see :func:`free_distances`.
         directions_rad: their yaws in the world.
         turned_rad: how far the robot has turned since the last frame.
     """
     looked_rad = course.looked_rad + abs(turned_rad) if course.look else 0.0
     from_travel = np.abs(wrapped(directions_rad - course.travel_rad))
-    smooth_m = np.mean([np.roll(way_m, k) for k in (-2, -1, 0, 1, 2)], axis=0)
-    worth = np.minimum(way_m, smooth_m) - _TRAVEL_COST_M * from_travel
+    smooth_m = np.mean([np.roll(free_m, k) for k in (-2, -1, 0, 1, 2)], axis=0)
+    worth = np.minimum(free_m, smooth_m) - _TRAVEL_COST_M * from_travel
     worth -= _CHANGE_COST_M * np.abs(wrapped(directions_rad - course.heading_rad))
-    # A short way is worth going on with, but not turning for.
+    # A short free distance is worth going on with, but not turning for.
     ahead = (np.abs(wrapped(directions_rad - yaw_rad)) <= _AHEAD_RAD) & (course.look == 0)
-    allowed = way_m >= np.where(ahead, _MIN_WAY_M, _FOUND_WAY_M)
+    allowed = free_m >= np.where(ahead, _MIN_FREE_M, _FOUND_FREE_M)
     if looked_rad < _LOOK_RAD:
         allowed &= from_travel <= _BACK_RAD
     if allowed.any():
         best = int(np.argmax(np.where(allowed, worth, -np.inf)))
-        return Course(float(directions_rad[best]), course.travel_rad), float(way_m[best])
+        return Course(float(directions_rad[best]), course.travel_rad), float(free_m[best])
     look = course.look or _side_to_look(possible_m, directions_rad, course.travel_rad)
     heading_rad = yaw_rad + look * math.pi / 2
     return Course(heading_rad, course.travel_rad, look, looked_rad), None
 
 
 def travelled(course: Course, forward_m: float, direction_rad: float) -> Course:
-    """Return the course after a piece of way: the direction of travel follows it.
+    """Return the course after a piece of path: the direction of travel follows it.
 
     Args:
         course: the last one.
@@ -239,7 +239,7 @@ def wrapped(angle_rad: NDArray[np.float64]) -> NDArray[np.float64]:
 def _side_to_look(
     possible_m: NDArray[np.float64], directions_rad: NDArray[np.float64], travel_rad: float
 ) -> int:
-    """Return 1 where more may be free to the left of the way than to its right, else -1."""
+    """Return 1 where more may be free to the left of the path than to its right, else -1."""
     off = wrapped(directions_rad - travel_rad)
     left = possible_m[(off > 0.3) & (off < 2.2)].sum()
     right = possible_m[(off < -0.3) & (off > -2.2)].sum()

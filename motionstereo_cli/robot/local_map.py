@@ -31,7 +31,7 @@ CERTAIN = 0.7
 
 #: How far points of the map around the robot are marked as occupied.
 _HIT_REACH_M = 6.0
-#: Errors of a disparity, in px, that a free way and an occupied place allow for.
+#: Errors of a disparity, in px, that a free cell and an occupied place allow for.
 _FREE_ERROR_PX = 1.0
 _HIT_ERROR_PX = 0.5
 
@@ -93,17 +93,17 @@ def profile(
     below_m: float,
     above_m: float,
 ) -> Reals:
-    """Return how near the nearest thing is in each bearing, (bearings,) float32 px, NaN = unknown.
+    """Return how near the nearest object is in each bearing, (bearings,) float32 px, NaN = unknown.
 
     A bearing is a range of columns of equal width. Its nearness is such that a tenth of its
     points, but at least four, are as near.
 
     Args:
         nearness_px: disparity + doffs, (height, width) float32, NaN = unknown.
-        fresh: pixels that show where things are now, (height, width) bool.
+        fresh: pixels that show where objects are now, (height, width) bool.
         view: the camera.
         bearings: number of bearings.
-        below_m, above_m: points farther below or above the camera are not in the way.
+        below_m, above_m: points farther below or above the camera are no obstacles.
     """
     width = nearness_px.shape[1]
     with np.errstate(invalid="ignore"):
@@ -118,7 +118,7 @@ def nearest_by_bearing(near_px: Reals, bearing: NDArray[np.intp], bearings: int)
     """Return the nearness in each bearing, as :func:`profile` has it, (bearings,) float32 px.
 
     Args:
-        near_px: nearness of points that are in the way, (n,) float32.
+        near_px: nearness of points that are obstacles, (n,) float32.
         bearing: the bearing of each, 0 to ``bearings`` - 1, (n,).
         bearings: number of bearings.
     """
@@ -194,7 +194,7 @@ def sighted(
         view: the camera.
         width: width of its images in px.
         cell_m: size of a cell.
-        reach_m: farther points are too uncertain to be marked; the way up to them is free.
+        reach_m: farther points are too uncertain to be marked; the space up to them is free.
         error_px: error of a disparity that an occupied place allows for.
 
     Returns:

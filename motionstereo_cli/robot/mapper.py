@@ -115,7 +115,7 @@ class Mapper:
     """Fuses what moves just now, frame by frame, into one map in the world frame of the poses.
 
     Args:
-        settings: parameters of the processing: what counts as in the robot's way.
+        settings: parameters of the processing: what counts as an obstacle.
         rig: the camera.
         cell_m: size of the cells of the floor plane and of the voxels.
 

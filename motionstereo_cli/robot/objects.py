@@ -37,7 +37,7 @@ _BEHIND_SHARE = 0.5
 #: nearness that differs by no more than this factor.
 _MAX_SIZES = 1.0
 _MAX_FACTOR = 1.3
-#: Its way in the image is foretold from its last observations, but no farther than it has come in
+#: Its path in the image is predicted from its last observations, but no farther than it has come in
 #: them: what goes out of sight has often just come to rest.
 _WAY_SIGHTINGS = 5
 #: It is forgotten when it has been out of sight for this many frames.
@@ -283,7 +283,7 @@ def _expected(track: Track, time_s: float) -> tuple[float, ...]:
 
 @dataclass(frozen=True, slots=True)
 class Movement:
-    """How an object has moved of late, evenly and straight.
+    """How an object has moved recently, evenly and straight.
 
     Attributes:
         from_camera_mps: along the x and y axes of the world, as seen from the camera.

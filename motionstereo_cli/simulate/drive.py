@@ -147,7 +147,7 @@ def _record(world: DriveWorld, settings: Settings) -> dict[str, Any]:
         "ended": world.ended,
         "frames": world.frames,
         "laps": round(world.laps, 4),
-        "distance_m": round(world.way_m, 3),
+        "distance_m": round(world.path_m, 3),
         "lap_m": round(world.lap_m, 3),
         "collisions": [{**collision, "what": world.ended}] if touched else [],
         "nearest_pass_m": round(world.nearest_pass_m, 3),

@@ -25,17 +25,14 @@ FRAME_RATE = 10
 FRAME_MS = 1000 // FRAME_RATE
 
 #: The robot: maximum distance and turn of one frame.
-MAX_WAY_M = 0.16
+MAX_FORWARD_M = 0.16
 MAX_TURN_RAD = math.radians(6)
 #: A lap takes this many times as long as at full speed, because of the turns; longer with walkers.
 _SLOWER = 1.25
 
-#: A lap takes about this many times as long as at full speed, because of the turns.
-_SLOWER = 1.25
-
 #: Free distance at which it drives at full speed, and at which it stops.
-_FULL_SPEED_WAY_M = 1.8
-_STOP_WAY_M = 0.35
+_FULL_SPEED_M = 1.8
+_STOP_M = 0.35
 #: Angle to its heading from which it only turns.
 _TURN_ONLY_RAD = math.radians(22)
 #: Share of the angle to its heading that it turns in a frame.
@@ -61,11 +58,11 @@ class Command:
     """How the robot moves in a frame.
 
     Attributes:
-        way_m: forward.
+        forward_m: how far forward.
         turn_rad: counter-clockwise.
     """
 
-    way_m: float
+    forward_m: float
     turn_rad: float
 
 
@@ -79,9 +76,9 @@ def command(steering: Steering) -> Command:
     turn_rad = max(-MAX_TURN_RAD, min(MAX_TURN_RAD, _TURN_GAIN * steering.steer_rad))
     if steering.depth_m is None:
         return Command(0.0, math.copysign(MAX_TURN_RAD, steering.steer_rad))
-    room = (steering.depth_m - _STOP_WAY_M) / (_FULL_SPEED_WAY_M - _STOP_WAY_M)
+    share = (steering.depth_m - _STOP_M) / (_FULL_SPEED_M - _STOP_M)
     ahead = 1 - abs(steering.steer_rad) / _TURN_ONLY_RAD
-    return Command(MAX_WAY_M * max(0.0, min(1.0, room)) * max(0.0, ahead), turn_rad)
+    return Command(MAX_FORWARD_M * max(0.0, min(1.0, share)) * max(0.0, ahead), turn_rad)
 
 
 class DriveWorld:
@@ -97,9 +94,9 @@ class DriveWorld:
         walkers: the walkers as they are now.
         robot: where the robot is now.
         path: where it has been, (x, y) in m.
-        turned_rad: how far round the square's middle it has come, in the sense it set out.
-        way_m: length of its path.
-        nearest_pass_m: least distance of its outline to a wall or walker so far.
+        turned_rad: how far round the square's middle it has come, in the direction of its start.
+        path_m: length of its path.
+        nearest_pass_m: minimum distance of its outline to a wall or walker so far.
         ended: why the drive ended; None while it goes on.
     """
 
@@ -122,12 +119,12 @@ class DriveWorld:
         self._paint = WalkerPaint(settings.walkers, rng)
         self._cameras = stereo_cameras(settings.rig)
         self._max_frames = settings.max_frames or math.ceil(
-            3 * settings.laps * self.lap_m / MAX_WAY_M
+            3 * settings.laps * self.lap_m / MAX_FORWARD_M
         )
         self.frames = 0
         self.path = [(self.robot.x_m, self.robot.y_m)]
         self.turned_rad = 0.0
-        self.way_m = 0.0
+        self.path_m = 0.0
         self.nearest_pass_m = math.inf
         self.ended: str | None = None
         self._judge()
@@ -135,7 +132,7 @@ class DriveWorld:
     @property
     def expected_frames(self) -> int:
         """About how many frames the laps take."""
-        frames = math.ceil(_SLOWER * self.settings.laps * self.lap_m / MAX_WAY_M)
+        frames = math.ceil(_SLOWER * self.settings.laps * self.lap_m / MAX_FORWARD_M)
         return min(frames, self.settings.max_frames or frames)
 
     @property
@@ -179,12 +176,12 @@ class DriveWorld:
     def act(self, move: Command) -> None:
         """Move the robot and the walkers by a frame; the robot keeps to its bounds."""
         before = self.robot
-        way_m = max(0.0, min(MAX_WAY_M, move.way_m))
+        forward_m = max(0.0, min(MAX_FORWARD_M, move.forward_m))
         turn_rad = max(-MAX_TURN_RAD, min(MAX_TURN_RAD, move.turn_rad))
         middle_rad = before.yaw_rad + turn_rad / 2
         self.robot = FloorPose(
-            before.x_m + way_m * math.cos(middle_rad),
-            before.y_m + way_m * math.sin(middle_rad),
+            before.x_m + forward_m * math.cos(middle_rad),
+            before.y_m + forward_m * math.sin(middle_rad),
             math.remainder(before.yaw_rad + turn_rad, math.tau),
         )
         inner_m, outer_m = self.corridor.inner_m, self.corridor.outer_m
@@ -200,7 +197,7 @@ class DriveWorld:
             for walker in self.walkers
         ]
         self.frames += 1
-        self.way_m += way_m
+        self.path_m += forward_m
         self.path.append((self.robot.x_m, self.robot.y_m))
         self.turned_rad += self._sense * _angle_between(before, self.robot)
         self._judge()

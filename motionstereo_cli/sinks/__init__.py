@@ -25,13 +25,13 @@ Kind = Literal["disparity", "depth", "table", "other"]
 
 
 class Sink(Protocol):
-    """Takes in the results of a run one by one; each method may raise OutputError."""
+    """Takes the results of a run one by one; each method may raise OutputError."""
 
     def write(self, result: FrameResult) -> None:
-        """Take in the result of the next frame."""
+        """Take the result of the next frame."""
 
     def checkpoint(self) -> object:
-        """Have the disk hold what was taken in so far.
+        """Make sure that all results so far are on the disk.
 
         Returns what a sink of the same output, opened ``since`` then, needs to go on from here.
         """
@@ -68,11 +68,11 @@ class Output:
     """An output that ``--save`` can ask for.
 
     Attributes:
-        path: where it lies under the output folder; ``{:06d}`` is the number of the frame.
+        path: its path under the output folder; ``{:06d}`` is the number of the frame.
         what: what it holds, with units.
         sink: module and function that make the sink from its path, the stream and a checkpoint.
-        needs_rig: it cannot be had without a rig.
-        needs_poses: nor without poses.
+        needs_rig: it needs a rig.
+        needs_poses: it needs poses.
         beside: further files that come with it.
         in_order: what it says of a frame depends on the frames before.
         kind: what its files are to a reader: images of disparity or of depth, a table, or other.

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from motionstereo_cli.sinks.scale import DepthScale
     from motionstereo_cli.types import StereoFrame
 
-#: Least height of a strip, and the width of picture for each px of it.
+#: Minimum height of a strip, and the width of picture for each px of it.
 _MIN_HEIGHT_PX, _WIDTH_PER_PX = 28, 36
 
 #: Share of the width that the text has; the scale has the rest.

@@ -14,19 +14,19 @@ if TYPE_CHECKING:
 HEADER = "frame,id,x,y,width,height,depth_m,closing_mps,time_to_contact_s,confidence"
 
 
-def object_row(frame: int, thing: MovingObject) -> str:
+def object_row(frame: int, item: MovingObject) -> str:
     """Return one row of the table, without its line end.
 
     Lengths, speeds and times have 3 decimals, confidence has 2. An empty cell is unknown.
     """
     return ",".join(
         [
-            *(str(frame), str(thing.id)),
-            *(str(thing.x), str(thing.y), str(thing.width), str(thing.height)),
-            cell(thing.depth_m, 3),
-            cell(thing.closing_mps, 3),
-            cell(thing.time_to_contact_s, 3),
-            cell(thing.confidence, 2),
+            *(str(frame), str(item.id)),
+            *(str(item.x), str(item.y), str(item.width), str(item.height)),
+            cell(item.depth_m, 3),
+            cell(item.closing_mps, 3),
+            cell(item.time_to_contact_s, 3),
+            cell(item.confidence, 2),
         ]
     )
 
@@ -36,7 +36,7 @@ class ObjectsFile(TableFile):
 
     def write(self, result: FrameResult) -> None:
         """Append the rows of a frame."""
-        self.add(object_row(result.frame.index, thing) for thing in result.objects)
+        self.add(object_row(result.frame.index, item) for item in result.objects)
 
 
 def objects_file(path: Path, _: RunContext, since: TableMark | None = None) -> ObjectsFile:

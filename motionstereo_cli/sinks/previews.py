@@ -165,8 +165,8 @@ def grey_picture(grey: Grey) -> NDArray[np.uint8]:
 def depth_picture(result: FrameResult, stream: RunContext) -> NDArray[np.uint8]:
     """Return depth in colour, (height, width, 3) uint8 RGB.
 
-    Where nothing at all is known, as at the begin of a recording, it is the reference view,
-    darkened: a picture that is black says nothing, and is what a file is shown by.
+    Where nothing at all is known, as at the beginning of a recording, it is the reference view,
+    darkened: a black picture says nothing, and players show it for the file.
     """
     if np.isnan(result.disparity_px).all():
         return grey_picture(reference_view(result, stream) // np.uint8(3))

@@ -39,7 +39,7 @@ _PIECE_BYTES = 1 << 20
 
 
 class TableFile:
-    """A table as a file that has its name only when it is complete: RFC 4180, but for LF.
+    """A table as a file that has its name only when it is complete: RFC 4180, with LF.
 
     Args:
         path: final name.
@@ -74,7 +74,7 @@ class TableFile:
             self._file.flush()
 
     def checkpoint(self) -> TableMark:
-        """Have the disk hold what was written so far."""
+        """Make sure that all so far is on the disk."""
         with reported(self._path):
             os.fsync(self._file.fileno())
             return self._file.tell(), self._sums.hexdigest()
@@ -146,7 +146,7 @@ class NumberedFiles:
         self._count(content)
 
     def checkpoint(self) -> FilesMark:
-        """Have the disk hold what was written so far."""
+        """Make sure that all so far is on the disk."""
         for path in self._unsynced:
             sync(path)
         self._unsynced.clear()

@@ -63,7 +63,7 @@ class Side:
     Attributes:
         paired: images used in pairs.
         early: images that came before the first of those.
-        repeated: images used that were the one before, while things moved in the other view.
+        repeated: images used that were the one before, while objects moved in the other view.
         loss: what was lost up to the last image that came.
         begin_s: time of the first image.
     """
@@ -128,6 +128,6 @@ def same(one: Grey, other: Grey) -> bool:
 
 
 def moves(shot: Shot, last: Shot) -> bool:
-    """Return whether things move from one image to the next of the same camera."""
+    """Return whether objects move from one image to the next of the same camera."""
     changed = cv2.absdiff(shot.views[-1], last.views[-1]) > _MOTION_GREY
     return not shot.repeats and float(np.mean(changed)) > _MOVING_SHARE

@@ -179,7 +179,7 @@ class StereoSource:
         ``skipped``: pairs left out by --start, --end and --every. For ``left`` and ``right``:
         ``read`` = ``paired`` + ``unpaired`` + ``damaged``, where damaged images are those that
         should have come and did not; ``flawed``: came with visible errors, and were used;
-        ``repeated``: were the image before once more while things moved in the other view, and
+        ``repeated``: were the image before once more while objects moved in the other view, and
         were used;
         ``unread``: about how many follow, None if unknown.
         """

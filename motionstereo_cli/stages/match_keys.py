@@ -16,7 +16,7 @@ def match_keys(
     """Return the unit of each pixel, (height, width) uint16; 0 = at rest, never matches.
 
     Pixels of equal unit may correspond. The unit is only the charge, as in the paper, or with
-    ``bands`` the charge and the grey-level band: on finely textured things everything is fully
+    ``bands`` the charge and the grey-level band: on finely textured objects everything is fully
     charged, and the charge says little by itself.
 
     Args:

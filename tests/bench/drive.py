@@ -33,7 +33,7 @@ SETTINGS = Settings(robot_radius_m=ROBOT_RADIUS_M)
 _KEY = ("depth", "seed", "walkers", "laps_wanted", "noise_sigma")
 _COLUMNS = (
     *_KEY,
-    *("ended", "laps", "frames", "nearest_pass_m", "way_m", "lap_m"),
+    *("ended", "laps", "frames", "nearest_pass_m", "path_m", "lap_m"),
 )
 
 
@@ -87,7 +87,7 @@ def drive_once(depth: str, settings: DriveSettings) -> dict[str, str]:
     values = (
         *(depth, settings.seed, settings.walkers, settings.laps, settings.noise_sigma),
         *(world.ended, f"{world.laps:.4f}", world.frames, f"{world.nearest_pass_m:.3f}"),
-        *(f"{world.way_m:.2f}", f"{world.lap_m:.2f}"),
+        *(f"{world.path_m:.2f}", f"{world.lap_m:.2f}"),
     )
     return dict(zip(_COLUMNS, map(str, values), strict=True))
 
@@ -106,7 +106,7 @@ def summary(rows: Sequence[dict[str, str]]) -> str:
         touched = [row for row in mine if row["ended"].startswith("touched")]
         done = sum(row["ended"] == "laps done" for row in mine)
         lengths = [
-            float(row["way_m"]) / float(row["laps"]) / float(row["lap_m"])
+            float(row["path_m"]) / float(row["laps"]) / float(row["lap_m"])
             for row in mine
             if float(row["laps"]) >= 0.5
         ]
