@@ -82,6 +82,16 @@ def steering():
     return block("steering", (DOCS / "outputs.md").read_text(encoding="utf-8"))[2]
 
 
+def figures():
+    """What the pages of measurements say in one sentence each."""
+    lines = []
+    for name in ("accuracy", "speed", "reliability"):
+        path = DOCS / f"{name}.md"
+        said = " ".join(block("summary", path.read_text(encoding="utf-8"))[2].split())
+        lines.append(f"- **[{name.title()}]({path.relative_to(ROOT).as_posix()}).** {said}")
+    return "\n".join(lines)
+
+
 def commands():
     rows = [[f"`{name}`", each.help.partition("\n")[0]] for name, each in cli.commands.items()]
     return table(["command", "what it does"], rows)
@@ -133,6 +143,7 @@ GENERATED = {
     (README, "default outputs"): lambda: outputs(DEFAULT_OUTPUTS, with_name=False),
     (README, "steering"): steering,
     (README, "topics"): topics,
+    (README, "figures"): figures,
     (DOCS / "input.md", "findings"): findings,
     (DOCS / "outputs.md", "outputs"): lambda: outputs(OUTPUTS, with_name=True),
 }
