@@ -262,6 +262,12 @@ def test_the_short_help_of_run_fits_a_screen_and_the_full_one_has_all(capsys):
     assert capsys.readouterr().out == full
 
 
+@pytest.mark.parametrize("name", [name for name in cli.commands if name != "help"])
+def test_every_command_has_the_full_help(name, capsys):
+    assert main([name, "--help-all"]) == 0
+    assert f"Usage: motionstereo {name}" in capsys.readouterr().out
+
+
 @pytest.mark.parametrize("name", cli.commands)
 def test_a_command_without_its_arguments_shows_how_it_is_used(name, capsys):
     if any(each.required for each in cli.commands[name].params):

@@ -9,6 +9,7 @@ from typing import Any
 import click
 
 from motionstereo_cli.analysis.settings import COLUMN_TOLERANCE, CompareSettings
+from motionstereo_cli.commands.grouped import GroupedCommand
 from motionstereo_cli.commands.messages import say
 from motionstereo_cli.commands.options import config_files, settings_options
 from motionstereo_cli.errors import DIFFERENT_EXIT_CODE
@@ -35,7 +36,7 @@ def _tolerances(
     return tolerances
 
 
-@click.command()
+@click.command(cls=GroupedCommand)
 @click.argument("actual", type=click.Path(path_type=Path))
 @click.argument("golden", type=click.Path(path_type=Path))
 @click.option(

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import click
 
+from motionstereo_cli.commands.grouped import GroupedCommand
 from motionstereo_cli.commands.messages import say
 from motionstereo_cli.commands.options import config_files, config_option
 
@@ -14,7 +15,7 @@ _TABLE = click.Path(dir_okay=False, allow_dash=True, path_type=Path)
 _STDOUT = Path("-")
 
 
-@click.command()
+@click.command(cls=GroupedCommand)
 @click.argument("result", metavar="OUT", type=click.Path(path_type=Path))
 @click.argument("truth", type=click.Path(path_type=Path))
 @click.option(

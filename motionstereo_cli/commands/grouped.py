@@ -44,19 +44,16 @@ class GroupedCommand(click.Command):
 
     def get_params(self, ctx: click.Context) -> list[click.Parameter]:
         """Return the parameters, ``--help`` and, if there is more to show, ``--help-all``."""
-        found = super().get_params(ctx)
-        if len(grouped(self.params)) > 1:
-            found.append(
-                click.Option(
-                    ["--help-all"],
-                    is_flag=True,
-                    is_eager=True,
-                    expose_value=False,
-                    callback=_show_all,
-                    help="Show all options and exit.",
-                )
-            )
-        return found
+        option = click.Option(
+            ["--help-all"],
+            is_flag=True,
+            is_eager=True,
+            expose_value=False,
+            callback=_show_all,
+            hidden=len(grouped(self.params)) == 1,
+            help="Show all options and exit.",
+        )
+        return [*super().get_params(ctx), option]
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the options: all of them, or the first sentence of the common ones."""

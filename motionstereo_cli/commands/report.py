@@ -6,10 +6,11 @@ from pathlib import Path
 
 import click
 
+from motionstereo_cli.commands.grouped import GroupedCommand
 from motionstereo_cli.commands.messages import say
 
 
-@click.command()
+@click.command(cls=GroupedCommand)
 @click.argument("out", type=click.Path(path_type=Path))
 @click.option(
     "-o",
@@ -22,9 +23,9 @@ from motionstereo_cli.commands.messages import say
 def report(*, out: Path, page: Path | None) -> int:
     """Show a run, or a batch of runs, as one page to be opened in a browser.
 
-    OUT is a folder that run wrote, complete or not, or that of a batch. The page needs no
-    network. That of a run plays the videos of OUT as long as they lie where they are, and shows
-    one frame of each where not. That of a batch has a row for each recording, failures first.
+    OUT is a folder that run wrote, complete or not, or the folder of a batch. The page needs no
+    network. For a run it plays the videos of OUT as long as they stay where they are, and otherwise
+    shows one frame of each. For a batch it has a row for each recording, failures first.
     """
     from motionstereo_cli.report import PAGE, write_report
     from motionstereo_cli.report.batch_page import TABLE, batch_page

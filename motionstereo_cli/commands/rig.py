@@ -7,6 +7,7 @@ from pathlib import Path
 
 import click
 
+from motionstereo_cli.commands.grouped import GroupedCommand
 from motionstereo_cli.commands.messages import say
 from motionstereo_cli.commands.options import baseline_unit_option
 
@@ -24,7 +25,7 @@ def _two_numbers(
     return int(found[1]), int(found[2])
 
 
-@click.command()
+@click.command(cls=GroupedCommand)
 @click.argument(
     "files", metavar="FILE...", nargs=-1, required=True, type=click.Path(path_type=Path)
 )
