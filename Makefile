@@ -12,8 +12,7 @@ GOLDEN = steering,depth,disparity
 demo: $(READY)  ## run the main job on sample_data
 	$(BIN)/motionstereo run sample_data/left.mp4 sample_data/right.mp4 \
 		--rig sample_data/rig.yaml --out out/demo --overwrite \
-		--save steering,depth,charge,depth-video,objects,view-video,preview
-	$(BIN)/motionstereo report out/demo
+		--save report,preview
 	@echo "Open out/demo/report.html in a browser. preview.mp4 plays anywhere; steering.csv has a row for each frame."
 
 test: $(READY)  ## run the tests

@@ -255,3 +255,40 @@ def test_a_batch_table_of_another_kind_is_one_line(tmp_path, capsys, content):
 def test_a_batch_with_few_columns_is_shown(tmp_path):
     (tmp_path / "batch.csv").write_text("name,status\nx,new kind\n")
     assert "new kind" in page_of(tmp_path)
+
+
+# The page as an output of the run.
+
+
+@pytest.fixture(scope="session")
+def with_page(recording):
+    out = recording.parent / "with page"
+    views = [str(recording / f"{side}.mp4") for side in ("left", "right")]
+    given = ["-o", str(out), "--rig", str(recording / "rig.yaml"), "--save", "report"]
+    assert main(["run", *views, *given]) == 0
+    return out
+
+
+def test_a_run_writes_the_page_that_the_command_writes(with_page):
+    page = (with_page / "report.html").read_text(encoding="utf-8")
+    assert page_of(with_page) == page
+    assert re.findall(r'<video src="([^"]*)"', page) == ["view.mp4", "charge.mp4", "depth.mp4"]
+    assert data_in(page)["objects"] is not None
+    assert "Histogram of depth" in page
+
+
+def test_a_new_run_takes_the_page_of_the_old_one_away(copy, recording):
+    page_of(copy)
+    views = [str(recording / f"{side}.mp4") for side in ("left", "right")]
+    again = ["run", *views, "-o", str(copy), "--save", "steering", "--overwrite"]
+    assert main(again) == 0
+    assert {path.name for path in copy.iterdir()} == {"run.json", "steering.csv"}
+
+
+def test_a_page_of_somebody_else_stays(copy, recording, capsys):
+    (copy / "report.html").write_text("mine")
+    views = [str(recording / f"{side}.mp4") for side in ("left", "right")]
+    assert main(["run", *views, "-o", str(copy), "--save", "report", "--overwrite"]) == 1
+    assert "report.html is not from" in capsys.readouterr().err
+    assert (copy / "report.html").read_text() == "mine"
+    assert (copy / "run.json").exists()

@@ -16,6 +16,7 @@ from typing import Any
 from motionstereo_cli.batch.checkpoint import frames_of
 from motionstereo_cli.files.atomic import is_segment, part_of
 from motionstereo_cli.files.reading import open_regular
+from motionstereo_cli.report import PAGE, is_report
 from motionstereo_cli.sinks import OUTPUTS, RECORD
 
 #: What a run needs to go on after its process is gone; removed when it is complete.
@@ -81,6 +82,8 @@ def written(out: Path, kind: FolderKind) -> set[Path]:
         for target in (path for name in names for path in kind.outputs[name]):
             present = present_of(out, target)
             written |= up_to(frames, present, at_least) if "{" in target else present
+        if kind is RUN and is_report(out / PAGE):
+            written.add(out / PAGE)  # of the command report
     return written
 
 

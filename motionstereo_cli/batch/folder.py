@@ -31,6 +31,7 @@ from motionstereo_cli.batch.sinks import Sinks
 from motionstereo_cli.errors import OutputError
 from motionstereo_cli.files.atomic import part_of, remove, reported, write_whole
 from motionstereo_cli.files.lock import LOCK, locked
+from motionstereo_cli.report import PAGE, write_report
 
 if TYPE_CHECKING:
     from motionstereo_cli.pipeline import State
@@ -126,6 +127,11 @@ class RunFolder(Sinks):
             OutputError: it cannot be written.
         """
         said = {**self._identity, **record}
+        if self._kind is RUN and "report" in self._outputs:
+            from motionstereo_cli.report.run_page import run_page
+
+            page = self.path / PAGE
+            write_report(page, run_page(self.path, page, said))
         if self._kind.keeps:
             with reported(self.path):
                 said["sums"] = {

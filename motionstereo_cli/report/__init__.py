@@ -27,6 +27,8 @@ def write_report(path: Path, html: str) -> None:
 
 
 def is_report(path: Path) -> bool:
-    """Return whether a file is a page that this program made."""
+    """Return whether there is a page that this program made."""
+    if not path.is_file() or path.is_symlink():
+        return False
     with reported(path), path.open("rb") as file:
         return GENERATOR.encode() in file.read(1000)

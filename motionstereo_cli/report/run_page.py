@@ -71,7 +71,7 @@ def run_page(out: Path, page: Path, record: Mapping[str, Any] | None = None) -> 
         map=_map(run),
         troubles=troubles(said, shares),
         changed=list(changed(said)),
-        command=command(said, out),
+        command=command(said),
         outputs=_outputs(run),
     )
 

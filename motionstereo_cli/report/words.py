@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Iterator, Mapping, Sequence
-from pathlib import Path
 from typing import Any, NamedTuple
 
 from motionstereo_cli.params import Param, params
+from motionstereo_cli.rig.settings import PoseSettings
 from motionstereo_cli.settings import Settings
 from motionstereo_cli.sinks import DEFAULT_OUTPUTS
 from motionstereo_cli.sinks.settings import OutputSettings
@@ -18,6 +18,7 @@ GROUPS: Mapping[str, type] = {
     "input_settings": InputSettings,
     "settings": Settings,
     "output_settings": OutputSettings,
+    "pose_settings": PoseSettings,
 }
 
 
@@ -45,14 +46,13 @@ def changed(record: Mapping[str, Any]) -> Iterator[Changed]:
                 yield Changed(item, values[item.name])
 
 
-def command(record: Mapping[str, Any], out: Path) -> str | None:
+def command(record: Mapping[str, Any]) -> str | None:
     """Return the command that runs it again, for a shell; None where the record has no inputs."""
     inputs = record.get("inputs")
     if not inputs:
         return None
     words = ["motionstereo", "run", *(each["path"] for each in inputs.values())]
     words += record.get("options", [])
-    words += ["-o", str(out)]
     save = list(record.get("outputs", {}))
     if tuple(save) != DEFAULT_OUTPUTS:
         words += ["--save", ",".join(save)]

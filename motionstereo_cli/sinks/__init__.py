@@ -75,6 +75,7 @@ class Output:
         needs_poses: it needs poses.
         beside: further files that come with it.
         in_order: what it says of a frame depends on the frames before.
+        brings: other outputs that come with it, because it is made of them.
         kind: what its files are to a reader: images of disparity or of depth, a table, or other.
     """
 
@@ -84,6 +85,7 @@ class Output:
     needs_rig: bool = False
     needs_poses: bool = False
     beside: tuple[str, ...] = ()
+    brings: tuple[str, ...] = ()
     kind: Kind = "other"
     in_order: bool = False
 
@@ -227,6 +229,13 @@ OUTPUTS = {
         "previews.preview",
         in_order=True,
     ),
+    "report": Output(
+        "report.html",
+        "all of it as one page for a browser; it brings the outputs that it shows",
+        "page.page",
+        brings=("steering", "objects", "depth", "view-video", "charge", "depth-video"),
+        in_order=True,
+    ),
     "charge": Output(
         "charge.mp4", "permanency memory of the reference view, charge as grey", "previews.charge"
     ),
@@ -265,7 +274,9 @@ _WITHOUT_RIG = {"depth": "disparity", "depth-pfm": "disparity-pfm"}
 def available(
     save: Sequence[str], *, rig: bool, poses: bool = False, steering_format: str = "csv"
 ) -> tuple[str, ...]:
-    """Return the outputs to write, each once; without a rig, disparity takes depth's place.
+    """Return the outputs to write, each once, with those that they bring.
+
+    Without a rig, disparity takes the place of depth.
 
     Raises:
         SettingsError: an output without such a substitute needs a rig, or one needs poses.
@@ -273,7 +284,8 @@ def available(
     instead = {} if rig else _WITHOUT_RIG
     if steering_format != "csv":
         instead = instead | {"steering": f"steering-{steering_format}"}
-    names = tuple(dict.fromkeys(instead.get(name, name) for name in save))
+    wanted = [each for name in save for each in (*OUTPUTS[name].brings, name)]
+    names = tuple(dict.fromkeys(instead.get(name, name) for name in wanted))
     for name in names:
         if OUTPUTS[name].needs_rig and not rig:
             raise SettingsError(f"--save {name} needs --rig: without it nothing is in metres")
