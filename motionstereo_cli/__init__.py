@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     from motionstereo_cli.rig.calibration import rectify_source
     from motionstereo_cli.rig.poses import read_poses
     from motionstereo_cli.rig.rig_file import read_rig
+    from motionstereo_cli.rig.settings import PoseSettings
     from motionstereo_cli.settings import Settings
     from motionstereo_cli.sources.opening import open_stereo
     from motionstereo_cli.sources.settings import InputSettings, adapted_rig
@@ -21,6 +22,7 @@ __all__ = [
     "FrameResult",
     "InputSettings",
     "MotionStereoError",
+    "PoseSettings",
     "Rig",
     "Settings",
     "Steering",
@@ -39,6 +41,7 @@ _MODULES = {
     "rig.calibration": ("rectify_source",),
     "rig.poses": ("read_poses",),
     "rig.rig_file": ("read_rig",),
+    "rig.settings": ("PoseSettings",),
     "settings": ("Settings",),
     "sources.settings": ("InputSettings", "adapted_rig"),
     "sources.opening": ("open_stereo",),

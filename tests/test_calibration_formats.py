@@ -379,7 +379,7 @@ def test_sign_of_the_right_projection(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("translation", "complaint"),
     [
-        ([0.001, -0.12, 0.0], "one above the other: turn both recordings by 90 degrees"),
+        ([0.001, -0.12, 0.0], "one above the other: turn both views .--rotate-left 270"),
         ([0.0, 0.02, 0.12], "one behind the other"),
     ],
 )

@@ -25,6 +25,16 @@ from test_calibration import (
     opencv_file,
     ros_files,
 )
+from test_calibration_formats import (
+    depthai,
+    kalibr,
+    nested_json,
+    nested_parts,
+    npz,
+    orb_slam_2,
+    orb_slam_3,
+    zed,
+)
 from test_compare import RECORD, STEERING, written
 from test_rig import VALUES, rig_file
 
@@ -38,6 +48,7 @@ from motionstereo_cli.rig.calibration import read_calibration
 from motionstereo_cli.rig.poses import read_poses
 from motionstereo_cli.sinks.reading import Maps, read_table
 from motionstereo_cli.sources.folder import FolderRecording
+from motionstereo_cli.types import Rig
 
 #: A warning of NumPy's would be talk that no user can follow.
 pytestmark = pytest.mark.filterwarnings("error")
@@ -147,6 +158,18 @@ def test_calibration_files(fuzz, tmp_path):
     fuzz(damaged(samples), check, finds)
 
 
+def test_calibration_files_of_other_programs(fuzz, tmp_path):
+    writers = [kalibr, orb_slam_2, orb_slam_3, depthai, zed, nested_json, nested_parts, npz]
+    samples = [write(tmp_path).read_bytes() for write in writers]
+    path = tmp_path / "calibration"
+
+    def check(content):
+        path.write_bytes(content)
+        check_calibration(result_of(read_calibration, [path], SIZE))
+
+    fuzz(damaged(samples), check)
+
+
 def test_pairs_of_calibration_files(fuzz, tmp_path):
     pairs = [euroc_files(tmp_path), ros_files(tmp_path)]
     samples = [(left.read_bytes(), right.read_bytes()) for left, right in pairs]
@@ -176,18 +199,24 @@ def check_calibration(calibration):
 
 
 def test_poses(fuzz, tmp_path):
-    path = tmp_path / "poses.txt"
-    lines = [f"{t / 10} {t} -0.5 1.2 0 0 {math.sin(t)} {math.cos(t)}" for t in range(5)]
+    path, rig = tmp_path / "poses.txt", Rig(64, 48, 50.0, 0.1, 32.0, 24.0)
+    turns = [(math.sin(t), math.cos(t)) for t in range(5)]
+    tum = [f"{t / 10} {t} -0.5 1.2 0 0 {sin} {cos}" for t, (sin, cos) in enumerate(turns)]
+    euroc = [f"{t}00000000,{t},0,1.2,{cos},0,0,{sin},0" for t, (sin, cos) in enumerate(turns)]
+    kitti = [f"{cos} {-sin} 0 {t} {sin} {cos} 0 0 0 0 1 0" for t, (sin, cos) in enumerate(turns)]
+    heads = "# poses", "#timestamp, x [m], y [m], z [m], q_w, q_x, q_y, q_z, v", ""
+    samples = zip(heads, (tum, euroc, kitti), strict=True)
 
     def check(content):
         path.write_bytes(content)
-        trajectory = result_of(read_poses, path)
+        trajectory = result_of(read_poses, path, None, rig, np.eye(4))
         if trajectory is not None:
+            result_of(trajectory.check_covers, 0.0, 0.3)
             for time_s in (*trajectory.time_s, 0.05, 0.3):
                 pose = result_of(trajectory.at, time_s)
                 assert pose is None or math.isfinite(pose.yaw_rad)
 
-    fuzz(damaged([b"# poses\n" + "\n".join(lines).encode()]), check)
+    fuzz(damaged(["\n".join([head, *lines]).encode() for head, lines in samples]), check)
 
 
 CONFIG = b"""max-disparity = 96

@@ -380,8 +380,8 @@ def _check_direction(name: str, translation: Matrix) -> None:
         return
     x, y, z = (float(each) for each in translation)
     stand = (
-        "one above the other: turn both recordings by 90 degrees (the upper camera's is then the "
-        "left or right one) and calibrate the turned images"
+        "one above the other: turn both views (--rotate-left 270 --rotate-right 270 makes the "
+        "upper camera the left one) and give the calibration of the turned images"
         if ty >= tz
         else "one behind the other, where stereo finds no depth: check the file"
     )

@@ -47,12 +47,16 @@ def read_structure(path: Path, text: str) -> Values:
     try:
         values = read(text)
     except (ValueError, RecursionError, yaml.YAMLError, ET.ParseError, configparser.Error) as error:
-        reason = " ".join(str(error).split())[:120] or "it is nested too deeply"
         raise InputError(
-            f"{path} is not a calibration file that can be read ({reason}): "
+            f"{path} is not a calibration file that can be read ({_reason(error)}): "
             "check that it is whole YAML, JSON, XML or text"
         ) from None
     return values if isinstance(values, dict) else {}
+
+
+def _reason(error: Exception) -> str:
+    """Return what an error says in one short line; those of libraries quote the file."""
+    return " ".join(str(error).split())[:120] or "it is damaged"
 
 
 def read_npz(path: Path, content: bytes) -> Values:
@@ -74,7 +78,7 @@ def read_npz(path: Path, content: bytes) -> Values:
         return values
     except (ValueError, OSError, EOFError, RuntimeError, zipfile.BadZipFile, zlib.error) as error:
         raise InputError(
-            f"{path} cannot be read as .npz ({error}): save it again with numpy.savez"
+            f"{path} cannot be read as .npz ({_reason(error)}): save it again with numpy.savez"
         ) from None
 
 

@@ -26,6 +26,12 @@ _ROTATION_TOLERANCE = 1e-2
 #: What may say which model a lens has.
 _MODELS = ("distortionmodel", "cameramodel", "lensmodel", "model", "distortiontype", "cameratype")
 
+#: What may say that it is a fisheye, and how.
+_FISHEYE_FLAGS, _TRUE = (
+    ("fisheyemodel", "fisheye", "isfisheye", "usefisheye"),
+    ("true", "1.0", "yes"),
+)
+
 #: Parts of nested names that say nothing, and those that say which camera is meant.
 _WRAPPERS = re.compile(
     "(stereo|calibration|cameras?|intrinsics?|extrinsics?|distortion|parameters|params|rig)"
@@ -141,14 +147,10 @@ class Source:
     def lenses(self, models: Sequence[str] = _MODELS) -> list[str]:
         """Return the names of lens models that the file gives, which are known ones."""
         said = [self.text(name) for name in models]
-        if self.number_or_none("fisheyemodel") or self.text("fisheye") in ("true", "1.0"):
+        if any(self.text(name) in _TRUE for name in _FISHEYE_FLAGS):
             said.append("fisheye")
         known_lenses(self.name, said)
         return said
-
-    def number_or_none(self, name: str) -> float | None:
-        """Return a number; None where it is missing."""
-        return self.number((name,), name) if self.find((name,)) else None
 
     def text(self, *names: str) -> str:
         """Return the text under any of the names in lower case, empty where it is missing."""
