@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import pickle
 import sys
 import zipfile
@@ -24,6 +25,7 @@ from test_calibration import (
     KITTI,
     LENGTH_M,
     MIDDLEBURY,
+    POINTS_M,
     SIZE,
     R,
     T,
@@ -38,7 +40,9 @@ from motionstereo_cli.__main__ import main
 from motionstereo_cli.errors import InputError
 from motionstereo_cli.rig import format_rig, read_rig
 from motionstereo_cli.rig.calibration import Calibration, read_calibration
+from motionstereo_cli.rig.cameras import Camera, Pair
 from motionstereo_cli.rig.formats import FORMATS, read_files
+from motionstereo_cli.rig.turned import turned
 from motionstereo_cli.sources.settings import InputSettings, adapted_rig
 
 RIGHT_FROM_LEFT = np.vstack([np.column_stack([R, T]), [0, 0, 0, 1]])
@@ -379,7 +383,7 @@ def test_sign_of_the_right_projection(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("translation", "complaint"),
     [
-        ([0.001, -0.12, 0.0], "one above the other: turn both views .--rotate-left 270"),
+        ([0.001, -0.12, 0.0], "one above the other: turn both views, with --rotate-left 270"),
         ([0.0, 0.02, 0.12], "one behind the other"),
     ],
 )
@@ -397,6 +401,53 @@ def test_projections_of_cameras_above_each_other(tmp_path: Path) -> None:
     path.write_text(f"{KITTI.splitlines()[0]}\nP1: {p1}\n")
     with pytest.raises(InputError, match="one above the other"):
         read_calibration([path], (1241, 376))
+
+
+@pytest.mark.parametrize("degrees", [90, 270])
+@pytest.mark.parametrize("fisheye_lens", [False, True])
+def test_a_turned_camera_sees_the_turned_image(degrees: int, fisheye_lens: bool) -> None:
+    coefficients = F1 if fisheye_lens else np.array([*D1, 0.01, 0.02, 0.003, *D2[:4] / 10])
+    camera = Camera(K1, coefficients, fisheye_lens)
+    pair = turned("x", Pair("x", (camera, camera)), SIZE, degrees)
+    assert pair.cameras is not None
+    project = cv2.fisheye.projectPoints if fisheye_lens else cv2.projectPoints
+    axis = np.array([0, 0, math.radians(degrees)])
+
+    def seen(one: Camera, turn: np.ndarray) -> np.ndarray:
+        found = project(POINTS_M[:, None], turn, np.zeros(3), one.matrix, one.distortion)
+        return np.asarray(found[0]).reshape(-1, 2)
+
+    x, y = seen(camera, np.zeros(3)).T
+    wanted = (SIZE[1] - 1 - y, x) if degrees == 90 else (y, SIZE[0] - 1 - x)
+    np.testing.assert_allclose(seen(pair.cameras[0], axis).T, wanted, atol=1e-6)
+
+
+@pytest.mark.parametrize("kind", ["opencv", "fisheye", "projections"])
+def test_cameras_one_above_the_other_are_turned(tmp_path: Path, kind: str) -> None:
+    """The upper camera is the first, so it is the left one where the top goes to the left."""
+    below_m = np.array([0.001, -0.12, 0.002])
+    if kind == "projections":
+        path = tmp_path / "calib.txt"
+        p1 = "718.856 0 607.1928 0 0 718.856 185.2157 -86.26272 0 0 1 0"
+        path.write_text(f"{KITTI.splitlines()[0]}\nP1: {p1}\n")
+        size = 1241, 376
+    else:
+        model = {"D1": F1, "D2": F2, "distortion_model": "fisheye"} if kind == "fisheye" else {}
+        path = opencv_file(tmp_path / "c.yml", R=np.eye(3), T=below_m, **model)
+        size = SIZE
+    upright = size[1], size[0]
+    found = read_calibration([path], upright, turned_deg=270)
+    assert (found.rig.width, found.rig.height) == upright
+    assert found.rig.baseline_m == pytest.approx(0.12, abs=1e-4)
+    # Turned to the other side, the lower camera would be the left one.
+    if kind == "projections":
+        other = read_calibration([path], upright, turned_deg=90)
+        assert any("the other way round" in line for line in other.warnings)
+    else:
+        with pytest.raises(InputError, match="stands left of the first"):
+            read_calibration([path], upright, turned_deg=90)
+    with pytest.raises(InputError):
+        read_calibration([path], size)
 
 
 @pytest.mark.parametrize("factor", [0.5, 2.0])

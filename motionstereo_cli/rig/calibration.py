@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import math
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -16,42 +15,36 @@ import numpy as np
 
 from motionstereo_cli.errors import InputError
 from motionstereo_cli.files.reading import MAX_PIXELS
-from motionstereo_cli.rig.cameras import Pair, checked_intrinsics
+from motionstereo_cli.rig.cameras import Pair
 from motionstereo_cli.rig.formats import read_files
+from motionstereo_cli.rig.rectify import (
+    BASELINE_UNITS,
+    LONGEST_BASELINE_M,
+    check_centres,
+    inside,
+    maps_of,
+    max_moved_px,
+    rig_of,
+    transforms_of,
+)
 from motionstereo_cli.rig.slam import read_ros
 from motionstereo_cli.rig.structure import read_structure
+from motionstereo_cli.rig.turned import is_vertical, turned
 from motionstereo_cli.types import Rig
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from motionstereo_cli.rig.cameras import Camera, Matrix, Rectified
+    from motionstereo_cli.rig.cameras import Camera, Matrix
+    from motionstereo_cli.rig.rectify import Maps
     from motionstereo_cli.sources import StereoSource
-    from motionstereo_cli.types import Grey, Real
+    from motionstereo_cli.types import Grey
 
-    Maps = tuple[Real, Real]
     Rectifier = Callable[[Grey], Grey]
-
-BASELINE_UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
-
-#: Baselines beyond these are hardly in the unit that a file has or seems to have.
-_LONGEST_BASELINE_M = 2.0
-_SHORTEST_BASELINE_MM = 2.0
 
 #: Images that move by less than this need no rectification.
 _NEGLIGIBLE_PX = 0.05
 
 #: Rectified images that keep less than this share of the recorded ones come from a wrong file.
 _MIN_COVERAGE = 0.3
-
-#: A principal point lies about in the middle. One that lies, in both axes and both images, as if
-#: the size were this many times another is of a calibration for that other size; both axes agree
-#: within this share.
-_OTHER_SIZE, _SIZES_AGREE = 1.3, 0.15
-
-#: Focal lengths, as shares, and rows of the principal points, in px, that rectified cameras share.
-_FOCAL_TOLERANCE = 0.005
-_ROW_TOLERANCE_PX = 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,6 +111,7 @@ def read_calibration(
     baseline_unit: str | None = None,
     pair: tuple[int, int] | None = None,
     max_pixels: int = MAX_PIXELS,
+    turned_deg: int = 0,
 ) -> Calibration:
     """Read the calibration of a stereo camera.
 
@@ -132,6 +126,8 @@ def read_calibration(
             says, or a guess where that gives an unlikely baseline.
         pair: numbers of the left and right camera, for KITTI.
         max_pixels: largest width times height of the images.
+        turned_deg: by how much the images are turned clockwise after they are recorded, 90 or
+            270; the calibration of cameras one above the other is then turned as well.
 
     Raises:
         InputError: a file cannot be read, lacks or spoils a value, is for another size, or does not
@@ -141,6 +137,9 @@ def read_calibration(
     read = read_files(paths, size, pair)
     if isinstance(read, Rig):
         return _of_rig(read, name, size, baseline_unit, max_pixels)
+    recorded = read.size or (size and (size[1], size[0]))
+    if turned_deg in (90, 270) and recorded and is_vertical(read):
+        read = turned(name, read, recorded, turned_deg)
     return _of_pair(read, name, size, baseline_unit, max_pixels)
 
 
@@ -154,27 +153,27 @@ def _of_pair(
     stated, size = read.size, _agreed_size(name, read.size, size, max_pixels)
     cameras = read.cameras
     if cameras is not None:
-        _check_centres(name, [camera.matrix for camera in cameras], size, stated=bool(stated))
+        check_centres(name, [camera.matrix for camera in cameras], size, stated=bool(stated))
     elif read.rectified is not None:
         matrices = [projection for _, projection in read.rectified]
-        _check_centres(name, matrices, size, stated=bool(stated), outside=True)
-    transforms = read.rectified or _rectified(name, read, cameras, size)
+        check_centres(name, matrices, size, stated=bool(stated), outside=True)
+    transforms = read.rectified or transforms_of(name, read, cameras, size)
     (_, first), (_, second) = transforms
-    rig, warnings = _rig_of(name, (first, second), size, read.unit, baseline_unit)
+    rig, warnings = rig_of(name, (first, second), size, read.unit, baseline_unit)
     calibration = Calibration(rig, read.kind, "rectified images", warnings=read.notes + warnings)
     if cameras is None:
         return calibration
     left, right = (
-        _maps(camera, rotation, projection, size)
+        maps_of(camera, rotation, projection, size)
         for camera, (rotation, projection) in zip(cameras, transforms, strict=True)
     )
-    coverage = float((_inside(left, size) & _inside(right, size)).mean())
+    coverage = float((inside(left, size) & inside(right, size)).mean())
     if coverage < _MIN_COVERAGE:
         raise InputError(
             f"{name}: rectified, only {coverage:.0%} of the image would be left: "
             "check that the calibration is of this camera and in this order"
         )
-    needed = max(_max_moved_px(left), _max_moved_px(right)) > _NEGLIGIBLE_PX
+    needed = max(max_moved_px(left), max_moved_px(right)) > _NEGLIGIBLE_PX
     return dataclasses.replace(
         calibration,
         model=_model(cameras),
@@ -216,6 +215,7 @@ def rectify_source(
         return calibration
     if not paths:
         return None
+    s = source.settings
     numbers = [re.findall(r"image_0?(\d)", str(path)) for path in source.paths]
     pair = (
         (int(numbers[0][-1]), int(numbers[1][-1])) if len(numbers) == 2 and all(numbers) else None
@@ -225,7 +225,8 @@ def rectify_source(
         size,
         baseline_unit=baseline_unit,
         pair=pair,
-        max_pixels=source.settings.max_pixels,
+        max_pixels=s.max_pixels,
+        turned_deg=s.rotate_left if s.rotate_left == s.rotate_right else 0,
     )
     if calibration.maps is not None:
         source.rectify(*calibration.rectifiers())
@@ -254,7 +255,7 @@ def _of_rig(
     _agreed_size(name, (rig.width, rig.height), size, max_pixels)
     rig = dataclasses.replace(rig, baseline_m=rig.baseline_m * BASELINE_UNITS[baseline_unit or "m"])
     warnings: tuple[str, ...] = ()
-    if rig.baseline_m > _LONGEST_BASELINE_M:
+    if rig.baseline_m > LONGEST_BASELINE_M:
         warnings = (
             f"{name}: a baseline of {rig.baseline_m:g} m is long: "
             "if it is in mm, say --baseline-unit mm",
@@ -278,212 +279,6 @@ def _agreed_size(
             f"{name}: images of {size[0]:.7g}x{size[1]:.7g} px are far too large: check the file"
         )
     return size
-
-
-def _check_centres(
-    name: str,
-    matrices: Sequence[Matrix],
-    size: tuple[int, int],
-    *,
-    stated: bool,
-    outside: bool = False,
-) -> None:
-    """Make sure that principal points are those of images of a size.
-
-    Args:
-        name: for messages.
-        matrices: intrinsic matrices or projections, left and right.
-        size: of the images.
-        stated: the file says the size itself, so that a point out of the middle is meant.
-        outside: a principal point may lie outside the image, as those of rectified ones do.
-    """
-    # The size that has these points in its middle.
-    likely = [[2 * matrix[axis, 2] + 1 for axis in (0, 1)] for matrix in matrices]
-    shares = np.array(likely) / size
-    mean = float(shares.mean())
-    elsewhere = (
-        (shares > 0).all()
-        and max(mean, 1 / mean) > _OTHER_SIZE
-        and np.abs(shares / mean - 1).max() < _SIZES_AGREE
-    )
-    inside = all(0 < point[axis] < 2 * size[axis] for point in likely for axis in (0, 1))
-    if (elsewhere and not stated) or not (inside or outside):
-        side, matrix = next(
-            (
-                (side, matrix)
-                for side, matrix, point in zip(("left", "right"), matrices, likely, strict=True)
-                if not (0 < point[0] < 2 * size[0] and 0 < point[1] < 2 * size[1])
-            ),
-            ("left", matrices[0]),
-        )
-        width, height = (round(float(number)) for number in np.mean(likely, axis=0))
-        of = f"is that of images of about {width}x{height} px" if elsewhere else "lies outside them"
-        raise InputError(
-            f"{name}: the images have {size[0]}x{size[1]} px, but the {side} principal point "
-            f"{matrix[0, 2]:.0f}, {matrix[1, 2]:.0f} {of}: give the calibration for their size"
-            + ("" if stated else " (if it is, state the size in the file: image_size)")
-        )
-
-
-def _rectified(
-    name: str, pair: Pair, cameras: tuple[Camera, Camera] | None, size: tuple[int, int]
-) -> tuple[Rectified, Rectified]:
-    """Return rotations and projections into the rectified images, left and right."""
-    assert cameras is not None
-    assert pair.rotation is not None
-    assert pair.translation is not None
-    left, right = cameras
-    if left.fisheye != right.fisheye:
-        raise InputError(
-            f"{name}: one lens is a fisheye and the other is not: give both the same lens model"
-        )
-    if not np.linalg.norm(pair.translation) > 0:
-        raise InputError(f"{name}: T is zero, so the baseline is: check the file")
-    _check_direction(name, pair.translation)
-    if pair.translation[0] > 0:
-        raise InputError(
-            f"{name}: T says that the second camera stands left of the first "
-            f"(T[0] is {pair.translation[0]:g}; OpenCV's T[0] is negative for a right camera). "
-            "Either the cameras are in the wrong order: exchange both cameras, and the recordings "
-            "stay; or R and T are given the other way round, as the right camera's place in the "
-            "left one's frame: give R transposed and -R^T T"
-        )
-    # OpenCV wants them whole in memory, and T as a column.
-    whole = np.ascontiguousarray
-    lenses = (
-        *(whole(left.matrix), whole(left.distortion)),
-        *(whole(right.matrix), whole(right.distortion)),
-    )
-    rotation = whole(pair.rotation)
-    translation = whole(pair.translation).reshape(3, 1)
-    try:
-        if left.fisheye:
-            r1, r2, p1, p2, _ = cv2.fisheye.stereoRectify(
-                *lenses, size, rotation, translation, cv2.CALIB_ZERO_DISPARITY
-            )
-        else:
-            r1, r2, p1, p2, *_ = cv2.stereoRectify(
-                *lenses, size, rotation, translation, flags=cv2.CALIB_ZERO_DISPARITY, alpha=0
-            )
-    except cv2.error as error:
-        raise InputError(f"{name} cannot be rectified by: {error.err}: check its values") from None
-    left_matrices, right_matrices = (
-        (np.asarray(turn, np.float64), np.asarray(projection, np.float64))
-        for turn, projection in ((r1, p1), (r2, p2))
-    )
-    return left_matrices, right_matrices
-
-
-def _check_direction(name: str, translation: Matrix) -> None:
-    tx, ty, tz = (float(each) for each in np.abs(translation))
-    if tx >= max(ty, tz):
-        return
-    x, y, z = (float(each) for each in translation)
-    stand = (
-        "one above the other: turn both views (--rotate-left 270 --rotate-right 270 makes the "
-        "upper camera the left one) and give the calibration of the turned images"
-        if ty >= tz
-        else "one behind the other, where stereo finds no depth: check the file"
-    )
-    raise InputError(
-        f"{name}: the cameras do not stand side by side (T is {x:g}, {y:g}, {z:g}) but {stand}"
-    )
-
-
-def _wrong_order(name: str) -> InputError:
-    return InputError(
-        f"{name}: the first camera is to the right of the second: "
-        "give the left camera's calibration first"
-    )
-
-
-def _rig_of(
-    name: str,
-    projections: tuple[Matrix, Matrix],
-    size: tuple[int, int],
-    unit: str | None,
-    chosen_unit: str | None,
-) -> tuple[Rig, tuple[str, ...]]:
-    """Return the rig of two rectified projections (3, 4), and warnings."""
-    left, right = projections
-    for side, projection in (("left", left), ("right", right)):
-        checked_intrinsics(name, f"the {side} projection", projection)
-    (focal_px, focal_y_px), others = (left[0, 0], left[1, 1]), (right[0, 0], right[1, 1])
-    if (
-        max(abs(others[0] - focal_px), abs(others[1] - focal_y_px)) > _FOCAL_TOLERANCE * focal_px
-        or abs(right[1, 2] - left[1, 2]) > _ROW_TOLERANCE_PX
-    ):
-        raise InputError(
-            f"{name}: the projections differ in focal length or row ({focal_px:g} and "
-            f"{right[0, 0]:g} px, {left[1, 2]:g} and {right[1, 2]:g} px), "
-            "so they are of no rectified pair: check the file"
-        )
-    across = left[0, 3] / focal_px - right[0, 3] / right[0, 0]
-    down = left[1, 3] / focal_y_px - right[1, 3] / right[1, 1]
-    if abs(down) > abs(across):
-        _check_direction(name, np.array([-across, -down, 0.0]))
-    if across == 0:
-        raise InputError(f"{name}: the baseline is 0: check the file")
-    reversed_sign: tuple[str, ...] = ()
-    if across < 0:
-        # The left camera is the one that the other is measured from: its P[0,3] is 0.
-        if left[0, 3] or not right[0, 3]:
-            raise _wrong_order(name)
-        reversed_sign = (
-            f"{name}: P[0,3] of the right camera is {right[0, 3]:g}, but -fx * baseline is "
-            "negative: its sign is taken to be the other way round. Should the check find left "
-            "and right swapped, the files are in the wrong order instead",
-        )
-    baseline_m, warnings = _in_metres(name, abs(float(across)), unit, chosen_unit)
-    rig = Rig(
-        *size,
-        focal_px=float(focal_px),
-        baseline_m=baseline_m,
-        cx=float(left[0, 2]),
-        cy=float(left[1, 2]),
-        doffs=float(right[0, 2] - left[0, 2]),
-        focal_y_px=None if np.isclose(focal_y_px, focal_px, rtol=1e-6) else float(focal_y_px),
-    )
-    return rig, reversed_sign + warnings
-
-
-def _in_metres(
-    name: str, baseline: float, unit: str | None, chosen: str | None
-) -> tuple[float, tuple[str, ...]]:
-    if chosen is not None:
-        return baseline * BASELINE_UNITS[chosen], ()
-    likely = unit or "m"
-    if likely == "m" and baseline > _LONGEST_BASELINE_M:
-        likely = "mm"
-    elif likely == "mm" and baseline < _SHORTEST_BASELINE_MM:
-        likely = "m"
-    elif unit is not None or baseline < _LONGEST_BASELINE_M:
-        return baseline * BASELINE_UNITS[likely], ()
-    warning = (
-        f"{name}: a baseline of {baseline:g} is taken to be in {likely}: "
-        "if it is not, say --baseline-unit"
-    )
-    return baseline * BASELINE_UNITS[likely], (warning,)
-
-
-def _maps(camera: Camera, rotation: Matrix, projection: Matrix, size: tuple[int, int]) -> Maps:
-    # Maps in float: cv2.remap is faster with them than with fixed-point ones since OpenCV 5.
-    make = cv2.fisheye.initUndistortRectifyMap if camera.fisheye else cv2.initUndistortRectifyMap
-    x, y = make(camera.matrix, camera.distortion, rotation, projection[:, :3], size, cv2.CV_32FC1)
-    return np.asarray(x, np.float32), np.asarray(y, np.float32)
-
-
-def _inside(maps: Maps, size: tuple[int, int]) -> NDArray[np.bool_]:
-    x, y = maps
-    return (x >= 0) & (x <= size[0] - 1) & (y >= 0) & (y <= size[1] - 1)
-
-
-def _max_moved_px(maps: Maps) -> float:
-    x, y = maps
-    height, width = x.shape
-    moved = np.hypot(x - np.arange(width), y - np.arange(height)[:, None])
-    most = float(moved.max())
-    return most if math.isfinite(most) else math.inf
 
 
 def _model(cameras: tuple[Camera, Camera]) -> str:
