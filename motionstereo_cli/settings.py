@@ -165,8 +165,8 @@ class Settings:
     )
     # Guidance.
     steer_strips: int = param(
-        16,
-        "Number of vertical strips that the heading is chosen from.",
+        48,
+        "Number of vertical strips in which the free way is looked for.",
         low=1,
         high=256,
         group="Guidance",

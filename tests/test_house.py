@@ -32,7 +32,9 @@ def room(path):
 
 
 #: Files of ``robot`` that know arrays and numbers only; the others join them and keep state.
-PURE_ROBOT = {"objects.py", "local_map.py", "fused_map.py", "heading.py", "points.py"}
+PURE_ROBOT = {
+    *("free_space.py", "heading.py", "local_map.py", "fused_map.py", "objects.py", "points.py"),
+}
 PURE = [
     path
     for path in MODULES

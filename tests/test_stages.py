@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from motionstereo_cli.robot.heading import heading, nearest, quantiles, steadied, strip_nearness
+from motionstereo_cli.robot.free_space import quantiles
 from motionstereo_cli.stages.bands import band_table, bands, blur
 from motionstereo_cli.stages.charge import accumulate, age, permanency
 from motionstereo_cli.stages.confidence import confidence
@@ -228,44 +228,6 @@ class TestDepth:
         assert np.array_equal(z, f32([1.0, NAN, 1.25]), equal_nan=True)
 
 
-class TestGuidance:
-    def test_a_strip_is_as_near_as_all_but_a_fifth_of_it(self):
-        near = np.full((10, 4), NAN, np.float32)
-        near[:, 0] = np.arange(1, 11)
-        near[0, 2] = 5
-        strips = strip_nearness(near, 2, min_share=0.2)
-        assert strips[0] == pytest.approx(8.2)
-        assert np.isnan(strips[1])
-
-    def test_heads_for_the_farthest_strip(self):
-        assert heading(f32([40, 40, 2, 40])[0:4].ravel()) == pytest.approx(2.5 / 4, abs=1e-3)
-
-    def test_two_equally_far_neighbours_share_the_heading(self):
-        assert heading(np.float32([40, 2, 2, 40])) == pytest.approx(2.0 / 4, abs=1e-3)
-
-    def test_unknown_strips_are_neither_chosen_nor_weighed(self):
-        assert heading(np.float32([NAN, 9, NAN, 30])) == pytest.approx(1.5 / 4)
-        assert heading(np.float32([NAN, NAN])) is None
-
-    @given(arrays(np.float32, 7, elements=st.floats(0, 100, width=32)))
-    def test_the_mirrored_scene_gives_the_mirrored_heading(self, strips):
-        strips = strips + np.arange(7, dtype=np.float32) / 64  # no ties
-        if len(np.unique(strips)) == 7:
-            assert heading(strips[::-1]) == pytest.approx(1 - heading(strips), abs=1e-5)
-
-    def test_steadied_goes_a_share_of_the_way(self):
-        assert steadied(None, 0.7, 0.3) == 0.7
-        assert steadied(0.5, 0.7, 0.25) == pytest.approx(0.55)
-
-    def test_the_nearest_thing_is_not_one_stray_pixel(self):
-        near = np.full((20, 20), 4, np.float32)
-        near[0, 0] = 60
-        assert nearest(near, 0.1) == 4
-        near[:3] = 30
-        assert nearest(near, 0.1) == 30
-        assert nearest(np.full((4, 4), NAN, np.float32), 0.1) is None
-
-
 class TestQuantiles:
     @given(
         arrays(
@@ -277,7 +239,7 @@ class TestQuantiles:
     )
     def test_they_are_those_of_the_sorted_values(self, near, strips):
         strips = min(strips, near.shape[1])
-        found = quantiles(near, strips, min_share=0.1)
+        found = quantiles(near, strips, 0.8, whole_share=0.99, min_share=0.1)
         parts = [*np.array_split(near, strips, axis=1), near]
         for part, share, got in zip(parts, [0.8] * strips + [0.99], found, strict=True):
             known = part[~np.isnan(part)]

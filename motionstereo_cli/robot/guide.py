@@ -14,15 +14,18 @@ from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
 
 import numpy as np
 
+from motionstereo_cli.robot.free_space import (
+    FreeSpace,
+    find_ground,
+    free_space,
+    nearest,
+    way_ahead,
+)
 from motionstereo_cli.robot.heading import (
     DIRECTIONS_RAD,
-    MIN_KNOWN_SHARE,
     Course,
     free_distances,
-    heading,
-    nearest,
     plan,
-    quantiles,
     steadied,
     travelled,
 )
@@ -60,8 +63,14 @@ CONTACT_RADIUS_M = 0.5
 STANDS = 3.0
 STANDS_WITHIN_M = 0.25
 
-#: To steer by an image, this many of its rows are enough, and larger images take no longer.
-STEERING_ROWS = 240
+#: To steer by an image, this many of its rows and columns are enough: larger ones take no longer.
+STEERING_PX = 240
+
+#: The median of this many frames counts: one that says to steer elsewhere is not followed.
+TARGETS = 3
+
+#: Focal length over width of an unknown lens: a view of 60 degrees.
+_FOCAL_PER_WIDTH = 0.87
 
 #: Bearings that a robot tells apart: less than a degree each for most lenses.
 BEARINGS = 80
@@ -120,14 +129,12 @@ class ImageProfile:
     """What :class:`ImageGuide` takes from a frame.
 
     Attributes:
-        strips_px: nearness of each vertical strip of the image, (strips,) float32, NaN = unknown.
+        space: what stands in each vertical strip of the image.
         nearest_px: nearness of the nearest object; None where too little is known.
-        width: width of the image in px.
     """
 
-    strips_px: Real
+    space: FreeSpace
     nearest_px: float | None
-    width: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,14 +143,16 @@ class ImageHeading:
 
     Attributes:
         place: the last heading across the image, 0 left .. 1 right; None before the first.
+        targets: where the last frames said to steer, :data:`TARGETS` at most.
     """
 
-    place: float | None
+    place: float | None = None
+    targets: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
 class ImageGuide:
-    """Steers by one image at a time, toward where depth is largest.
+    """Steers by one image at a time, to where the way is free farthest.
 
     Args:
         settings: parameters of the guidance.
@@ -155,12 +164,15 @@ class ImageGuide:
 
     def profile(self, disparity_px: Real, _: NDArray[np.bool_]) -> ImageProfile:
         """Return what is taken from a frame, see :meth:`Guide.profile`."""
-        near = _thinned(disparity_px)
+        step = _thinning(disparity_px)
+        near = disparity_px[:: step[0], :: step[1]]
         near = self.rig.nearness_px(near) if self.rig else near
-        width = near.shape[1]
-        found = quantiles(near, min(self.settings.steer_strips, width), MIN_KNOWN_SHARE)
-        nearest_px = float(found[-1])
-        return ImageProfile(found[:-1], None if math.isnan(nearest_px) else nearest_px, width)
+        middle_row = self.rig.cy if self.rig else (len(disparity_px) - 1) / 2
+        ground = find_ground(near, middle_row / step[0])
+        strips = min(self.settings.steer_strips, near.shape[1])
+        row_px = step[0] * (self.rig.focal_px / self.rig.fy_px if self.rig else 1.0)
+        space = free_space(near, ground, strips, row_px=row_px, column_px=step[1])
+        return ImageProfile(space, nearest(near))
 
     def steer(
         self,
@@ -170,17 +182,24 @@ class ImageGuide:
         __: Iterable[MovingObject] = (),
     ) -> tuple[ImageHeading, Steering]:
         """Return the last heading and the steering, see :meth:`Guide.steer`."""
-        strips, place = seen.strips_px, None if state is None else state.place
-        target = heading(strips)
+        before, width = state or ImageHeading(), seen.space.width
+        if self.rig is None:
+            focal_px, cx_px = width * _FOCAL_PER_WIDTH, (width - 1) / 2
+        else:
+            focal_px, cx_px = self.rig.focal_px, self.rig.cx_of(self.settings.reference)
+        target, strips_px = way_ahead(seen.space, focal_px, cx_px, before.place)
         if target is not None:
-            place = steadied(place, target, self.settings.steer_gain)
-        if place is None:
-            return ImageHeading(None), _BLIND
-        ahead_px = float(strips[min(int(place * len(strips)), len(strips) - 1)])
-        return ImageHeading(place), Steering(
+            targets = (*before.targets, target)[-TARGETS:]
+            place = steadied(before.place, float(np.median(targets)), self.settings.steer_gain)
+            before = ImageHeading(place, targets)
+        if before.place is None:
+            return before, _BLIND
+        place = before.place
+        ahead_px = float(strips_px[min(int(place * len(strips_px)), len(strips_px) - 1)])
+        return before, Steering(
             status="held" if target is None else "ok",
             steer=1 - 2 * place,
-            steer_rad=_angle_rad(place, seen.width, self.rig, self.settings.reference),
+            steer_rad=_angle_rad(place, width, self.rig, self.settings.reference),
             depth_m=_depth_m(ahead_px, self.rig),
             nearest_m=_depth_m(seen.nearest_px, self.rig),
         )
@@ -243,7 +262,8 @@ class MapGuide:
             below_m=s.robot_below_m,
             above_m=s.robot_above_m,
         )
-        return MapProfile(bearings_px, nearest(_thinned(near), MIN_KNOWN_SHARE), width)
+        step = _thinning(near)
+        return MapProfile(bearings_px, nearest(near[:: step[0], :: step[1]]), width)
 
     def steer(
         self,
@@ -336,8 +356,10 @@ def view_of(rig: Rig, camera: str, place_m: tuple[float, float], yaw_rad: float)
 _BLIND = Steering("blind", None, None, None, None)
 
 
-def _thinned(near: Real) -> Real:
-    return near[:: max(near.shape[0] // STEERING_ROWS, 1)]
+def _thinning(image: Real) -> tuple[int, int]:
+    """Return of how many rows and columns one is enough to steer by."""
+    height, width = (max(side // STEERING_PX, 1) for side in image.shape)
+    return height, width
 
 
 def _angle_rad(place: float, width: int, rig: Rig | None, camera: str) -> float | None:

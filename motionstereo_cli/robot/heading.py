@@ -1,8 +1,7 @@
-"""Guidance: the heading toward where depth is largest.
+"""The course of a robot that knows its own motion, on a map of what it has seen of late.
 
-From one image, on *nearness*: disparity plus doffs in px, which is proportional to inverse
-depth, so that it needs no rig. Or, for a robot that knows its own motion, on a map of what it has
-seen recently: toward where the free distance is longest.
+It heads for where the way is free farthest. Where only single images are known, see
+:mod:`~motionstereo_cli.robot.free_space`.
 """
 
 from __future__ import annotations
@@ -14,86 +13,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from motionstereo_cli.compiled import heading as loops
-from motionstereo_cli.compiled import reused
-
-#: Share of a strip of the image, or of all of it, below which its matches are taken for noise.
-MIN_KNOWN_SHARE = 0.002
-
-
-#: Of the pixels of a strip, the share allowed to be nearer than its nearness says: noise.
-_NEARER_SHARE = 0.2
-#: Of all known pixels, the share that is farther than the nearest object.
-_FARTHER_SHARE = 0.99
-
-
-def strip_nearness(
-    nearness_px: NDArray[np.float32], strips: int, min_share: float
-) -> NDArray[np.float32]:
-    """Return how near objects are in each vertical strip of the image, (strips,) float32 px.
-
-    That is the nearness which all but a fifth of the strip's known pixels stay below.
-    NaN where less than ``min_share`` (0..1) of the strip is known.
-
-    Args:
-        nearness_px: disparity + doffs, (height, width) float32, NaN = unknown.
-        strips: number of strips, at most the width.
-        min_share: share of a strip that has to be known.
-    """
-    return quantiles(nearness_px, strips, min_share)[:-1]
-
-
-def quantiles(
-    nearness_px: NDArray[np.float32], strips: int, min_share: float
-) -> NDArray[np.float32]:
-    """Return :func:`strip_nearness` and, at the end, :func:`nearest`, (strips + 1,) float32 px."""
-    values = np.ascontiguousarray(nearness_px)
-    height, width = values.shape
-    # As np.array_split has it: the first strips are wider by one.
-    begin = np.array([i * (width // strips) + min(i, width % strips) for i in range(strips + 1)])
-    result = np.empty(strips + 1, np.float32)
-    work = reused(loops.Workspace, strips, height, width)
-    shares = 1 - _NEARER_SHARE, _FARTHER_SHARE, min_share
-    loops.quantiles(values, begin.astype(np.int32), *shares, work, result)
-    return result
-
-
-def heading(nearness_px: NDArray[np.float32]) -> float | None:
-    """Return the direction of the largest depth as a place across the image, 0 left .. 1 right.
-
-    The centre of the farthest strip and its two neighbours, each weighted by depth to the fourth
-    power, so that the heading moves smoothly as one strip outdoes another. None where no strip is
-    known.
-
-    Args:
-        nearness_px: nearness of each strip, (strips,) float32, NaN = unknown.
-    """
-    if np.isnan(nearness_px).all():
-        return None
-    farthest = int(np.nanargmin(nearness_px))
-    near = np.arange(max(farthest - 1, 0), min(farthest + 2, len(nearness_px)))
-    near = near[~np.isnan(nearness_px[near])]
-    least = max(float(nearness_px[farthest]), 1.0)  # px: finer differences are noise
-    weight = (least / np.maximum(nearness_px[near], least)) ** 4
-    return float(np.average(near + 0.5, weights=weight)) / len(nearness_px)
-
 
 def steadied(before: float | None, target: float, gain: float) -> float:
     """Return the heading moved from the one before toward a target by a share ``gain``, 0..1."""
     return target if before is None else before + gain * (target - before)
-
-
-def nearest(nearness_px: NDArray[np.float32], min_share: float) -> float | None:
-    """Return the nearness of the nearest object in px; None where too little is known.
-
-    All but a hundredth of the known pixels are farther.
-
-    Args:
-        nearness_px: disparity + doffs, (height, width) float32, NaN = unknown.
-        min_share: share of the image, 0..1, that has to be known.
-    """
-    found = float(quantiles(nearness_px, 1, min_share)[-1])
-    return None if math.isnan(found) else found
 
 
 #: Directions that are weighed, about the robot's yaw: a full circle, in steps of 3 degrees.

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from motionstereo_cli.robot.heading import MIN_KNOWN_SHARE
+from motionstereo_cli.robot.free_space import MIN_KNOWN_SHARE
 from motionstereo_cli.robot.objects import (
     Observation,
     Region,

@@ -1,4 +1,4 @@
-"""Quantiles of nearness: the loops of :mod:`motionstereo_cli.robot.heading`."""
+"""Quantiles of nearness: the loops of :mod:`motionstereo_cli.robot.free_space`."""
 
 import cython
 import numpy as np

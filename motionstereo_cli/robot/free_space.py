@@ -1,0 +1,306 @@
+"""The free space before a camera, from one disparity image, and the direction to drive in.
+
+All is measured in heights of the camera over the ground, which the ground itself shows: where the
+ground is level, its nearness (disparity plus doffs) grows with the image's rows by
+``baseline / height`` px a row from the horizon on. So it needs no rig.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from motionstereo_cli.compiled import free_space as loops
+from motionstereo_cli.compiled import reused
+
+#: Share of an image, and of a strip of it, below which its matches are taken for noise.
+MIN_KNOWN_SHARE = 0.002
+_MIN_STRIP_SHARE = 0.01
+
+#: Of what stands in a strip, the share allowed to be nearer than its nearness says: noise.
+_NEARER_SHARE = 0.2
+#: Of the ground in a strip, the share allowed to be farther than it is said to be seen.
+_FARTHER_SHARE = 0.05
+#: Of all that is known, the share that is farther than the nearest thing.
+_NEAREST_SHARE = 0.99
+
+#: How far up the ground reaches, and what a vehicle passes under, in camera heights.
+_GROUND_UP, _OVERHEAD_UP = 0.2, 1.4
+#: Errors of the ground's own nearness: a share of it, and px.
+_GROUND_SHARE, _GROUND_PX = 0.15, 0.5
+
+#: The horizon is looked for so far about the image's middle row, as a share of its height.
+_HORIZON_SHARE = 0.15
+_HORIZONS, _SLOPES, _BINS, _ROWS = 16, 32, 128, 32
+#: Such a share of an image, as :func:`find_ground` counts it, has to lie on the ground: on a line
+#: through a mere wall lie 0.125, on the floor of a smooth corridor 0.14, on a road 0.3 to 0.4.
+_MIN_GROUND = 0.13
+#: What is below the ground counts so many times against it.
+_BELOW_COST = 2.0
+
+#: A vehicle's width, the longest way that is told from longer ones, and how far off the point is
+#: that it steers to, in camera heights; in a narrow place that point is nearer.
+_VEHICLE, _FARTHEST, _AIM = 1.5, 25.0, 8.0
+_AIM_SHARE = 0.25
+#: Where nothing stands the way is open if ground is seen as far as a share 1 / this of the longest.
+_OPEN = 2.0
+#: Finer differences of nearness are noise.
+_MIN_PX = 0.25
+#: What a whole half image off straight ahead is worth in way, as a share of the longest, and how
+#: much shorter a way is that counts a third.
+_TURN_COST, _CHANGE_COST, _SOFTNESS = 0.1, 0.2, 0.05
+#: Ways shorter than this share of the best one end the gap that it leads through.
+_GAP_LENGTH = 0.5
+#: Unknown strips between known ones count as these if there are at most so many, as a share.
+_GAP_SHARE = 0.25
+
+
+@dataclass(frozen=True, slots=True)
+class Ground:
+    """A level ground: its nearness is ``slope * (row - horizon)`` px.
+
+    Attributes:
+        slope: px of nearness a row.
+        horizon: row at which it would be endlessly far.
+    """
+
+    slope: float
+    horizon: float
+
+
+@dataclass(frozen=True, slots=True)
+class FreeSpace:
+    """What stands in each vertical strip of an image.
+
+    Attributes:
+        standing_px: nearness of the nearest thing that stands there, (strips,) float32; NaN where
+            none is known.
+        ground_px: nearness of the farthest ground seen there, (strips,) float32; NaN = none.
+        slope: px of the ground's nearness a row of the camera's image; NaN where none was found.
+        width: width of the image in px.
+    """
+
+    standing_px: NDArray[np.float32]
+    ground_px: NDArray[np.float32]
+    slope: float
+    width: int
+
+
+def find_ground(nearness_px: NDArray[np.float32], middle_row: float) -> Ground | None:
+    """Return the ground in an image: the line from row to nearness that most of the image fits.
+
+    Nothing is below the ground, so what lies below a line speaks against it (compare Labayrade et
+    al. 2002, v-disparity). None where no line fits.
+
+    Args:
+        nearness_px: disparity + doffs, (height, width) float32, NaN = unknown.
+        middle_row: where the horizon would be if the camera were level.
+    """
+    height, width = nearness_px.shape
+    row, column = np.nonzero(~np.isnan(nearness_px))
+    if len(row) <= MIN_KNOWN_SHARE * nearness_px.size:
+        return None
+    near = nearness_px[row, column]
+    bin_px = max(float(np.quantile(near, 0.995)), 1.0) * 1.1 / _BINS
+    place = row * _ROWS // height * _BINS + (near / bin_px).clip(0, _BINS - 1).astype(np.intp)
+    counts = np.bincount(place, minlength=_ROWS * _BINS).reshape(_ROWS, _BINS)
+    # Each row counts alike, but one with few known pixels less.
+    few = 0.02 * width * height / _ROWS
+    share = counts / np.maximum(counts.sum(axis=1, keepdims=True), few)
+    farther = np.pad(share.cumsum(axis=1), ((0, 0), (1, 0)))
+
+    rows = (np.arange(_ROWS) + 0.5) / _ROWS
+    off = np.linspace(-_HORIZON_SHARE, _HORIZON_SHARE, _HORIZONS)
+    horizons = (middle_row + 0.5) / height + off[:, None, None]
+    bottom_px = np.linspace(0.04, 1, _SLOPES)[:, None] * _BINS * bin_px
+    line_px = bottom_px * (rows - horizons) / (1 - horizons)
+
+    def share_below(limit_px: NDArray[np.float64]) -> NDArray[np.float64]:
+        at = (limit_px / bin_px).clip(0, _BINS - 1e-6)
+        index = at.astype(np.intp)
+        low, high = (farther[np.arange(_ROWS), index + step] for step in (0, 1))
+        total: NDArray[np.float64] = low + (at - index) * (high - low)
+        return total
+
+    below = share_below(line_px * (1 - _GROUND_SHARE) - _GROUND_PX)
+    on = share_below(line_px * (1 + _GROUND_SHARE) + _GROUND_PX) - below
+    fits = np.where(line_px > max(1.0, bin_px), on - _BELOW_COST * below, 0).mean(axis=2)
+    best = np.unravel_index(int(fits.argmax()), fits.shape)
+    if fits[best] < _MIN_GROUND:
+        return None
+    horizon = float(horizons[best[0], 0, 0])
+    slope = float(bottom_px[best[1], 0]) / ((1 - horizon) * height)
+    return Ground(slope, horizon * height - 0.5)
+
+
+def free_space(
+    nearness_px: NDArray[np.float32],
+    ground: Ground | None,
+    strips: int,
+    *,
+    row_px: float = 1.0,
+    column_px: int = 1,
+) -> FreeSpace:
+    """Return what stands in each strip of an image, and how far its ground is seen.
+
+    What lies on the ground or hangs over it does not stand in the way. Without a ground all that
+    is known does.
+
+    Args:
+        nearness_px: disparity + doffs, (height, width) float32, NaN = unknown.
+        ground: the ground in it.
+        strips: number of vertical strips, at most the width.
+        row_px, column_px: px of the camera's image for each row and column of these; rows as if
+            pixels were square.
+    """
+    width = nearness_px.shape[1] * column_px
+    nothing = np.full(strips, np.nan, np.float32)
+    if ground is None:
+        standing = quantiles(nearness_px, strips, 1 - _NEARER_SHARE)[:-1]
+        return FreeSpace(standing, nothing, math.nan, width)
+    rows = np.arange(len(nearness_px), dtype=np.float32)[:, None]
+    near = np.maximum(nearness_px, np.float32(_GROUND_PX))
+    # Height over the ground in camera heights: it is the horizon's at the camera's own.
+    up = 1 - np.float32(ground.slope) * (rows - np.float32(ground.horizon)) / near
+    error = np.float32(_GROUND_PX) / near
+    stands = (up > _GROUND_UP + error) & (up < _OVERHEAD_UP)
+    lies = np.abs(up) < _GROUND_SHARE + error
+    unknown = np.float32(np.nan)
+    return FreeSpace(
+        quantiles(np.where(stands, nearness_px, unknown), strips, 1 - _NEARER_SHARE)[:-1],
+        quantiles(np.where(lies, nearness_px, unknown), strips, _FARTHER_SHARE)[:-1],
+        ground.slope / row_px,
+        width,
+    )
+
+
+def way_ahead(
+    seen: FreeSpace, focal_px: float, cx_px: float, before: float | None = None
+) -> tuple[float | None, NDArray[np.float32]]:
+    """Return where to steer, and how near the way ends in each strip.
+
+    A vehicle can turn right or left by more or less: each such way is an arc, which is as long as
+    it meets nothing and stays in the view. The heading is the mean of the ways, of which a longer
+    one counts more (a Boltzmann mean, which moves smoothly as one outdoes another), and one
+    straight ahead more than a turn. Without a ground the width of a vehicle is unknown: a way
+    ends where something stands in its own strip.
+
+    Args:
+        seen: the free space.
+        focal_px: focal length.
+        cx_px: column of the principal point.
+        before: the last heading, from which none departs for little; None if there is none.
+
+    Returns:
+        The place across the image to steer to, 0 left .. 1 right, None where nothing is known;
+        and the nearness (strips,) of what stands in each strip or else of the farthest ground, as
+        known or between known neighbours, NaN = unknown.
+    """
+    near = np.maximum(seen.standing_px.astype(np.float64), _MIN_PX)
+    place = (np.arange(len(near)) + 0.5) / len(near)
+    slant, half = (place * seen.width - 0.5 - cx_px) / focal_px, seen.width / 2 / focal_px
+    if math.isnan(seen.slope):
+        known, length = near, 1 / near
+    else:
+        far_px = focal_px * seen.slope / _FARTHEST
+        open_way = np.isnan(near) & (seen.ground_px <= _OPEN * far_px)
+        known = _filled(np.where(open_way, seen.ground_px, near))
+        length = _lengths(
+            focal_px * seen.slope / near,
+            slant,
+            half,
+            focal_px * seen.slope / np.fmax(np.fmin.reduce(known), far_px),
+        )
+    if np.isnan(known).all():
+        return None, known.astype(np.float32)
+    length = np.where(np.isnan(known), 0, length)
+    worth = length / length.max() - _TURN_COST * np.abs(slant) / half
+    worth -= _CHANGE_COST * np.abs(place - (0.5 if before is None else before))
+    best = int(worth.argmax())
+    # Ways beside the best one, up to the next obstacle: the mean of two gaps is no gap.
+    short = np.flatnonzero(length < _GAP_LENGTH * length[best])
+    gap = slice(
+        short[short < best].max(initial=-1) + 1, short[short > best].min(initial=len(place))
+    )
+    weight = np.exp((worth[gap] - worth[best]) / _SOFTNESS)
+    return float(np.average(place[gap], weights=weight)), known.astype(np.float32)
+
+
+def _lengths(
+    ahead: NDArray[np.float64], slant: NDArray[np.float64], half: float, farthest: float
+) -> NDArray[np.float64]:
+    """Return how far a vehicle can drive toward each strip, in camera heights.
+
+    Args:
+        ahead: how far ahead of the camera something stands in each strip, NaN = unknown.
+        slant: how far aside the strips are, per height ahead, positive = right.
+        half: the same for the borders of the image.
+        farthest: the longest way that counts.
+    """
+    aim = min(_AIM, _AIM_SHARE * farthest)
+
+    def free(aside: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return lengths of ways that are so far aside (ways, strips) at what stands there."""
+        meets = np.abs(slant * ahead - aside) < _VEHICLE / 2
+        first: NDArray[np.float64] = np.where(meets, ahead, farthest).min(axis=1)
+        return first
+
+    # An arc that is a * aim aside at the aim is a * z^2 / aim aside at z, and may leave the view.
+    arc = free(slant[:, None] * ahead**2 / aim)
+    arc = np.minimum(arc, aim * half / np.maximum(np.abs(slant), 1e-6))
+    # In a narrow place, a turn on the spot toward a far strip is as good as an arc.
+    share = min(1.0, _AIM / float(arc.max()))
+    return np.maximum(arc, share * free(slant[:, None] * ahead))
+
+
+def nearest(nearness_px: NDArray[np.float32]) -> float | None:
+    """Return the nearness of the nearest thing in px; None where too little is known.
+
+    All but a hundredth of the known pixels are farther.
+
+    Args:
+        nearness_px: disparity + doffs, (height, width) float32, NaN = unknown.
+    """
+    found = float(quantiles(nearness_px, 1, _NEAREST_SHARE, min_share=MIN_KNOWN_SHARE)[0])
+    return None if math.isnan(found) else found
+
+
+def quantiles(
+    values: NDArray[np.float32],
+    strips: int,
+    share: float,
+    *,
+    whole_share: float = 0.5,
+    min_share: float = _MIN_STRIP_SHARE,
+) -> NDArray[np.float32]:
+    """Return a quantile of each vertical strip of an image and one of all, (strips + 1,) float32.
+
+    Args:
+        values: (height, width) float32, NaN = unknown.
+        strips: number of strips, at most the width.
+        share, whole_share: which quantile of the known values, 0..1.
+        min_share: share of a strip, or of the image, that has to be known, else NaN.
+    """
+    values = np.ascontiguousarray(values)
+    height, width = values.shape
+    # As np.array_split has it: the first strips are wider by one.
+    begin = np.array([i * (width // strips) + min(i, width % strips) for i in range(strips + 1)])
+    result = np.empty(strips + 1, np.float32)
+    work = reused(loops.Workspace, strips, height, width)
+    loops.quantiles(values, begin.astype(np.int32), share, whole_share, min_share, work, result)
+    return result
+
+
+def _filled(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return values with NaN between known ones interpolated, unless too many lie together."""
+    index, known = np.arange(len(values)), np.flatnonzero(~np.isnan(values))
+    if not len(known):
+        return values
+    after = np.searchsorted(known, index).clip(0, len(known) - 1)
+    before = np.maximum(after - (known[after] > index), 0)
+    between = (known[before] <= index) & (index <= known[after])
+    short = known[after] - known[before] - 1 <= _GAP_SHARE * len(values)
+    return np.where(between & short, np.interp(index, known, values[known]), np.nan)
