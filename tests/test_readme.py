@@ -1,6 +1,7 @@
 """The documentation says what the program does: its tables are the live commands' own."""
 
 import ast
+import os
 import re
 import shlex
 import subprocess
@@ -15,7 +16,7 @@ from motionstereo_cli.__main__ import main
 from motionstereo_cli.analysis.findings import RULES
 from motionstereo_cli.commands import cli
 from motionstereo_cli.commands.grouped import grouped
-from motionstereo_cli.commands.help import pages, subject
+from motionstereo_cli.commands.help import pages, readable, subject
 from motionstereo_cli.sinks import DEFAULT_OUTPUTS, OUTPUTS
 from motionstereo_cli.sinks.steering import HEADER
 
@@ -238,6 +239,27 @@ def test_help_prints_every_page_and_every_commands_help(capsys):
     for name in cli.commands:
         assert main(["help", name]) == 0
         assert f"Usage: motionstereo {name}" in capsys.readouterr().out
+
+
+def test_on_a_terminal_tables_fit_it(monkeypatch):
+    shown = []
+    monkeypatch.setattr("sys.stdout.isatty", lambda: True)
+    monkeypatch.setattr("shutil.get_terminal_size", lambda: os.terminal_size((70, 24)))
+    monkeypatch.setattr("click.echo_via_pager", shown.append)
+    assert main(["help", "outputs"]) == 0
+    (page,) = shown
+    assert "| --- |" not in page
+    assert "code  meaning\n0     done" in page
+    table = page[page.index("**steering**") : page.index("**Formats.**")]
+    assert max(map(len, table.splitlines())) <= 70
+    words, kept = (set(re.findall(r"\w+", text)) for text in (pages()["outputs"], page))
+    assert words - kept <= {"column"}, "only a list has no name for its first column"
+
+
+def test_every_page_can_be_shown_on_a_terminal():
+    for topic, page in pages().items():
+        for width in (40, 200):
+            assert "| --- |" not in readable(page, width), topic
 
 
 def test_a_mistyped_topic_is_named_with_what_it_may_be(capsys):

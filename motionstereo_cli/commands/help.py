@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import re
+import shutil
 import sys
 from collections.abc import Mapping
 from importlib import resources
@@ -14,6 +15,7 @@ from motionstereo_cli.commands.grouped import FULL
 
 # Comments mark the generated parts of a page.
 _COMMENT = re.compile(r"<!--.*?-->\n")
+_TABLE = re.compile(r"(?:^\|.*\n)+", re.MULTILINE)
 
 
 def pages() -> dict[str, str]:
@@ -68,8 +70,32 @@ def show_help(context: click.Context, topic: str | None) -> None:
 
 
 def _show(text: str) -> None:
-    """Print a text, page by page where a person reads it on a terminal."""
+    """Print a text; on a terminal page by page, with tables that fit it."""
     if sys.stdout.isatty():
-        click.echo_via_pager(text)
+        click.echo_via_pager(readable(text, shutil.get_terminal_size().columns))
     else:
         click.echo(text)
+
+
+def readable(page: str, width: int) -> str:
+    """Return a page with its tables in columns, or as lists where the width is too small."""
+    return _TABLE.sub(lambda table: _fitted(table[0], width), page)
+
+
+def _fitted(table: str, width: int) -> str:
+    head, _, *rows = (
+        [cell.strip() for cell in line.strip("|").split("|")] for line in table.splitlines()
+    )
+    widths = [max(map(len, column)) for column in zip(head, *rows, strict=True)]
+    if sum(widths) + 2 * len(widths) - 2 <= width:
+        lines = ["  ".join(map(str.ljust, row, widths)).rstrip() for row in (head, *rows)]
+        return "\n".join(lines) + "\n"
+    formatter = click.HelpFormatter(width=width)
+    if len(head) > 2:
+        rows = [
+            [row[0], "; ".join(f"{name}: {cell}" for name, cell in pairs if cell)]
+            for row in rows
+            for pairs in [list(zip(head, row, strict=True))[1:]]
+        ]
+    formatter.write_dl([(first, rest) for first, rest in rows], col_max=24)
+    return formatter.getvalue()
