@@ -19,6 +19,7 @@ from recordings import COUNT, FULL, LIMITED, Images, encode, folder, number_in, 
 from test_limits import called, moving
 
 from motionstereo_cli.errors import InputError, SettingsError
+from motionstereo_cli.sinks import check_video_size
 from motionstereo_cli.sources import open_stereo, pipe
 from motionstereo_cli.sources.h264 import Head
 from motionstereo_cli.sources.luma import grey_levels
@@ -318,3 +319,17 @@ def test_a_file_that_is_written_to_is_named(tmp_path: Path) -> None:
             file.write(bytes(100))
         list(recording)
         assert recording.damage == [f"{path} was written to while the run went on"]
+
+
+# --- What no video can hold -------------------------------------------------------------------
+
+
+def test_views_too_wide_for_video_are_refused_before_the_run(tmp_path: Path) -> None:
+    wide = [np.zeros((16, 16_400), np.uint8)] * 2
+    left, right = (folder(tmp_path / side, wide, ".png") for side in ("left", "right"))
+    code, said = called("run", left, right, "-o", tmp_path / "out")
+    assert code == 2
+    assert "16400x16 px are too large for charge, depth-video: H.264 takes up to 16,384" in said
+    assert not (tmp_path / "out").exists()
+    check_video_size(["steering", "depth", "depth-mkv"], 20_000, 20_000)
+    check_video_size(["charge"], 16_000, 16_000)

@@ -84,7 +84,8 @@ class Job:
 def identity_of(job: Job, inputs: Iterable[Path]) -> dict[str, Any]:
     """Return what ``run.json`` says of what the run is: its results follow from it."""
     plan, source, context = job.plan, job.source, job.context
-    files = [path for path in inputs if path not in (*source.paths, *plan.reads)]
+    known = {*source.paths, *plan.reads}
+    files = [path for path in inputs if path not in known]
     table = None
     if plan.table and plan.folder and not plan.to_stdout and not is_stream(plan.table):
         # The same, however either is given.

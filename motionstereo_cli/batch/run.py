@@ -26,7 +26,7 @@ from motionstereo_cli.files.targets import check_target, is_stream, open_stream
 from motionstereo_cli.pipeline import process
 from motionstereo_cli.rig.calibration import rectify_source
 from motionstereo_cli.rig.poses import read_poses
-from motionstereo_cli.sinks import OUTPUTS, RunContext, Sink, available
+from motionstereo_cli.sinks import OUTPUTS, RunContext, Sink, available, check_video_size
 from motionstereo_cli.sinks.steering import SteeringFile, SteeringStream
 from motionstereo_cli.sinks.threaded import Threaded
 from motionstereo_cli.sources import StereoSource, open_stereo
@@ -135,7 +135,10 @@ def _job(plan: RunPlan, source: StereoSource, watcher: Watcher) -> Job:
             )
             poses.check_covers(*(source.numbers if poses.by_number else source.span_s))
     time_base = source.time_base or DEFAULT_TIME_BASE
-    return Job(plan, source, RunContext(time_base, plan.settings, rig, plan.output_settings), poses)
+    job = Job(plan, source, RunContext(time_base, plan.settings, rig, plan.output_settings), poses)
+    if plan.folder is not None:
+        check_video_size(job.save, source.width, source.height)
+    return job
 
 
 def check_size(rig: Rig, source: StereoSource) -> None:

@@ -267,6 +267,9 @@ OUTPUTS = {
 DEFAULT_OUTPUTS = ("steering", "depth", "charge", "depth-video")
 
 
+#: H.264 takes images up to this size in px a side, here with room for the scale below depth.
+MAX_VIDEO_PX = 16_384 - 128
+
 #: What takes the place of an output in metres where there is no rig.
 _WITHOUT_RIG = {"depth": "disparity", "depth-pfm": "disparity-pfm"}
 
@@ -292,3 +295,23 @@ def available(
         if OUTPUTS[name].needs_poses and not poses:
             raise SettingsError(f"--save {name} needs --poses: they say where the rig was")
     return names
+
+
+def check_video_size(save: Sequence[str], width: int, height: int) -> None:
+    """Make sure that the videos among some outputs can hold views of a size in px.
+
+    Raises:
+        SettingsError: they cannot.
+    """
+    videos = [
+        name
+        for name in save
+        # That one is made small.
+        if name != "preview" and any(path.endswith(".mp4") for path in OUTPUTS[name].paths)
+    ]
+    too_wide = videos if max(width, height) > MAX_VIDEO_PX else []
+    if too_wide:
+        raise SettingsError(
+            f"views of {width}x{height} px are too large for {', '.join(too_wide)}: H.264 takes up "
+            "to 16,384 px a side, so leave them out of --save, or give a smaller --scale"
+        )
