@@ -211,6 +211,7 @@ class FrameResult:
         state: what is known after this frame; :func:`~motionstereo_cli.pipeline.process` goes on
             from it.
         pose: where the rig was; None where it is not known.
+        moving_points: what the map takes from the frame, where that was found elsewhere.
         objects: what moves, as far as it has been followed for a few frames.
     """
 
@@ -228,3 +229,4 @@ class FrameResult:
     state: State | None = None
     pose: Pose | None = None
     objects: tuple[MovingObject, ...] = ()
+    moving_points: tuple[NDArray[np.float64], Grey] | None = None

@@ -7,12 +7,15 @@ import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import pytest
 
 from motionstereo_cli.__main__ import main
 from motionstereo_cli.batch.manifest import matched, plans, read_manifest
+from motionstereo_cli.batch.pieces import join_pieces, pieces_of, run_piece
 from motionstereo_cli.batch.plan import RunPlan
+from motionstereo_cli.batch.run import Watcher, run
 from motionstereo_cli.batch.status import (
     COLUMNS,
     Status,
@@ -21,7 +24,7 @@ from motionstereo_cli.batch.status import (
     write_status,
 )
 from motionstereo_cli.commands.batch import plan_of
-from motionstereo_cli.errors import InputError
+from motionstereo_cli.errors import InputError, SettingsError
 from motionstereo_cli.settings import Settings
 from motionstereo_cli.simulate.settings import SimulateSettings
 from motionstereo_cli.simulate.write import simulate
@@ -196,6 +199,45 @@ def test_good_recordings_are_done_as_run_does_them_and_bad_ones_named(archive, t
     assert changed == ["bad.status.json"]
 
 
+@pytest.mark.parametrize("count", [2, 5])
+def test_pieces_give_the_bytes_of_one_run(recording, tmp_path, monkeypatch, count):
+    """Tables, map, images and videos, in permanency mode; a run-in that is too short shows."""
+    clip = tmp_path / "clip"
+    settings = SimulateSettings(frames="300:345", width=96, height=64, noise_sigma=1.5)
+    simulate(clip, settings)
+    given = [str(clip / "left.mp4"), str(clip / "right.mp4"), "--rig", str(clip / "rig.yaml")]
+    given += ["--poses", str(clip / "poses.txt"), "--checkpoint-frames", "10", "--no-check"]
+    given += ["--save", "steering,objects,depth,disparity-pfm,charge,depth-video,depth-mkv,map"]
+    whole, parts = (plan_of([*given, "-o", str(tmp_path / name)]) for name in ("whole", "parts"))
+    run(whole)
+    pieces = pieces_of(parts, count)
+    assert len(pieces) == count
+    for piece in reversed(pieces):
+        run_piece(parts, piece, Watcher())
+    report = join_pieces(parts, pieces, Watcher())
+    assert report.frames == 45
+    files = {path.relative_to(tmp_path / "whole") for path in (tmp_path / "whole").rglob("*.*")}
+    assert files == {
+        path.relative_to(tmp_path / "parts") for path in (tmp_path / "parts").rglob("*.*")
+    }
+    for file in files - {Path("run.json")}:
+        assert (tmp_path / "parts" / file).read_bytes() == (tmp_path / "whole" / file).read_bytes()
+    one, other = (
+        json.loads((tmp_path / name / "run.json").read_text()) for name in ("whole", "parts")
+    )
+    assert {**one, "timing": None} == {**other, "timing": None}
+
+
+def test_what_cannot_be_done_in_pieces_is_said(recording):
+    clip = [str(recording / "left.mp4"), str(recording / "right.mp4")]
+    for more, said in (
+        (["--charge-mode", "general"], "never forgets"),
+        (["--save", "preview"], "arrow"),
+    ):
+        with pytest.raises(SettingsError, match=said):
+            pieces_of(plan_of([*clip, *more]), 2)
+
+
 KILLER = """
 import os, signal
 from motionstereo_cli.batch import worker
@@ -245,7 +287,7 @@ def test_an_interrupted_batch_goes_on(archive, tmp_path):
 
 
 def test_a_scheduler_and_workers_by_hand(archive, tmp_path):
-    """Separate processes that meet over TCP."""
+    """Separate processes that meet over TCP, and share each recording."""
     file = tmp_path / "scheduler.json"
     quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
     dask = [sys.executable, "-m", "distributed.cli.dask_scheduler"]
@@ -284,11 +326,11 @@ def test_a_scheduler_and_workers_by_hand(archive, tmp_path):
             time.sleep(0.1)
         out = tmp_path / "out"
         arguments = [str(archive / "[ab]/left.mp4"), str(archive / "[ab]/right.mp4")]
-        assert (
-            main(["batch", *arguments, "-o", str(out), "--scheduler-file", str(file), "--no-check"])
-            == 0
-        )
+        arguments += ["--scheduler-file", str(file), "--pieces", "2", "--checkpoint-frames", "3"]
+        assert main(["batch", *arguments, "-o", str(out), "--no-check"]) == 0
         assert [row["status"] for row in table(out).values()] == ["done", "done"]
+        assert [row["frames"] for row in table(out).values()] == [str(FRAMES)] * 2
+        assert not list(out.glob("*.pieces"))
     finally:
         for process in reversed(started):
             process.terminate()

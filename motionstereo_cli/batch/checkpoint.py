@@ -8,12 +8,12 @@ import io
 import json
 import pickle
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass, fields
 from pathlib import Path
 from types import NoneType
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 
@@ -247,14 +247,26 @@ def loads(content: bytes) -> Any:
     Raises:
         Exception: of any kind, for what is damaged or of another kind.
     """
-    return _Reader(io.BytesIO(content)).load()
+    return Reader(io.BytesIO(content)).load()
 
 
-class _Reader(pickle.Unpickler):
+class Reader(pickle.Unpickler):
+    """Reads what was pickled, if it is of the kind that checkpoints hold.
+
+    Args:
+        file: where it is.
+        more: further classes that may stand in it.
+    """
+
+    def __init__(self, file: BinaryIO, more: Sequence[type] = ()) -> None:
+        super().__init__(file)
+        self._named = _NAMED | {each.__qualname__: each for each in more}
+
     def find_class(self, module: str, name: str) -> Any:
+        """Return a class or function that may be used."""
         package = module.partition(".")[0]
-        if package == "motionstereo_cli" and name in _NAMED:
-            return _NAMED[name]
+        if package == "motionstereo_cli" and name in self._named:
+            return self._named[name]
         if package == "numpy" and name in _OF_NUMPY:
             return getattr(importlib.import_module(module), name)
         raise pickle.UnpicklingError(f"it holds {module}.{name}")

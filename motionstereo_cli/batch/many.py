@@ -12,14 +12,17 @@ import dataclasses
 import hashlib
 import itertools
 import json
+import math
 import os
 import signal
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections import Counter, deque
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from motionstereo_cli.batch.pieces import Piece, pieces_of
 from motionstereo_cli.batch.plan import RunPlan
 from motionstereo_cli.batch.record import versions
 from motionstereo_cli.batch.status import (
@@ -31,7 +34,7 @@ from motionstereo_cli.batch.status import (
     write_status,
 )
 from motionstereo_cli.batch.worker import work
-from motionstereo_cli.errors import InputError
+from motionstereo_cli.errors import InputError, MotionStereoError
 from motionstereo_cli.files.atomic import write_whole
 from motionstereo_cli.files.lock import locked
 from motionstereo_cli.sinks import RECORD
@@ -103,6 +106,7 @@ def run_batch(
     watcher: BatchWatcher,
     *,
     retry_failed: bool = False,
+    pieces: int | None = None,
 ) -> list[Status]:
     """Process recordings, and return what became of each, in order.
 
@@ -114,8 +118,11 @@ def run_batch(
         cluster: where to work.
         watcher: who hears how it goes.
         retry_failed: try those again that failed or were lost.
+        pieces: into how many pieces each recording is cut; None: as many as keep all workers busy
+            where there are fewer recordings than workers, and the recordings can be cut.
 
     Raises:
+        SettingsError: a recording cannot be done in pieces, and pieces were asked for.
         InputError: the cluster cannot be reached, or its versions differ.
         OutputError: the folder of the batch cannot be written.
         KeyboardInterrupt: it was interrupted; the recordings under way have left checkpoints.
@@ -124,11 +131,50 @@ def run_batch(
         batch = _Batch(plans, out, watcher)
         waiting = [name for name in plans if batch.to_do(name, retry_failed=retry_failed)]
         if waiting:
-            with _client(cluster, watcher, len(waiting)) as client:
+            workers = cluster.workers or usable_cores()
+            count = pieces or math.ceil(workers / len(waiting))
+            with _client(cluster, watcher, len(waiting) * count) as client:
+                if not (pieces or cluster.local):
+                    count = math.ceil(_threads(client) / len(waiting))
                 jobs = max(usable_cores() // _threads(client), 1) if cluster.local else 1
-                batch.process(client, waiting, jobs)
+                asked = pieces is not None
+                tasks = (_items(name, plans[name], count, asked=asked) for name in waiting)
+                batch.process(client, itertools.chain.from_iterable(tasks), jobs)
         batch.renew(at_once=True)
         return batch.statuses
+
+
+@dataclass(frozen=True, slots=True)
+class Item:
+    """A task: a recording, a piece of one, or the joining of its pieces.
+
+    Attributes:
+        name: the recording.
+        piece: which piece.
+        pieces: all pieces of the recording; empty where it is not cut.
+    """
+
+    name: str
+    piece: Piece | None = None
+    pieces: tuple[Piece, ...] | None = None
+
+    def joining(self) -> Item:
+        """Return the task that joins all pieces of the recording."""
+        return dataclasses.replace(self, piece=None)
+
+
+def _items(name: str, plan: RunPlan, count: int, *, asked: bool) -> list[Item]:
+    """Return the tasks of a recording that can be done at once."""
+    if count > 1:
+        try:
+            pieces = tuple(pieces_of(plan, count))
+        except MotionStereoError:
+            if asked:
+                raise
+            pieces = ()  # as one, which says what is wrong
+        if len(pieces) > 1:
+            return [Item(name, piece, pieces) for piece in pieces]
+    return [Item(name)]
 
 
 class _Batch:
@@ -153,53 +199,74 @@ class _Batch:
             return False
         return retry_failed or not (same and known.status in FAILED)
 
-    def process(self, client: Client, names: Sequence[str], jobs: int) -> None:
-        """Keep each worker busy with one recording at a time, until all were tried."""
+    def process(self, client: Client, items: Iterable[Item], jobs: int) -> None:
+        """Keep each worker busy with one task at a time, until all were tried."""
         from distributed import as_completed
 
-        rest = iter(names)
+        waiting = deque(items)
+        left = Counter(item.name for item in waiting)
+        self._known |= {name: Status(name) for name in left}
         client.subscribe_topic(_PROGRESS, lambda event: self._watcher.frames(event[1]))
         self._stop.unlink(missing_ok=True)
         ended = as_completed()
-        try:
+        under_way: dict[str, Item] = {}
+
+        def fill() -> None:
             # No more at a time than there are workers: all tasks that a worker holds are
             # suspects when it dies.
-            for name in itertools.islice(rest, _threads(client)):
-                ended.add(self._submit(client, name, jobs))
+            while waiting and len(under_way) < _threads(client):
+                item = waiting.popleft()
+                if self._known[item.name].status not in FAILED:
+                    future = self._submit(client, item, jobs)
+                    under_way[future.key] = item
+                    ended.add(future)
+
+        try:
+            fill()
             for future in ended:
-                self._note(future)
-                for name in itertools.islice(rest, 1):
-                    ended.add(self._submit(client, name, jobs))
+                item = under_way.pop(future.key)
+                left[item.name] -= 1
+                if item.piece is None or not self._went_well(item, future):
+                    self._note(item.name, future)
+                elif not left[item.name]:
+                    waiting.appendleft(item.joining())
+                    left[item.name] = 1
+                future.release()
+                fill()
         except KeyboardInterrupt:
             self._stop.touch()
             for future in ended:  # what is under way leaves its checkpoints
-                self._note(future)
+                self._note(under_way[future.key].name, future)
             raise
         finally:
             self._stop.unlink(missing_ok=True)
             with contextlib.suppress(OSError):
                 self.renew(at_once=True)
 
-    def _submit(self, client: Client, name: str, jobs: int) -> Future:
-        plan = self._plans[name]
+    def _went_well(self, item: Item, future: Future) -> bool:
+        return future.status == "finished" and read_status(self._out, item.name).status == "running"
+
+    def _submit(self, client: Client, item: Item, jobs: int) -> Future:
+        plan = self._plans[item.name]
         task = {
             "plan": {**plan, "jobs": plan["jobs"] or jobs},
             "out": str(self._out),
-            "name": name,
-            "hash": self._hashes[name],
+            "name": item.name,
+            "hash": self._hashes[item.name],
             "stop": str(self._stop),
+            "piece": item.piece,
+            "pieces": item.pieces if item.piece is None else None,
         }
-        future: Future = client.submit(_work, task, key=f"{name}-{os.getpid()}", pure=False)
+        key = f"{item.name}-{item.piece}-{os.getpid()}"
+        future: Future = client.submit(_work, task, key=key, pure=False)
         return future
 
-    def _note(self, future: Future) -> None:
-        name = future.key.rpartition("-")[0]
+    def _note(self, name: str, future: Future) -> None:
         status = read_status(self._out, name)
         if future.status in ("error", "lost", "cancelled"):
             status = self._unended(name, status, future)
         self._known[name] = status
         self._watcher.ended(status)
-        future.release()
         self.renew()
 
     def _unended(self, name: str, status: Status, future: Future) -> Status:

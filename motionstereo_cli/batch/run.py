@@ -81,7 +81,7 @@ def run(plan: RunPlan, watcher: Watcher | None = None, stdout: BinaryIO | None =
     watcher = watcher or Watcher()
     stdout = stdout or _standard_output(plan)
     with open_stereo(plan.left, plan.right, plan.input_settings) as source:
-        job = _job(plan, source, watcher)
+        job = job_of(plan, source, watcher)
         watcher.begin(source.expected_frames)
         sinks = _sinks(job)
         started_s = time.perf_counter()
@@ -116,7 +116,7 @@ def _standard_output(plan: RunPlan) -> BinaryIO | None:
     return sys.stdout.buffer
 
 
-def _job(plan: RunPlan, source: StereoSource, watcher: Watcher) -> Job:
+def job_of(plan: RunPlan, source: StereoSource, watcher: Watcher) -> Job:
     """Have the source rectify, and read what is known before the first frame."""
     for line in source.warnings:
         watcher.say("warning", line)
@@ -154,10 +154,16 @@ def check_size(rig: Rig, source: StereoSource) -> None:
         )
 
 
+def inputs_of(job: Job) -> list[Path]:
+    """Return the files and folders that a run reads."""
+    plan = job.plan
+    return [*job.source.paths, *plan.rig, *([plan.poses] if plan.poses else []), *plan.reads]
+
+
 def _sinks(job: Job) -> Sinks:
     """Return the folder for the results, or what is there without one; not yet entered."""
     plan, source = job.plan, job.source
-    inputs = [*source.paths, *plan.rig, *([plan.poses] if plan.poses else []), *plan.reads]
+    inputs = inputs_of(job)
     if plan.folder is None:
         return Sinks()
     check_target(plan.folder, inputs)
@@ -189,7 +195,7 @@ def _open(sinks: Sinks, job: Job, stdout: BinaryIO | None) -> None:
         sinks.add(_TABLE, partial(_table, plan, sinks.resumed, table_format))
     if plan.folder is not None:
         for name in job.save:
-            sinks.add(name, partial(_opened, name, plan.folder, job.context))
+            sinks.add(name, partial(opened, name, plan.folder, job.context))
 
 
 def _table(plan: RunPlan, resumed: bool, table_format: str, since: Any) -> Sink:
@@ -205,7 +211,8 @@ def _table(plan: RunPlan, resumed: bool, table_format: str, since: Any) -> Sink:
     return Threaded(SteeringFile(path, table_format, since))
 
 
-def _opened(name: str, folder: Path, context: RunContext, since: object) -> Threaded:
+def opened(name: str, folder: Path, context: RunContext, since: object) -> Threaded:
+    """Return an output that writes in a thread of its own, going on from a checkpoint of it."""
     return Threaded(OUTPUTS[name].open(folder, context, since))
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+from concurrent.futures import Future
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Protocol, Self, TypeVar
 
@@ -103,6 +104,12 @@ class Sinks:
 
     def checkpoint(self) -> None:
         """Do nothing: without a folder there is nothing to go on from."""
+
+    def end_segments(self) -> None:
+        """Have videos go on with a key frame, once all is written so far."""
+        for made in [sink.checkpoint() for sink in self._sinks.values()]:
+            if isinstance(made, Future):
+                made.result()
 
     def close(self) -> None:
         """Complete the outputs.

@@ -7,10 +7,11 @@ import os
 import socket
 import time
 import traceback
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from motionstereo_cli.batch.pieces import Piece, join_pieces, run_piece
 from motionstereo_cli.batch.plan import RunPlan
 from motionstereo_cli.batch.record import RunReport
 from motionstereo_cli.batch.run import Watcher, run
@@ -27,12 +28,15 @@ def work(
     task: Mapping[str, Any],
     tell: Callable[[int], object] = lambda frames: None,
 ) -> None:
-    """Process a recording as ``run --resume`` does; the status file says what came of it.
+    """Process a recording as ``run --resume`` does, or a piece of it.
+
+    The status file says what came of it; a piece that went well leaves it as it is.
 
     Args:
         task: ``plan`` as :meth:`~motionstereo_cli.batch.plan.RunPlan.as_json` gives it, ``out``,
             ``name``, ``hash`` of the plan, and ``stop``: a file whose presence asks to leave a
-            checkpoint and end.
+            checkpoint and end. ``piece``: the first frame of a piece and the one after its last;
+            ``pieces``: all of them, to be joined; None for a whole recording.
         tell: called now and then with the number of frames done.
     """
     out, stop = Path(task["out"]), Path(task["stop"])
@@ -40,6 +44,7 @@ def work(
     status = Status(task["name"], "running", worker=worker, plan=task["hash"])
     if stop.exists():
         return
+    piece, pieces = task["piece"], task["pieces"]
     write_status(out, status)
     log = out / f"{task['name']}.log"
     with log.open("a", encoding="utf-8") as lines:
@@ -49,10 +54,17 @@ def work(
 
         started_s = time.monotonic()
         try:
-            report = _run(RunPlan.of_json(task["plan"]), Watcher(say, progress=_Pulse(stop, tell)))
+            plan, watcher = RunPlan.of_json(task["plan"]), Watcher(say, progress=_Pulse(stop, tell))
+            if piece is not None:
+                run_piece(plan, Piece(*piece), watcher)
+                return
+            joined = None if pieces is None else [Piece(*each) for each in pieces]
+            report = _run(plan, joined, watcher)
             status = _ended(status, report)
             for line in report.damage:
                 say("warning", line)
+        except KeyboardInterrupt:  # within a piece, which is begun anew
+            status = dataclasses.replace(status, status="interrupted")
         except MotionStereoError as error:
             status = dataclasses.replace(status, status="failed", reason=str(error))
         except Exception as error:
@@ -65,11 +77,11 @@ def work(
     write_status(out, status)
 
 
-def _run(plan: RunPlan, watcher: Watcher) -> RunReport:
+def _run(plan: RunPlan, pieces: Sequence[Piece] | None, watcher: Watcher) -> RunReport:
     until_s = time.monotonic() + _BUSY_S
     while True:
         try:
-            return run(plan, watcher)
+            return run(plan, watcher) if pieces is None else join_pieces(plan, pieces, watcher)
         except BusyError:
             if time.monotonic() > until_s:
                 raise

@@ -69,6 +69,12 @@ def plan_of(arguments: Sequence[str]) -> RunPlan:
 @click.option("--tls-cert", help="Certificate of this client.")
 @click.option("--tls-key", help="Key of this client.")
 @click.option(
+    "--pieces",
+    type=click.IntRange(1, 10_000),
+    help="Pieces that each recording is cut into, for several workers to share it; 1 = none.  "
+    "[default: as many as keep all workers busy]",
+)
+@click.option(
     "--retry-failed", is_flag=True, help="Try again what failed or was lost, not only what is new."
 )
 @click.option(
@@ -83,6 +89,7 @@ def batch(
     out: Path,
     given: tuple[str, ...],
     retry_failed: bool,
+    pieces: int | None,
     as_json: bool,
     **cluster: Any,
 ) -> int:
@@ -108,7 +115,9 @@ def batch(
 
         watcher = BatchWatcher(say, lambda frames: bar.set_postfix_str(bar.more(frames)), ended)
         try:
-            statuses = run_batch(found, out, where, watcher, retry_failed=retry_failed)
+            statuses = run_batch(
+                *(found, out, where, watcher), retry_failed=retry_failed, pieces=pieces
+            )
         except KeyboardInterrupt:
             say("error", f"interrupted: the same command goes on; see {out / 'batch.csv'}")
             return INTERRUPTED_EXIT_CODE

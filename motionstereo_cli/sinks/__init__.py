@@ -95,6 +95,11 @@ class Output:
         return (self.path, *self.beside)
 
     @property
+    def is_video(self) -> bool:
+        """Whether it is a video."""
+        return self.path.endswith((".mp4", ".mkv"))
+
+    @property
     def shown(self) -> str:
         """The path as told to users: a folder for numbered files."""
         return self.path.partition("{")[0]

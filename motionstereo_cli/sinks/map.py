@@ -72,7 +72,11 @@ class MapFiles:
 
     def write(self, result: FrameResult) -> None:
         """Take in a frame."""
-        self.mapper.add(result)
+        if result.moving_points is None:
+            self.mapper.add(result)
+        else:
+            assert result.pose is not None
+            self.mapper.add_points(*result.moving_points, result.pose)
 
     def checkpoint(self) -> Surroundings | None:
         """Return what is known so far."""

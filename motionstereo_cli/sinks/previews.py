@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Callable
+from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -36,6 +37,14 @@ _MAX_LEVELS = 1 << 20
 
 #: Time stamps that begin beyond this count from an epoch; no player waits for that long.
 EPOCH_S = 86_400
+
+
+def beginning(pts: int, time_base: Fraction) -> int:
+    """Return the time stamp at which a video begins whose first frame has the time stamp ``pts``.
+
+    Times that count from an epoch, as camera clocks do, begin with the first frame, others at 0.
+    """
+    return pts if pts * time_base > EPOCH_S else 0
 
 
 class ResultVideo:
@@ -70,7 +79,7 @@ class ResultVideo:
         """Append the image of a frame."""
         pts = result.frame.pts
         if self._begin is None:
-            self._begin = pts if pts * self._stream.time_base > EPOCH_S else 0
+            self._begin = beginning(pts, self._stream.time_base)
         self._video.write(self._image(result, self._stream), pts - self._begin)
 
     def checkpoint(self) -> tuple[VideoMark, int | None]:

@@ -1,0 +1,305 @@
+"""One long recording in pieces, on several workers at a time; its files are those of one run.
+
+What each frame decides by itself (images, videos, :class:`~motionstereo_cli.pipeline.Findings`) is
+made in pieces, each in a folder of its own. A piece begins as many frames early as the memories
+last. What follows from frame to frame (heading, objects, map) is then made in order, from the few
+numbers that the pieces keep of each frame.
+
+Pieces begin at multiples of ``checkpoint_frames``, where videos have key frames.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+import os
+import pickle
+import shutil
+import time
+from collections.abc import Iterator, Sequence
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from motionstereo_cli.batch.checkpoint import Reader
+from motionstereo_cli.batch.contents import FolderKind
+from motionstereo_cli.batch.folder import RunFolder
+from motionstereo_cli.batch.plan import RunPlan
+from motionstereo_cli.batch.record import Job, RunReport, identity_of, outcome, report_of, report_on
+from motionstereo_cli.batch.run import Watcher, inputs_of, job_of, opened
+from motionstereo_cli.errors import InputError, OutputError, SettingsError
+from motionstereo_cli.files.atomic import part_of, reported
+from motionstereo_cli.files.video import join
+from motionstereo_cli.pipeline import Course, Findings, Joints, State, follow, looked, result_of
+from motionstereo_cli.robot.guide import ImageProfile, MapProfile
+from motionstereo_cli.robot.mapper import Mapper
+from motionstereo_cli.sinks import OUTPUTS
+from motionstereo_cli.sinks.previews import beginning
+from motionstereo_cli.sources import open_stereo
+from motionstereo_cli.types import FrameResult, Steering, StereoFrame
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+#: What a piece keeps of its frames, one after the other.
+_FINDINGS = "findings"
+PIECE = FolderKind(
+    "motionstereo piece",
+    "piece.json",
+    {**{name: each.paths for name, each in OUTPUTS.items()}, _FINDINGS: ("findings.bin",)},
+)
+
+#: Parts of a run that make one frame after the other and no image of their own.
+_UNKNOWN = Steering("blind", None, None, None, None)
+
+
+class Piece(NamedTuple):
+    """Frames of a recording: from ``first`` to before ``stop``, None = the end."""
+
+    first: int
+    stop: int | None
+
+
+def pieces_of(plan: RunPlan, count: int) -> list[Piece]:
+    """Return pieces of about equal length.
+
+    Args:
+        plan: the run.
+        count: how many are wanted; there may be fewer, none has less than ``checkpoint_frames``.
+
+    Raises:
+        InputError: the recordings cannot be read, or do not say how many frames they have.
+        SettingsError: this run cannot be done in pieces.
+    """
+    if plan.settings.charge_mode != "permanency":
+        raise SettingsError(
+            "--pieces needs --charge-mode permanency: the general charge never forgets, so a "
+            "piece would have to begin at the first frame"
+        )
+    if "preview" in plan.outputs or plan.table is not None:
+        raise SettingsError(
+            "--pieces can make neither preview, whose arrow follows from frame to frame, nor "
+            "--csv: leave them out"
+        )
+    with open_stereo(plan.left, plan.right, plan.input_settings) as source:
+        frames = source.expected_frames
+    if frames is None:
+        raise InputError(f"{plan.left} does not say how many frames it has: leave --pieces out")
+    step = plan.output_settings.checkpoint_frames
+    each = max(math.ceil(frames / count / step) * step, step)
+    starts = range(0, max(frames, 1), each)
+    return [Piece(*both) for both in itertools.zip_longest(starts, starts[1:])]
+
+
+def folder_of(plan: RunPlan, piece: Piece | None = None) -> Path:
+    """Return the folder of a piece, or that of all of them."""
+    assert plan.folder is not None
+    folder = plan.folder.with_name(f"{plan.folder.name}.pieces")
+    return folder if piece is None else folder / f"{piece.first:06d}"
+
+
+def run_piece(plan: RunPlan, piece: Piece, watcher: Watcher) -> None:
+    """Make all that the frames of a piece decide by themselves; a piece that is done is kept.
+
+    Raises:
+        InputError: the recordings cannot be read.
+        OutputError: the results cannot be written.
+    """
+    with open_stereo(plan.left, plan.right, plan.input_settings) as source:
+        job = job_of(plan, source, watcher)
+        names = tuple(name for name in job.save if not OUTPUTS[name].in_order)
+        identity = {
+            **identity_of(job, inputs_of(job)),
+            "program": PIECE.program,
+            "outputs": dict.fromkeys((*names, _FINDINGS)),
+            "piece": list(piece),
+        }
+        folder = folder_of(plan, piece)
+        outputs = (*names, _FINDINGS)
+        with RunFolder(folder, outputs, PIECE, identity=identity, resume=True) as sinks:
+            if sinks.finished is not None:
+                return
+            findings = sinks.own(_FindingsFile(folder / PIECE.outputs[_FINDINGS][0]))
+            for result, kept in _results(job, piece, sinks, names):
+                sinks.write(result)
+                findings.add(kept)
+                if (result.frame.index + 1) % plan.output_settings.checkpoint_frames == 0:
+                    sinks.end_segments()
+                watcher.progress()
+            sinks.close()
+            came = outcome(source, report_on(job, sinks.totals, 0, time.perf_counter()))
+            sinks.complete({"counts": {"written": sinks.totals.frames}, "outcome": came})
+
+
+def _results(
+    job: Job, piece: Piece, sinks: RunFolder, names: Sequence[str]
+) -> Iterator[tuple[FrameResult, tuple[Any, ...]]]:
+    """Open the outputs at the first frame; yield each result and what is kept of its frame."""
+    plan, s = job.plan, job.plan.settings
+    run_in = math.ceil((s.charge_max - s.charge_min) / s.charge_leak)
+    mapper, begin_pts, last_pts = _mapper(job), 0, None
+    frames = iter(job.source)
+    for frame in itertools.islice(frames, max(piece.first - run_in, 0)):
+        begin_pts = frame.pts if frame.index == 0 else begin_pts
+    stop = None if piece.stop is None else piece.stop - max(piece.first - run_in, 0)
+    part = itertools.islice(frames, stop)
+    for frame, right, left, seen in looked(part, _joints(job), State(), plan.jobs or 1):
+        begin_pts = frame.pts if frame.index == 0 else begin_pts
+        if frame.index < piece.first:
+            last_pts = frame.pts
+            continue
+        if frame.index == piece.first:
+            begin = beginning(begin_pts, job.context.time_base)
+            last = None if last_pts is None else last_pts - begin
+            for name in names:
+                mark = (((), last), begin) if OUTPUTS[name].is_video else None
+                sinks.add(name, partial(_at, mark, name, sinks.path, job))
+        shown = right if s.reference == "right" else left
+        pose = None if job.poses is None else job.poses.of(frame)
+        result = result_of(frame, shown, seen, _UNKNOWN, pose=pose)
+        points = None if mapper is None else mapper.points_of(result)
+        yield result, (frame.index, frame.pts, frame.time_s, seen.findings, points)
+    if not sinks.totals.frames and piece.first == 0:
+        raise InputError("the recordings have no frame in common: check that they are whole")
+
+
+def _at(mark: object, name: str, folder: Path, job: Job, _: object) -> Any:
+    return opened(name, folder, job.context, mark)
+
+
+def _joints(job: Job) -> Joints:
+    return Joints.of(
+        job.plan.settings,
+        job.context.rig,
+        with_poses=job.poses is not None,
+        with_objects="objects" in job.save or job.poses is not None,
+    )
+
+
+def _mapper(job: Job) -> Mapper | None:
+    if "map" not in job.save or job.context.rig is None:
+        return None
+    return Mapper(job.plan.settings, job.context.rig, job.context.output.map_cell_m)
+
+
+class _FindingsFile:
+    """What is kept of frames, one after the other."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        with reported(path):
+            self._file = part_of(path).open("wb")
+
+    def add(self, kept: tuple[Any, ...]) -> None:
+        with reported(self._path):
+            pickle.dump(kept, self._file)
+
+    def close(self) -> None:
+        """Complete the file and give it its name."""
+        with reported(self._path):
+            self._file.close()
+            os.replace(part_of(self._path), self._path)
+
+    def abandon(self, *, keep: bool) -> None:
+        """Remove the file."""
+        self._file.close()
+        part_of(self._path).unlink(missing_ok=True)
+
+
+def join_pieces(plan: RunPlan, pieces: Sequence[Piece], watcher: Watcher) -> RunReport:
+    """Make what follows from frame to frame, put all together, and complete the run.
+
+    Raises:
+        InputError: the recordings cannot be read.
+        OutputError: a piece is missing or damaged, or the results cannot be written.
+    """
+    started_s = time.perf_counter()
+    with open_stereo(plan.left, plan.right, plan.input_settings) as source:
+        job = job_of(plan, source, watcher)
+        assert plan.folder is not None
+        inputs = inputs_of(job)
+        with RunFolder(
+            *(plan.folder, job.save), identity=identity_of(job, inputs), resume=True, inputs=inputs
+        ) as sinks:
+            if sinks.finished is not None:
+                return report_of(sinks.finished, plan)
+            folders = [folder_of(plan, piece) for piece in pieces]
+            _follow(job, folders, sinks)
+            for name in job.save:
+                if not OUTPUTS[name].in_order:
+                    _put_together(OUTPUTS[name].path, folders, plan.folder)
+            sinks.close()
+            came = PIECE.parse((folders[-1] / PIECE.record).read_bytes())["outcome"]
+            report = report_on(job, sinks.totals, 0, started_s)
+            mine = outcome(source, report)
+            counts = {**came["counts"], "written": report.frames}
+            more = {key: mine[key] for key in ("shares", "timing")}
+            sinks.complete({"options": plan.options} | came | {"counts": counts} | more)
+    shutil.rmtree(folder_of(plan), ignore_errors=True)
+    return report
+
+
+def _follow(job: Job, folders: Sequence[Path], sinks: RunFolder) -> None:
+    """Write the outputs that need all frames in order."""
+    for name in job.save:
+        if OUTPUTS[name].in_order:
+            sinks.add(name, partial(_at, None, name, sinks.path, job))
+    joints, course = _joints(job), Course()
+    for folder in folders:
+        for index, pts, time_s, findings, points in _kept(folder):
+            frame = StereoFrame(index, pts, time_s, _NOTHING, _NOTHING)
+            pose = None if job.poses is None else job.poses.of(frame)
+            course, steering, objects = follow(course, findings, frame, pose, joints)
+            sinks.write(
+                FrameResult(
+                    frame=frame,
+                    bands=_NOTHING,
+                    motion=_NOTHING,
+                    charge=_NOTHING,
+                    age_frames=_NOTHING,
+                    disparity_px=_NOTHING,
+                    confidence=_NOTHING,
+                    depth_m=None,
+                    steering=steering,
+                    charged=findings.charged,
+                    matched=findings.matched,
+                    pose=pose,
+                    objects=objects,
+                    moving_points=points,
+                )
+            )
+
+
+_NOTHING: NDArray[Any] = np.empty((0, 0))
+
+
+def _kept(folder: Path) -> Iterator[Any]:
+    """Yield what a piece has kept of its frames."""
+    path = folder / PIECE.outputs[_FINDINGS][0]
+    try:
+        with path.open("rb") as file:
+            while file.peek(1):
+                yield Reader(file, (Findings, ImageProfile, MapProfile)).load()
+    except (OSError, ValueError, EOFError, AttributeError, pickle.UnpicklingError) as error:
+        raise OutputError(
+            f"{path} cannot be used ({error}): give the same command again"
+        ) from error
+
+
+def _put_together(path: str, folders: Sequence[Path], out: Path) -> None:
+    """Put an output of the pieces into the folder of the run; the pieces keep theirs."""
+    if "{" not in path:
+        join([found for folder in folders if (found := folder / path).exists()], out / path)
+        return
+    (out / path).parent.mkdir(exist_ok=True)
+    for folder in folders:
+        for file in sorted((folder / path).parent.glob(f"*{Path(path).suffix}")):
+            target = (out / path).with_name(file.name)
+            with reported(target):
+                try:
+                    os.link(file, target)
+                except OSError:  # a disk without hard links
+                    shutil.copyfile(file, part_of(target))
+                    os.replace(part_of(target), target)
