@@ -71,6 +71,9 @@ def without_speckles(
     value: cython.int
     runs: cython.int = 0
     width: cython.int = cython.cast(cython.int, disparity.shape[1])
+    sixteenths: cython.int[:, ::1] = work.sixteenths
+    place: cython.int[:, ::1] = work.place
+    run: cython.int[:, ::1] = work.run
     with cython.nogil:
         for y in range(cython.cast(cython.int, disparity.shape[0])):
             here: cython.int = y & 1
@@ -81,32 +84,32 @@ def without_speckles(
                 value = NOTHING
                 if where[y, x] and disparity[y, x] >= 0:  # not NaN
                     value = cython.cast(cython.int, disparity[y, x] * PER_PX)
-                work.sixteenths[here, x] = value
+                sixteenths[here, x] = value
                 if value < 0:
                     before = NOTHING
                     continue
                 if before < 0 or abs(value - before) > PER_PX:
-                    work.place[runs, 0] = y
-                    work.place[runs, 1] = x
+                    place[runs, 0] = y
+                    place[runs, 1] = x
                     work.parent[runs] = runs
                     work.size[runs] = 0
                     runs += 1
-                work.place[runs - 1, 2] = x + 1
-                work.run[here, x] = runs - 1
+                place[runs - 1, 2] = x + 1
+                run[here, x] = runs - 1
                 before = value
                 if y > 0:
-                    step = work.sixteenths[above, x]
+                    step = sixteenths[above, x]
                     if step >= 0 and abs(value - step) <= PER_PX:
                         a = root_of(runs - 1, work)
-                        b = root_of(work.run[above, x], work)
+                        b = root_of(run[above, x], work)
                         if a != b:
                             work.parent[max(a, b)] = min(a, b)
         for k in range(runs):
-            work.size[root_of(k, work)] += work.place[k, 2] - work.place[k, 1]
+            work.size[root_of(k, work)] += place[k, 2] - place[k, 1]
         for k in range(runs):
             if work.size[root_of(k, work)] > speckle_px:
-                y = work.place[k, 0]
-                for x in range(work.place[k, 1], work.place[k, 2]):
+                y = place[k, 0]
+                for x in range(place[k, 1], place[k, 2]):
                     result[y, x] = disparity[y, x]
 
 

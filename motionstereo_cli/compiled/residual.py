@@ -23,14 +23,18 @@ class Workspace:
 
     difference: cython.float[:, ::1]
     histogram: cython.int[::1]
-    total: cython.float[::1]  # of three rows, with a border of nothing
+    off: cython.float[:, ::1]  # of three rows: how far off the median, 0 = unknown
+    known: cython.float[:, ::1]  # of three rows: 1 = known
+    total: cython.float[::1]  # their sums, with a border of nothing
     count: cython.float[::1]
 
     def __init__(self, height: cython.Py_ssize_t, width: cython.Py_ssize_t):
         self.difference = np.empty((height, width), np.float32)
         self.histogram = np.empty(2 * 256 * 16, np.int32)
-        self.total = np.empty(width + 2, np.float32)
-        self.count = np.empty(width + 2, np.float32)
+        self.off = np.empty((3, width), np.float32)
+        self.known = np.empty((3, width), np.float32)
+        self.total = np.zeros(width + 2, np.float32)
+        self.count = np.zeros(width + 2, np.float32)
 
 
 def residual(
@@ -41,28 +45,61 @@ def residual(
     result: cython.float[:, ::1],
 ) -> None:
     """Fill in the residual: see :func:`motionstereo_cli.stages.residual.residual`."""
-    x: cython.int
     y: cython.int
-    row: cython.int
     height: cython.int = cython.cast(cython.int, disparity.shape[0])
-    width: cython.int = cython.cast(cython.int, disparity.shape[1])
     with cython.nogil:
         median: cython.float = differences(disparity, right, left, work)
+        work.off[:, :] = 0
+        work.known[:, :] = 0
+        measure(0, median, work)
         for y in range(height):
-            work.total[:] = 0
-            work.count[:] = 0
-            for row in range(max(y - 1, 0), min(y + 2, height)):
-                for x in range(width):
-                    here: cython.float = abs(work.difference[row, x] - median)
-                    here = MOST if here > MOST else here
-                    known: cython.bint = not isnan(here)
-                    work.total[x + 1] += here if known else ZERO
-                    work.count[x + 1] += ONE if known else ZERO
-            for x in range(width):
-                total: cython.float = work.total[x] + work.total[x + 1] + work.total[x + 2]
-                count: cython.float = work.count[x] + work.count[x + 1] + work.count[x + 2]
-                known = not isnan(work.difference[y, x])
-                result[y, x] = total / max(count, ONE) if known else NAN
+            if y + 1 < height:
+                measure(y + 1, median, work)
+            else:
+                work.off[(y + 1) % 3, :] = 0
+                work.known[(y + 1) % 3, :] = 0
+            average(y, work, result)
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def measure(y: cython.int, median: cython.float, work: Workspace) -> cython.void:
+    """Note how far off the median a row is."""
+    x: cython.Py_ssize_t
+    difference: cython.float[::1] = work.difference[y]
+    off: cython.float[::1] = work.off[y % 3]
+    known: cython.float[::1] = work.known[y % 3]
+    for x in range(difference.shape[0]):
+        here: cython.float = abs(difference[x] - median)
+        here = MOST if here > MOST else here
+        off[x] = here if here >= ZERO else ZERO  # not where it is NaN
+        known[x] = ONE if here >= ZERO else ZERO
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+@cython.locals(x=cython.Py_ssize_t, sum=cython.float, number=cython.float)
+def average(y: cython.int, work: Workspace, result: cython.float[:, ::1]) -> cython.void:
+    """Fill in a row of the residual: means of three rows and three columns."""
+    total: cython.float[::1] = work.total
+    count: cython.float[::1] = work.count
+    above: cython.float[::1] = work.off[(y + 2) % 3]
+    here: cython.float[::1] = work.off[y % 3]
+    below: cython.float[::1] = work.off[(y + 1) % 3]
+    for x in range(result.shape[1]):
+        total[x + 1] = above[x] + here[x] + below[x]
+    above = work.known[(y + 2) % 3]
+    here = work.known[y % 3]
+    below = work.known[(y + 1) % 3]
+    for x in range(result.shape[1]):
+        count[x + 1] = above[x] + here[x] + below[x]
+    for x in range(result.shape[1]):
+        sum = total[x] + total[x + 1] + total[x + 2]
+        number = count[x] + count[x + 1] + count[x + 2]
+        number = number if number > ONE else ONE
+        result[y, x] = sum / number if here[x] > ZERO else NAN
 
 
 @cython.cfunc
@@ -80,11 +117,13 @@ def differences(
     step: cython.int
     known: cython.int = 0
     width: cython.int = cython.cast(cython.int, disparity.shape[1])
-    work.histogram[:] = 0
+    difference: cython.float[:, ::1] = work.difference
+    histogram: cython.int[::1] = work.histogram
+    histogram[:] = 0
     for y in range(cython.cast(cython.int, disparity.shape[0])):
         for x in range(width):
             if isnan(disparity[y, x]):
-                work.difference[y, x] = NAN
+                difference[y, x] = NAN
                 continue
             place: cython.float = cython.cast(cython.float, x) + disparity[y, x]
             column: cython.int = min(cython.cast(cython.int, place), width - 1)
@@ -94,16 +133,16 @@ def differences(
             here: cython.float = cython.cast(cython.float, right[y, x]) - (
                 near + (far - near) * part
             )
-            work.difference[y, x] = here
+            difference[y, x] = here
             step = cython.cast(cython.int, (here + LEVELS) * PER_GREY_LEVEL + HALF)
-            work.histogram[step] += 1
+            histogram[step] += 1
             known += 1
     # The two in the middle, which are one if the number is odd.
     lower: cython.int = -1
     upper: cython.int = -1
     below: cython.int = 0
-    for step in range(cython.cast(cython.int, work.histogram.shape[0])):
-        below += work.histogram[step]
+    for step in range(cython.cast(cython.int, histogram.shape[0])):
+        below += histogram[step]
         if lower < 0 and 2 * below >= known:
             lower = step
         if 2 * below > known:

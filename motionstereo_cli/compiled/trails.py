@@ -227,20 +227,21 @@ def vote_again(work: Workspace) -> cython.void:
 @cython.locals(column=cython.Py_ssize_t, d=cython.Py_ssize_t, other=cython.Py_ssize_t)
 def pool(row: cython.Py_ssize_t, work: Workspace) -> cython.void:
     """Add up the votes of 3 x 3 blocks in a row of blocks."""
+    votes: cython.int[:, :, ::1] = work.votes
+    down: cython.int[:, ::1] = work.down
+    pooled: cython.int[:, ::1] = work.pooled
     above: cython.Py_ssize_t = max(row - 1, 0)
-    below: cython.Py_ssize_t = min(row + 1, work.votes.shape[0] - 1)
+    below: cython.Py_ssize_t = min(row + 1, votes.shape[0] - 1)
     for column in range(work.columns):
         for d in range(work.disparities):
-            work.down[column + 1, d] = work.votes[row, column, d]
+            down[column + 1, d] = votes[row, column, d]
         for other in range(above, below + 1):
             if other != row:
                 for d in range(work.disparities):
-                    work.down[column + 1, d] += work.votes[other, column, d]
+                    down[column + 1, d] += votes[other, column, d]
     for column in range(work.columns):
         for d in range(work.disparities):
-            work.pooled[column, d + 2] = (
-                work.down[column, d] + work.down[column + 1, d] + work.down[column + 2, d]
-            )
+            pooled[column, d + 2] = down[column, d] + down[column + 1, d] + down[column + 2, d]
 
 
 @cython.cfunc
@@ -255,17 +256,20 @@ def elect_winners(max_ratio: cython.double, work: Workspace) -> cython.void:
     it has the largest support for both its trails, and the second best of the right one has no
     more than ``max_ratio`` of that.
     """
+    pairs: cython.int[:, ::1] = work.pairs
+    near: cython.int[:, ::1] = work.near
+    pooled: cython.int[:, ::1] = work.pooled
+    best_left: cython.int[::1] = work.best_left
+    next_left: cython.int[::1] = work.next_left
     for j in range(work.first[1, work.height]):
-        work.best_left[j] = work.next_left[j] = 0
+        best_left[j] = next_left[j] = 0
     for row in range(work.height):
         if row % work.block_rows == 0:
             pool(row // work.block_rows, work)
             for block in range(work.columns):
                 for d in range(work.disparities):
-                    work.near[block, d] = (
-                        work.pooled[block, d + 1]
-                        + work.pooled[block, d + 2]
-                        + work.pooled[block, d + 3]
+                    near[block, d] = (
+                        pooled[block, d + 1] + pooled[block, d + 2] + pooled[block, d + 3]
                     )
         begin: cython.int = work.first[0, row]
         end: cython.int = work.first[0, row + 1]
@@ -276,26 +280,24 @@ def elect_winners(max_ratio: cython.double, work: Workspace) -> cython.void:
             second: cython.int = 0
             winner: cython.int = -1
             for k in range(work.first_pair[i], work.first_pair[i + 1]):
-                j = work.pairs[k, 0]
-                support: cython.int = (
-                    work.near[at_start, work.pairs[k, 1]] + work.near[at_stop, work.pairs[k, 2]]
-                )
+                j = pairs[k, 0]
+                support: cython.int = near[at_start, pairs[k, 1]] + near[at_stop, pairs[k, 2]]
                 second = max(second, min(most, support))
                 winner = k if support > most else winner
                 most = max(most, support)
-                work.next_left[j] = max(work.next_left[j], min(work.best_left[j], support))
-                work.best_left[j] = max(work.best_left[j], support)
+                next_left[j] = max(next_left[j], min(best_left[j], support))
+                best_left[j] = max(best_left[j], support)
             work.best[i - begin, 0] = most
             work.best[i - begin, 1] = winner if second <= max_ratio * most and second < most else -1
         for i in range(begin, end):
             work.ends[i, 0] = work.ends[i, 1] = -1
             k = work.best[i - begin, 1]
             if k >= 0:
-                j = work.pairs[k, 0]
+                j = pairs[k, 0]
                 most = work.best[i - begin, 0]
-                if work.next_left[j] < most and work.best_left[j] == most:
-                    work.ends[i, 0] = work.pairs[k, 1]
-                    work.ends[i, 1] = work.pairs[k, 2]
+                if next_left[j] < most and best_left[j] == most:
+                    work.ends[i, 0] = pairs[k, 1]
+                    work.ends[i, 1] = pairs[k, 2]
 
 
 @cython.cfunc
@@ -303,12 +305,11 @@ def elect_winners(max_ratio: cython.double, work: Workspace) -> cython.void:
 @cython.exceptval(check=False)
 def votes_near(block: cython.int, disparity: cython.int, work: Workspace) -> cython.float:
     """Return how many votes a block has within +-2 px of a disparity."""
-    a: cython.int = work.pooled[block, disparity]
-    b: cython.int = work.pooled[block, disparity + 1]
-    c: cython.int = work.pooled[block, disparity + 2]
-    d: cython.int = work.pooled[block, disparity + 3]
-    e: cython.int = work.pooled[block, disparity + 4]
-    return cython.cast(cython.float, a + b + c + d + e)
+    d: cython.int
+    total: cython.int = 0
+    for d in range(disparity, disparity + 5):
+        total += work.pooled[block, d]
+    return cython.cast(cython.float, total)
 
 
 @cython.cfunc
