@@ -14,8 +14,11 @@ if TYPE_CHECKING:
     from motionstereo_cli.settings import Settings
     from motionstereo_cli.types import Real
 
+    #: Disparity, and what makes its confidence: it takes time, and few ask for it.
+    Found = tuple[Real, Callable[[], Real]]
 
-def _trails(right: Memory, left: Memory, settings: Settings) -> tuple[Real, Real]:
+
+def _trails(right: Memory, left: Memory, settings: Settings) -> Found:
     from motionstereo_cli.memory import age_of, keys_of
     from motionstereo_cli.stages.cleaning import filled, without_speckles
     from motionstereo_cli.stages.confidence import confidence
@@ -34,10 +37,10 @@ def _trails(right: Memory, left: Memory, settings: Settings) -> tuple[Real, Real
     differs = residual(disparity, right.grey, left.grey)
     matched = without_speckles(disparity, differs <= s.max_residual, s.speckle_px)
     disparity = filled(matched, wanted > 0, s.gap_px)
-    return disparity, confidence(disparity, matched, votes, differs, age_of(right, s))
+    return disparity, lambda: confidence(disparity, matched, votes, differs, age_of(right, s))
 
 
-def _dense(right: Memory, left: Memory, settings: Settings) -> tuple[Real, Real]:
+def _dense(right: Memory, left: Memory, settings: Settings) -> Found:
     import numpy as np
 
     from motionstereo_cli.memory import age_of, keys_of
@@ -68,10 +71,10 @@ def _dense(right: Memory, left: Memory, settings: Settings) -> tuple[Real, Real]
     matched = without_speckles(disparity, ~np.isnan(disparity), s.speckle_px)
     disparity = filled(matched, charged, s.gap_px)
     disparity[~charged] = np.nan
-    return disparity, confidence_by_margin(disparity, matched, margin, ages)
+    return disparity, lambda: confidence_by_margin(disparity, matched, margin, ages)
 
 
-def _regions(right: Memory, left: Memory, settings: Settings) -> tuple[Real, Real]:
+def _regions(right: Memory, left: Memory, settings: Settings) -> Found:
     import numpy as np
 
     from motionstereo_cli.memory import keys_of
@@ -79,7 +82,7 @@ def _regions(right: Memory, left: Memory, settings: Settings) -> tuple[Real, Rea
 
     s = settings
     disparity = match_regions(keys_of(right, s), keys_of(left, s), s.max_disparity)
-    return disparity, np.full_like(disparity, np.nan)
+    return disparity, lambda: np.full_like(disparity, np.nan)
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,13 +92,13 @@ class Matcher:
     Attributes:
         what: what it does, in a few words for users.
         match: takes the right and the left memory and the settings; returns the disparity in px
-            of each charged right pixel and its confidence 0..1, both (height, width) float32,
-            NaN = unknown.
+            of each charged right pixel and what makes its confidence 0..1, both (height, width)
+            float32, NaN = unknown.
         knows_confidence: whether it gives a confidence; without, all of it is NaN.
     """
 
     what: str
-    match: Callable[[Memory, Memory, Settings], tuple[Real, Real]]
+    match: Callable[[Memory, Memory, Settings], Found]
     knows_confidence: bool = True
 
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
+from motionstereo_cli.compiled import memory as loops
 from motionstereo_cli.settings import Settings
 from motionstereo_cli.stages.bands import band_table, bands, blur
 from motionstereo_cli.stages.charge import accumulate, age, permanency
@@ -63,6 +64,8 @@ def see(memory: Memory | None, image: Grey, settings: Settings) -> Memory:
     if memory is None:
         at_rest = np.full_like(grey, s.charge_min)
         return Memory(grey, local, banded, np.zeros(grey.shape, np.bool_), at_rest)
+    if s.charge_mode == "permanency" and banded.dtype == np.uint8:
+        return Memory(grey, local, banded, *_moved_and_charge(memory, local, banded, s))
     moved = motion(banded, memory.bands, local, memory.contrast, s.min_jump)
     limits = {"charge_max": s.charge_max, "charge_min": s.charge_min}
     if s.charge_mode == "permanency":
@@ -71,6 +74,20 @@ def see(memory: Memory | None, image: Grey, settings: Settings) -> Memory:
         gains = {"gain": s.charge_gain, "leak": s.charge_leak}
         charge = accumulate(memory.charge, moved, **gains, **limits)
     return Memory(grey, local, banded, moved, charge)
+
+
+def _moved_and_charge(
+    memory: Memory, local: Grey, banded: NDArray[np.uint8 | np.uint16], settings: Settings
+) -> tuple[NDArray[np.bool_], Grey]:
+    """Return :func:`motion` and :func:`permanency` in one pass."""
+    s = settings
+    moved, charge = np.empty(local.shape, np.bool_), np.empty(local.shape, np.uint8)
+    loops.permanency(
+        *(local, memory.contrast, banded, memory.bands, memory.charge),
+        *(s.min_jump, s.charge_max, s.charge_min, s.charge_leak),
+        *(moved.view(np.uint8), charge),
+    )
+    return moved, charge
 
 
 def age_of(memory: Memory, settings: Settings) -> Grey:

@@ -11,7 +11,7 @@ In permanency mode the memories forget ceil((Chmax - Chmin) / D) frames later.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -29,6 +29,9 @@ from motionstereo_cli.types import FrameResult, MovingObject, Pose, Rig, Steerin
 if TYPE_CHECKING:
     from motionstereo_cli.robot.objects import Region
     from motionstereo_cli.types import Grey, Real
+
+#: What of a result takes time and is not always asked for.
+EXTRAS = frozenset({"age_frames", "confidence", "depth_m"})
 
 #: A disparity shows where a moving object is now if it moved there at most this many frames ago.
 FRESH_FRAMES = 3
@@ -74,9 +77,9 @@ class Look(NamedTuple):
         findings: what later frames build on.
     """
 
-    age_frames: Grey
+    age_frames: Grey | None
     disparity_px: Real
-    confidence: Real
+    confidence: Real | None
     depth_m: Real | None
     findings: Findings
 
@@ -88,14 +91,22 @@ class Joints(NamedTuple):
     rig: Rig | None
     guide: Guide[Any, Any]
     tracker: Tracker | None
+    extras: frozenset[str]
 
     @classmethod
     def of(
-        cls, settings: Settings, rig: Rig | None, *, with_poses: bool, with_objects: bool
+        cls,
+        settings: Settings,
+        rig: Rig | None,
+        *,
+        with_poses: bool,
+        with_objects: bool,
+        extras: Collection[str] = EXTRAS,
     ) -> Joints:
         """Return what a stream needs."""
         guide = guide_of(settings, rig, with_poses=with_poses)
-        return cls(settings, rig, guide, Tracker(settings, rig) if with_objects else None)
+        tracker = Tracker(settings, rig) if with_objects else None
+        return cls(settings, rig, guide, tracker, frozenset(extras))
 
 
 def process(
@@ -105,6 +116,7 @@ def process(
     pose_of: Callable[[StereoFrame], Pose] | None = None,
     *,
     with_objects: bool = True,
+    extras: Collection[str] = EXTRAS,
     jobs: int = 1,
     state: State | None = None,
 ) -> Iterator[FrameResult]:
@@ -117,12 +129,19 @@ def process(
         pose_of: tells where the rig was; asked once a frame, in order. With it and a rig, the
             guidance remembers what it has seen around it.
         with_objects: find moving objects; with poses, the guidance keeps clear of them.
+        extras: which of :data:`EXTRAS` the results have; the others are None, and take no time.
         jobs: frames matched at a time; all but one of them are taken before a result is given.
         state: what is known before the first frame, as the ``state`` of an earlier result; nothing
             if None.
     """
     settings, state = settings or Settings(), state or State()
-    joints = Joints.of(settings, rig, with_poses=pose_of is not None, with_objects=with_objects)
+    joints = Joints.of(
+        settings,
+        rig,
+        with_poses=pose_of is not None,
+        with_objects=with_objects,
+        extras=extras,
+    )
     course = Course(state.guided, state.tracks or Tracks())
     for frame, right, left, seen in looked(frames, joints, state, jobs):
         pose = None if pose_of is None else pose_of(frame)
@@ -209,39 +228,50 @@ def look(right: Memory, left: Memory, joints: Joints) -> Look:
     """Return what one moment of the memories decides by itself, in the reference view."""
     s, rig = joints.settings, joints.rig
     shown = right if s.reference == "right" else left
-    age_frames = age_of(shown, s)
-    disparity, chance = match(right, left, s)
-    fresh = age_frames <= FRESH_FRAMES
+    disparity, chance = match(right, left, s, with_confidence="confidence" in joints.extras)
+    with_depth = rig is not None and "depth_m" in joints.extras
+    regions: tuple[Region, ...] = ()
+    if joints.tracker is not None:
+        regions = joints.tracker.regions(disparity, age_of(shown, s) <= FRESH_FRAMES)
     return Look(
-        age_frames,
+        age_of(shown, s) if "age_frames" in joints.extras else None,
         disparity,
         chance,
-        None if rig is None else depth(disparity, rig.focal_px, rig.baseline_m, rig.doffs),
+        depth(disparity, rig.focal_px, rig.baseline_m, rig.doffs) if rig and with_depth else None,
         Findings(
             joints.guide.profile(disparity, shown.moved),
-            () if joints.tracker is None else joints.tracker.regions(disparity, fresh),
+            regions,
             charged=float(np.count_nonzero(shown.charge > s.charge_min)) / disparity.size,
             matched=float(np.count_nonzero(~np.isnan(disparity))) / disparity.size,
         ),
     )
 
 
-def match(right: Memory, left: Memory, settings: Settings) -> tuple[Real, Real]:
+def match(
+    right: Memory, left: Memory, settings: Settings, *, with_confidence: bool = True
+) -> tuple[Real, Real | None]:
     """Return disparity in px and confidence 0..1 of the reference view, NaN = unknown.
 
-    Both are (height, width) float32.
+    Both are (height, width) float32; the confidence is None if it was not asked for.
     """
     if settings.reference == "left":
         # In a mirror the left camera is the right one, and disparities stay what they are.
-        found = _match(in_mirror(left), in_mirror(right), settings)
-        return mirrored(found[0]), mirrored(found[1])
-    return _match(right, left, settings)
+        mirror = in_mirror(left), in_mirror(right)
+        disparity, chance = _match(*mirror, settings, with_confidence=with_confidence)
+        return mirrored(disparity), None if chance is None else mirrored(chance)
+    return _match(right, left, settings, with_confidence=with_confidence)
 
 
-def _match(right: Memory, left: Memory, settings: Settings) -> tuple[Real, Real]:
+def _match(
+    right: Memory, left: Memory, settings: Settings, *, with_confidence: bool
+) -> tuple[Real, Real | None]:
     s = settings
-    disparity, chance = MATCHERS[s.matcher].match(right, left, s)
+    disparity, confidence = MATCHERS[s.matcher].match(right, left, s)
+    chance = confidence() if with_confidence or s.min_confidence > 0 else None
     if s.min_confidence > 0 or s.max_age < FOREVER:
-        dropped = (chance < s.min_confidence) | (age_of(right, s) > s.max_age)
-        disparity[dropped] = chance[dropped] = np.nan
+        dropped = age_of(right, s) > s.max_age
+        if chance is not None:
+            dropped |= chance < s.min_confidence
+            chance[dropped] = np.nan
+        disparity[dropped] = np.nan
     return disparity, chance

@@ -201,11 +201,12 @@ class FrameResult:
         motion: (height, width) bool, where the band has just changed.
         charge: (height, width) uint8 permanency memory.
         age_frames: (height, width) uint8 frames since something moved there, 255 = forgotten; all
-            0 where charged in general mode, which does not know.
+            0 where charged in general mode, which does not know; None if not asked for.
         disparity_px: (height, width) float32, NaN = unknown.
         confidence: (height, width) float32 chance 0..1 that the disparity is right within 1 px,
-            NaN = unknown; all NaN for the regions matcher, which does not know.
-        depth_m: (height, width) float32, NaN = unknown; None without a rig.
+            NaN = unknown; all NaN for the regions matcher, which does not know; None if not asked
+            for.
+        depth_m: (height, width) float32, NaN = unknown; None without a rig or if not asked for.
         steering: heading for this frame.
         charged, matched: shares of the image, 0..1, that carry charge and have a disparity.
         state: what is known after this frame; :func:`~motionstereo_cli.pipeline.process` goes on
@@ -219,9 +220,9 @@ class FrameResult:
     bands: NDArray[np.uint8 | np.uint16]
     motion: NDArray[np.bool_]
     charge: Grey
-    age_frames: Grey
+    age_frames: Grey | None
     disparity_px: Real
-    confidence: Real
+    confidence: Real | None
     depth_m: Real | None
     steering: Steering
     charged: float

@@ -1,6 +1,7 @@
 """Moving objects: regions, following, speeds, the nearest contact, and their table."""
 
 import csv
+import itertools
 import math
 from fractions import Fraction
 
@@ -15,6 +16,7 @@ from hypothesis.extra.numpy import arrays
 from bench import objects as bench
 from motionstereo_cli.commands import cli
 from motionstereo_cli.robot import objects
+from motionstereo_cli.robot.assignment import assignment
 from motionstereo_cli.robot.guide import MapGuide, nearest_contact
 from motionstereo_cli.robot.objects import (
     Observation,
@@ -461,3 +463,23 @@ def test_the_bench_prints_its_table(capsys):
     bench.main(["--frames", "0:40", "--width", "240"])
     table = capsys.readouterr().out.splitlines()
     assert [line.split("|")[1].strip() for line in table] == ["camera", "---", "still", "panning"]
+
+
+@given(
+    arrays(
+        np.float64,
+        st.tuples(st.integers(1, 4), st.integers(1, 5)),
+        elements=st.one_of(st.just(1e6), st.floats(0, 3)),
+    )
+)
+def test_tracks_and_regions_are_paired_at_the_least_cost(cost):
+    pairs = assignment(cost)
+    tall = cost if cost.shape[0] >= cost.shape[1] else cost.T
+    rows, columns = tall.shape
+    best = min(
+        sum(tall[row, column] for column, row in enumerate(chosen))
+        for chosen in itertools.permutations(range(rows), columns)
+    )
+    assert len(pairs) == columns
+    assert len({row for row, _ in pairs}) == len({column for _, column in pairs}) == columns
+    assert sum(cost[pair] for pair in pairs) == pytest.approx(best)

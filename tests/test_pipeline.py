@@ -12,6 +12,9 @@ from motionstereo_cli.pipeline import process
 from motionstereo_cli.settings import PRESETS, Settings
 from motionstereo_cli.simulate.scenes import render_scene
 from motionstereo_cli.simulate.settings import SimulateSettings
+from motionstereo_cli.stages.bands import band_table
+from motionstereo_cli.stages.charge import permanency
+from motionstereo_cli.stages.motion import motion
 from motionstereo_cli.types import Rig, StereoFrame
 
 RIG = Rig(width=160, height=96, focal_px=140, baseline_m=0.12, cx=79.5, cy=47.5)
@@ -224,3 +227,29 @@ def test_the_surer_the_fewer_errors(corridor):
     kept = [best_first[: int(share * len(errors))].mean() for share in (0.25, 0.5, 0.75, 1.0)]
     assert kept == sorted(kept)
     assert kept[0] < 0.8 * kept[-1]
+
+
+@pytest.mark.parametrize("leak", [1, 16, 255])
+def test_memories_in_one_pass_are_those_of_the_equations(leak):
+    random = np.random.default_rng(leak)
+    options = Settings(charge_leak=leak, charge_max=200, charge_min=7, min_jump=3, blur_px=0)
+    memory, bands, charge = None, None, np.full((9, 21), 7, np.uint8)
+    table = band_table(options.bands)
+    for _ in range(6):
+        grey = random.integers(90, 102, (9, 21)).astype(np.uint8)
+        before, memory = memory, see(memory, grey, options)
+        if before is not None:
+            moved = motion(table[grey], bands, grey, before.grey, 3)
+            charge = permanency(charge, moved, charge_max=200, charge_min=7, leak=leak)
+            assert np.array_equal(memory.moved, moved)
+        assert np.array_equal(memory.charge, charge)
+        bands = table[grey]
+    assert charge.max() == 200
+
+
+def test_what_is_not_asked_for_is_not_found():
+    result = last(process(sliding([10], frames=2), rig=RIG, extras=()))
+    assert result.depth_m is None
+    assert result.age_frames is None
+    assert result.confidence is None
+    assert result.disparity_px is not None

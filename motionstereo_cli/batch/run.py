@@ -251,6 +251,7 @@ def _results(job: Job, sinks: Sinks, watcher: Watcher) -> Iterator[FrameResult]:
         None if job.poses is None else job.poses.of,
         # They take time: only where they are asked for.
         with_objects="objects" in job.save or job.poses is not None,
+        extras={extra for name in job.save for extra in OUTPUTS[name].extras},
         jobs=plan.jobs or (1 if plan.from_stdin else os.cpu_count()) or 1,
         state=sinks.state,
     )

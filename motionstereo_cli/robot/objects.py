@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from motionstereo_cli.compiled import objects as loops
+from motionstereo_cli.robot.assignment import assignment
 
 Reals = NDArray[np.float32]
 
@@ -248,8 +249,6 @@ def _assigned(tracks: Sequence[Track], found: Sequence[Region], time_s: float) -
     """Return the index of the region for each track that has one, by the track's index."""
     if not tracks or not found:
         return {}
-    from scipy.optimize import linear_sum_assignment
-
     wanted = np.array([_expected(track, time_s) for track in tracks])[:, None]
     given = np.array([_measures(region) for region in found])[None]
     size = np.maximum(wanted[..., 2:4], given[..., 2:4])
@@ -259,8 +258,7 @@ def _assigned(tracks: Sequence[Track], found: Sequence[Region], time_s: float) -
     young = 0.3 / np.array([[track.seen] for track in tracks])
     cost = sizes / _MAX_SIZES + factor + young
     cost[(sizes > _MAX_SIZES) | (factor > 1)] = 1e6
-    rows, columns = linear_sum_assignment(cost)
-    return {int(r): int(c) for r, c in zip(rows, columns, strict=True) if cost[r, c] < 1e6}
+    return {row: column for row, column in assignment(cost) if cost[row, column] < 1e6}
 
 
 def _measures(region: Region) -> tuple[float, ...]:

@@ -90,6 +90,13 @@ class Output:
     in_order: bool = False
 
     @property
+    def extras(self) -> frozenset[str]:
+        """What it needs of :data:`motionstereo_cli.pipeline.EXTRAS`."""
+        own = {"age": {"age_frames"}, "confidence": {"confidence"}}
+        depth = {"depth_m"} if self.needs_rig else set()
+        return frozenset(depth | own.get(self.path.partition("/")[0], set()))
+
+    @property
     def paths(self) -> tuple[str, ...]:
         """All its files, as ``path`` has them."""
         return (self.path, *self.beside)

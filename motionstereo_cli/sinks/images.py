@@ -69,6 +69,12 @@ def motion_png(motion: NDArray[np.bool_]) -> NDArray[np.uint8]:
     return motion.astype(np.uint8) * np.uint8(255)
 
 
+def _given(image: NDArray[Any] | None) -> NDArray[Any]:
+    """Return what a result has because an output asks for it."""
+    assert image is not None
+    return image
+
+
 def known_depth_m(result: FrameResult) -> Real:
     """Return the depth of a result that has one, because there is a rig."""
     assert result.depth_m is not None
@@ -129,8 +135,8 @@ depth = _images(lambda result, stream: depth_png(known_depth_m(result), stream.o
 depth_m = _images(lambda result, _: known_depth_m(result))
 disparity = _images(lambda result, _: disparity_png(result.disparity_px))
 disparity_px = _images(lambda result, _: result.disparity_px)
-age = _images(lambda result, _: result.age_frames)
-confidence = _images(lambda result, _: confidence_png(result.confidence))
+age = _images(lambda result, _: _given(result.age_frames))
+confidence = _images(lambda result, _: confidence_png(_given(result.confidence)))
 bands = _images(lambda result, _: result.bands)
 motion = _images(lambda result, _: motion_png(result.motion))
 charge = _images(lambda result, _: result.charge)
