@@ -253,6 +253,14 @@ def test_what_poses_do_not_cover_is_said(tmp_path, span, complaint):
     trajectory.check_covers(0.5, None)
 
 
+def test_gaps_are_said(tmp_path):
+    lines = [tum(n / 10, pose) for n, pose in enumerate(drive(60))]
+    trajectory = read_poses(written(tmp_path, *lines[:20], *lines[45:]))
+    (said,) = trajectory.check_covers(0, 5.9)
+    assert "1 gap, the longest from 1.900 to 4.500 s: a straight line" in said
+    assert trajectory.check_covers(0, 1.5) == trajectory.check_covers(4.6, 5.9) == ()
+
+
 def test_a_unit_that_would_cover_the_recording_is_named(tmp_path):
     lines = [tum(17e11 + 100 * n, pose) for n, pose in enumerate(drive())]
     trajectory = read_poses(written(tmp_path, *lines), PoseSettings(pose_time_unit="s"))

@@ -133,7 +133,9 @@ def job_of(plan: RunPlan, source: StereoSource, watcher: Watcher) -> Job:
             poses = read_poses(
                 *(plan.poses, plan.pose_settings, calibration.rig, calibration.body_from_left)
             )
-            poses.check_covers(*(source.numbers if poses.by_number else source.span_s))
+            span = source.numbers if poses.by_number else source.span_s
+            for line in poses.check_covers(*span):
+                watcher.say("warning", line)
     time_base = source.time_base or DEFAULT_TIME_BASE
     job = Job(plan, source, RunContext(time_base, plan.settings, rig, plan.output_settings), poses)
     if plan.folder is not None:

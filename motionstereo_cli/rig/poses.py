@@ -37,6 +37,9 @@ _UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 #: Poses that are farther apart hardly have times in s, and nothing with a stereo camera is as fast.
 _MAX_INTERVAL_S, _MAX_SPEED_MPS = 1.0, 100.0
 
+#: A step between poses that is so many times the usual one is a gap.
+_MAX_GAP = 10
+
 #: Directions of the robot frame in the optical one: forward is z, left is -x, up is -y.
 _OPTICAL_FROM_ROBOT = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
 
@@ -95,8 +98,10 @@ class Trajectory:
             raise self._timeless()
         return self.at(frame.time_s)
 
-    def check_covers(self, first: float | None, last: float | None) -> None:
+    def check_covers(self, first: float | None, last: float | None) -> tuple[str, ...]:
         """Make sure that there are poses for a recording, before any of it is processed.
+
+        Returns what may be wrong, one line each: a gap in the poses.
 
         Args:
             first: time of the first frame in s (its number where ``by_number``); None where the
@@ -126,6 +131,24 @@ class Trajectory:
                 f"{self.name}: its poses cover {self._shown(start, end)}, but the recording goes "
                 f"on to about {self._shown(last)}: give poses for all of it, or --end {kept}"
             )
+        return self._gaps(first, end if last is None else last)
+
+    def _gaps(self, first: float, last: float) -> tuple[str, ...]:
+        steps = np.diff(self.time_s)
+        if not steps.size:
+            return ()
+        limit = _MAX_GAP * float(np.median(steps))
+        limit = limit if self.by_number else max(limit, _MAX_INTERVAL_S)
+        inside = (self.time_s[:-1] < last) & (self.time_s[1:] > first)
+        found = np.flatnonzero((steps > limit) & inside)
+        if not found.size:
+            return ()
+        longest = found[np.argmax(steps[found])]
+        where = self._shown(*self.time_s[longest : longest + 2].tolist())
+        return (
+            f"{self.name} has {found.size} gap{'s' if found.size > 1 else ''}, the longest from "
+            f"{where}: a straight line is taken there",
+        )
 
     def _check_unit(self, first_s: float, last_s: float | None) -> None:
         if len(self.time_s) < 2:

@@ -56,6 +56,8 @@ def read_structure(path: Path, text: str) -> Values:
 
 def _reason(error: Exception) -> str:
     """Return what an error says in one short line; those of libraries quote the file."""
+    if isinstance(error, RecursionError):
+        return "it is nested too deeply"
     return " ".join(str(error).split())[:120] or "it is damaged"
 
 
