@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from fractions import Fraction
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -83,7 +84,8 @@ def test_times_in_names(stems: list[str], ns: list[int] | None) -> None:
 
 
 def film(path: Path, kept: list[int], times: list[int]) -> Path:
-    return encode(path, [scene()[n] for n in kept], "ffv1", "gray", pts=[times[n] for n in kept])
+    images, pts = [scene()[n] for n in kept], [times[n] for n in kept]
+    return encode(path, images, "ffv1", "gray", pts=pts, options={"g": "1"})
 
 
 @pytest.mark.parametrize("suffix", [".mkv", ".mp4"])
@@ -141,3 +143,49 @@ def test_clocks_that_drift_are_followed_and_leaps_are_not(drift: float) -> None:
         step.note(one, other)
         found.append((one.number, other.number))
     assert found == [(n, n) for n in range(400) if n % 90 and n % 71]
+
+
+# --- Beginning anywhere -----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("suffix", [".mkv", ".mp4", ".png"])
+@pytest.mark.parametrize(
+    "given",
+    [{}, {"start": "2", "every": 2}, {"start": "0.1s", "end": "0.35s"}, {"swap": True, "end": "9"}],
+)
+def test_frames_from_any_place_are_those_of_the_whole(
+    tmp_path: Path, suffix: str, given: dict[str, Any]
+) -> None:
+    sides = []
+    for side, gone in (("left", {4, 7}), ("right", {2})):
+        kept = [n for n in ALL if n not in gone]
+        if suffix == ".png":
+            sides.append(named(tmp_path / side, {n: f"{n:03d}" for n in kept}))
+        else:
+            sides.append(film(tmp_path / f"{side}{suffix}", kept, list(ALL)))
+    settings = InputSettings(**given, **({"frame_rate": 30} if suffix == ".png" else {}))
+
+    def frames(index: int) -> list[tuple[Any, ...]]:
+        with open_stereo(*sides, settings) as source:
+            sought = source.begin_at(index)
+            found = [
+                (f.index, f.pts, f.time_s, f.left.tobytes(), f.right.tobytes()) for f in source
+            ]
+            assert sought or not 0 < index < len(whole)
+            return found
+
+    whole: list[tuple[Any, ...]] = []
+    whole = frames(0)
+    assert len(whole) >= 4
+    for index in range(1, len(whole) + 1):
+        assert frames(index) == whole[index:]
+
+
+def test_what_cannot_seek_is_decoded_from_the_start(tmp_path: Path) -> None:
+    paths = [
+        encode(tmp_path / f"{side}.mjpeg", scene(), "mjpeg", "yuvj420p", 2)
+        for side in ("left", "right")
+    ]
+    with open_stereo(*paths) as source:
+        assert not source.begin_at(5)
+        assert [number_in(frame.left) for frame in source] == list(ALL)[5:]

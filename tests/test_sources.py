@@ -586,3 +586,56 @@ def test_leaving_in_mid_stream_leaves_no_thread(tmp_path: Path) -> None:
         assert len(threads()) == 2
     assert threads() == []
     assert next(frames, None) is None
+
+
+# --- Seeking ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_contract_of_seeking(tmp_path: Path, kind: str) -> None:
+    (width, height), _, _, make = KINDS[kind]
+    path = make(tmp_path / kind, scene(width, height))
+    through = [(image.number, image.pts, image.grey.tobytes()) for image in read_all(path)[1]]
+    for number in (0, 1, 5, COUNT - 1, COUNT):
+        recording = open_recording(path)
+        recording.skip_to(number)
+        found = [(image.number, image.pts, image.grey.tobytes()) for image in recording]
+        assert found == through[number:]
+        assert recording.damage == []
+        recording.close()
+
+
+GROUPS = {"g": "4", "sc_threshold": "0"}
+
+
+@pytest.mark.parametrize("suffix", [".mp4", ".mkv"])
+@pytest.mark.parametrize("frames_between", ["0", "2"])
+@pytest.mark.parametrize("lost", [set(), {3, 8}])
+def test_seeking_is_decoding_through(
+    tmp_path: Path, suffix: str, frames_between: str, lost: set[int]
+) -> None:
+    kept = [n for n in range(24) if n not in lost]
+    images = [scene(count=24)[n] for n in kept]
+    options = GROUPS | {"bf": frames_between}
+    path = encode(tmp_path / f"v{suffix}", images, "libx264", "yuv420p", options=options, pts=kept)
+    through = [(image.number, image.pts, image.grey.tobytes()) for image in read_all(path)[1]]
+    assert [number for number, *_ in through] == kept
+    for number in range(24):
+        recording = VideoRecording(path)
+        sought = recording.skip_to(number)
+        found = [(image.number, image.pts, image.grey.tobytes()) for image in recording]
+        assert found == [each for each in through if each[0] >= number]
+        assert recording.lost == len(lost)
+        assert sought == (number > 4 + len([n for n in lost if n < 5]) - 1)
+        recording.close()
+
+
+def test_images_that_cannot_be_decoded_keep_their_numbers(tmp_path: Path, mjpeg: Path) -> None:
+    path = remux(mjpeg, tmp_path / "v.mkv", spoil({2, 5, 6}, b"no image"))
+    through = [(image.number, image.pts) for image in read_all(path)[1]]
+    for number in range(1, COUNT):
+        recording = VideoRecording(path)
+        recording.skip_to(number)
+        found = [(image.number, image.pts) for image in recording]
+        assert found == [each for each in through if each[0] >= number]
+        recording.close()

@@ -18,6 +18,7 @@ from av.stream import Disposition
 from motionstereo_cli.errors import InputError, SettingsError
 from motionstereo_cli.files.reading import HeldFile, open_regular
 from motionstereo_cli.sources.pipe import PATIENCE_S, Pipe
+from motionstereo_cli.sources.seeking import CodedImage
 
 _PIPE_ADVICE = "pipe yuv4mpegpipe, Matroska, or MP4 with its index in front (-movflags +faststart)"
 
@@ -187,6 +188,30 @@ class Container:
                 return sum(packet.size > 0 for packet in again.demux(stream))
         except (av.FFmpegError, OSError):
             return None
+
+    def coded(self) -> list[CodedImage]:
+        """Return all coded images of the track, by reading the whole file.
+
+        None at all where that cannot be, or does not say when each is shown.
+        """
+        if self._held is None:
+            return []
+        try:
+            with self._opened() as again:
+                found = again.demux(again.streams[self.stream.index])
+                packets = [(each.pts, each.is_keyframe) for each in found if each.size]
+        except (av.FFmpegError, OSError):
+            return []
+        told = [CodedImage(pts, is_key) for pts, is_key in packets if pts is not None]
+        return told if len(told) == len(packets) else []
+
+    def seek(self, pts: int) -> None:
+        """Go to the key frame at a time stamp, or to one before.
+
+        Raises:
+            av.FFmpegError: the container does not let it.
+        """
+        self.source.seek(pts, stream=self.stream, backward=True)
 
     @property
     def _head(self) -> bytes:

@@ -6,7 +6,7 @@ import hashlib
 import operator
 import os
 import statistics
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -153,9 +153,18 @@ class FolderRecording(Recording):
         times = {"times_sha256": self._table.sha256} if self._table.table else {}
         return {"bytes": size, "sha256": sums.hexdigest(), **times}
 
-    def _read(self) -> Iterator[Image]:
-        shape: tuple[int, ...] | None = None
-        for number, (pts, file) in enumerate(zip(self._pts, self._files, strict=True)):
+    def outline(self) -> Sequence[tuple[int, int]]:
+        """Return places and time stamps of all images."""
+        return list(enumerate(self._pts))
+
+    def skip_to(self, number: int) -> bool:
+        """Begin with an image; those before are not read."""
+        self._images = self._read(number, (self.height, self.width))
+        return True
+
+    def _read(self, begin: int = 0, shape: tuple[int, ...] | None = None) -> Iterator[Image]:
+        for number, file in enumerate(self._files[begin:], begin):
+            pts = self._pts[number]
             try:
                 still = read_still(file, self._max_pixels)
             except DamagedImageError:

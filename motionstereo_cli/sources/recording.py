@@ -73,6 +73,7 @@ class Recording(ABC):
     names: Sequence[str] = ()
     stated: Stated | None = None
     rereadable: bool = True
+    _images: Iterator[Image]
     warnings: tuple[str, ...] = ()
     camera_info: str | None = None
     rectified: bool = False
@@ -122,6 +123,25 @@ class Recording(ABC):
 
         Where it came through a pipe, that is what came; the hash is None before the end.
         """
+
+    def outline(self) -> Sequence[tuple[int, int]]:
+        """Return numbers and time stamps of all images, without decoding any; none if unknown.
+
+        One that cannot be decoded is among them.
+        """
+        return ()
+
+    def skip_to(self, number: int) -> bool:
+        """Begin the iteration with the first image that has this number or a later one.
+
+        To be called before the iteration. What is delivered is what would be without it, to the
+        byte; what was lost before may stay unknown.
+
+        Returns:
+            Whether that was by a seek; otherwise all images before are decoded and dropped.
+        """
+        self._images = itertools.dropwhile(lambda image: image.number < number, self._images)
+        return False
 
     def count(self) -> int | None:
         """Return how many images there are, though it takes reading all; None if unknown."""

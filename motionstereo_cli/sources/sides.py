@@ -57,6 +57,12 @@ class Shot(NamedTuple):
     loss: Loss
 
 
+def bare(stream: Recording, number: int, pts: int) -> Shot:
+    """Return an image that is not decoded, to be paired."""
+    time_s = None if stream.time_base is None else pts * stream.time_base
+    return Shot(number, number, pts, time_s, (), repeats=False, loss=Loss(0, 0, ()))
+
+
 class Side:
     """One camera: its stream, which half of its images is meant, and what became of them.
 
@@ -65,14 +71,12 @@ class Side:
         early: images that came before the first of those.
         repeated: images used that were the one before, while objects moved in the other view.
         loss: what was lost up to the last image that came.
-        begin_s: time of the first image.
     """
 
     def __init__(self, stream: Recording, half: int = 0) -> None:
         self.stream, self.half = stream, half
         self.paired = self.early = self.repeated = 0
         self.loss = Loss(0, 0, ())
-        self.begin_s = Fraction(0)
         self._came = 0
         self._last_used = -1
         self._ended = False
@@ -83,8 +87,6 @@ class Side:
             if isinstance(item, Loss):
                 self.loss, self._ended = item, True
                 return
-            if not self._came:
-                self.begin_s = item.time_s or Fraction(0)
             self._came, self.loss = self._came + 1, item.loss
             yield item
 

@@ -16,8 +16,9 @@ from motionstereo_cli.sources import layout
 from motionstereo_cli.sources.pairing import need_time, pair, pairing
 from motionstereo_cli.sources.prefetch import prefetch
 from motionstereo_cli.sources.recording import Recording, images
-from motionstereo_cli.sources.settings import InputSettings, Place
-from motionstereo_cli.sources.sides import Loss, Shot, Side, moves, same
+from motionstereo_cli.sources.selection import Selected, chosen, place_near
+from motionstereo_cli.sources.settings import InputSettings
+from motionstereo_cli.sources.sides import Loss, Shot, Side, bare, moves, same
 from motionstereo_cli.types import StereoFrame
 
 if TYPE_CHECKING:
@@ -77,7 +78,8 @@ class StereoSource:
             self._sides.reverse()
         self._rectify: tuple[Callable[[Grey], Grey], ...] | None = None
         self._frames: Generator[StereoFrame] | None = None
-        self._skipped = 0
+        self._skipped = self._first_frame = 0
+        self._begin = Selected(0, 0, None)
         self._to_the_end = False
         self.warnings = [line for stream in self._streams for line in stream.warnings]
 
@@ -152,7 +154,7 @@ class StereoSource:
         None for the last if unknown.
         """
         right, s = self._sides[1].stream, self.settings
-        first = _frame(s.first, right.frame_rate)
+        first = place_near(s.first, right.frame_rate)
         if not (self._pairing.by_time or right.numbered):
             first += max(s.sync_offset, 0)
         expected = self.expected_frames
@@ -260,9 +262,39 @@ class StereoSource:
     def _stopped(damage: str) -> InputError:
         return InputError(f"{damage}: stopped there, as --strict says")
 
+    def begin_at(self, frame: int) -> bool:
+        """Begin the iteration with some frame, the same to the byte as without this.
+
+        To be called before the iteration. Where the recordings tell when each image was, they are
+        paired without decoding, and begin at the key frames before. Elsewhere all is decoded, and
+        the frames before are dropped. In the first case, what was lost before is not counted, and
+        each image before that cannot be decoded shifts the frames by one.
+
+        Returns:
+            Whether it was by seeking.
+        """
+        outlines = {id(stream): stream.outline() for stream in self._streams}
+        if frame and all(outlines.values()):
+            lefts, rights = (
+                (bare(side.stream, *each) for each in outlines[id(side.stream)])
+                for side in self._sides
+            )
+            how = self._pairing
+            pairs = pair(lefts, rights, how.lead, how.tolerance)
+            for place, left, right in chosen(
+                pairs, self._begin, self.settings, self._sides[1].stream.begin_s
+            ):
+                if place.frame == frame:
+                    self._begin = place
+                    numbers = {id(self._sides[0].stream): left, id(self._sides[1].stream): right}
+                    sought = [each.skip_to(numbers[id(each)].number) for each in self._streams]
+                    return all(sought)
+                how.note(left, right)
+            self._pairing = pairing(self._sides[0].stream, self._sides[1].stream, self.settings)
+        self._first_frame = frame
+        return False
+
     def _deliver(self) -> Generator[StereoFrame]:
-        s = self.settings
-        index, begun = 0, None
         with ExitStack() as stack:
             feeds: list[Iterator[Shot | Loss]] = [
                 stack.enter_context(closing(prefetch(self._shots(side), _DEPTH, side.stream.stop)))
@@ -275,8 +307,10 @@ class StereoSource:
             pairs = pair(
                 left_side.follow(feeds[0]), right_side.follow(feeds[1]), how.lead, how.tolerance
             )
-            number, last = -1, None
-            for number, (left, right) in enumerate(itertools.islice(pairs, _whole(s.stop))):
+            last, place = None, None
+            for place, left, right in chosen(
+                pairs, self._begin, self.settings, self._sides[1].stream.begin_s
+            ):
                 how.note(left, right)
                 left_side.use(left)
                 right_side.use(right)
@@ -284,22 +318,18 @@ class StereoSource:
                     left_side.repeated += left.repeats and moves(right, last[1])
                     right_side.repeated += right.repeats and moves(left, last[0])
                 last = left, right
-                if s.stop is not None and self._reached(s.stop, number, right):
+                if place.frame is None:
                     self._skipped += 1
-                    break
-                if begun is None and self._reached(s.first, number, right):
-                    begun = number
-                if begun is None or (number - begun) % s.every:
-                    self._skipped += 1
-                    continue
-                time_s = None if right.time_s is None else float(right.time_s)
-                grey = left.views[left_side.half], right.views[right_side.half]
-                yield StereoFrame(index, right.pts, time_s, *grey, right.number)
-                index += 1
-            else:
-                self._to_the_end = number + 1 != _whole(s.stop)
-        if index == 0:
-            raise InputError(self._nothing(number + 1))
+                elif place.frame >= self._first_frame:
+                    time_s = None if right.time_s is None else float(right.time_s)
+                    grey = left.views[left_side.half], right.views[right_side.half]
+                    yield StereoFrame(place.frame, right.pts, time_s, *grey, right.number)
+            self._to_the_end = place is None or not place.is_last
+        if place is None or place.begun is None:
+            raise InputError(self._nothing(0 if place is None else place.number + 1))
+
+    def _chosen(self, pairs: Iterator[tuple[Shot, Shot]]) -> Iterator[tuple[Selected, Shot, Shot]]:
+        return chosen(pairs, self._begin, self.settings, self._sides[1].stream.begin_s)
 
     def _shots(self, side: Side) -> Iterator[Shot | Loss]:
         """Yield what a decoding thread makes, and at last what was lost in all."""
@@ -339,15 +369,10 @@ class StereoSource:
             if stream.expected_images is not None
         ]
         if s.stop is not None:
-            ends.append(_frame(s.stop, rate))
+            ends.append(place_near(s.stop, rate))
         if not ends or (rate is None and Fraction in (type(s.first), type(s.stop))):
             return None
-        return len(range(_frame(s.first, rate), min(ends), s.every))
-
-    def _reached(self, place: Place, number: int, shot: Shot) -> bool:
-        if isinstance(place, int):
-            return number >= place
-        return shot.time_s is not None and shot.time_s - self._sides[1].begin_s >= place
+        return len(range(place_near(s.first, rate), min(ends), s.every))
 
     def _nothing(self, pairs: int) -> str:
         left, right = (side.stream.name for side in self._sides)
@@ -357,13 +382,3 @@ class StereoSource:
             f"{left} and {right} have no images that belong together: check that they are whole, "
             "their numbers, and --sync-offset and --sync-tolerance if given"
         )
-
-
-def _frame(place: Place, rate: Fraction | None) -> int:
-    """Return about which frame stands at a place."""
-    return place if isinstance(place, int) else round(place * (rate or 0))
-
-
-def _whole(place: Place | None) -> int | None:
-    """Return a place that is the number of a frame, or None."""
-    return place if isinstance(place, int) else None

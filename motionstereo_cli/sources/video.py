@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,6 +21,7 @@ from motionstereo_cli.sources.luma import bits_of, brightest, grey_levels, is_fu
 from motionstereo_cli.sources.pace import Pace, rhythm
 from motionstereo_cli.sources.pipe import Pipe
 from motionstereo_cli.sources.recording import Image, Recording, dark, images
+from motionstereo_cli.sources.seeking import Entry, entry, numbered
 
 if TYPE_CHECKING:
     from motionstereo_cli.types import Grey
@@ -120,8 +122,40 @@ class VideoRecording(Recording):
             steady = found.rate is not None
             if found.places > self._listed:
                 self.expected_images, self.frame_rate = found.places, found.rate
-        self._places = self.expected_images
-        self._pace = Pace(self.frame_rate, self._tick_s, steady=steady, places=self._places)
+        self._places, self._steady = self.expected_images, steady
+        self._pace = self._new_pace()
+
+    def _new_pace(self) -> Pace:
+        return Pace(self.frame_rate, self._tick_s, steady=self._steady, places=self._places)
+
+    def outline(self) -> Sequence[tuple[int, int]]:
+        """Return numbers and time stamps, by reading the whole file."""
+        return () if self.timeless else list(numbered(self._file.coded(), self._new_pace()))
+
+    def skip_to(self, number: int) -> bool:
+        """Begin with an image, by a seek to the key frame before it where the file tells it.
+
+        Images that cannot be decoded count as those before them do, so that numbers are the same.
+        """
+        pace = None if self.timeless else self._new_pace()
+        coded = self._file.coded() if pace else []
+        found = entry(coded, pace, number) if pace else None
+        if found is None or pace is None:
+            return super().skip_to(number)
+        try:
+            self._file.seek(found.key_pts)
+            packets = self._file.source.demux(self._stream)
+            first = next(packets)
+            place = [each.pts for each in coded].index(first.pts or 0)
+            if not first.is_keyframe or (first.pts or 0) > found.pts:
+                raise ValueError
+        except (av.FFmpegError, OSError, StopIteration, ValueError):
+            self._file.source.seek(0, backward=True, any_frame=False)
+            self._images = self._read()
+            return super().skip_to(number)
+        self._pace, self._packets = pace, place
+        self._images = self._read(itertools.chain([first], packets), found)
+        return place > 0
 
     def close(self) -> None:
         """Close the file."""
@@ -209,11 +243,13 @@ class VideoRecording(Recording):
             length_s = Fraction(container.duration, av.time_base) - self._file.begin_s
         return round(length_s * self.frame_rate) if length_s and self.frame_rate else None
 
-    def _read(self) -> Iterator[Image]:
+    def _read(
+        self, packets: Iterator[_Packet] | None = None, begin: Entry | None = None
+    ) -> Iterator[Image]:
         number, last_pts = -1, None
-        shape: tuple[int, ...] | None = None
+        shape: tuple[int, ...] | None = (self.height, self.width) if begin else None
         flawed = False
-        for frame, complained in self._decode():
+        for frame, complained in self._decode(packets or self._file.source.demux(self._stream)):
             pts = self._pts(frame, last_pts)
             if shape is None:
                 self._look_at(frame)
@@ -223,6 +259,8 @@ class VideoRecording(Recording):
                 continue
             shape = grey.shape
             failed = self._failed_before(pts)
+            if begin and pts > begin.pts and last_pts is None:  # that one cannot be decoded
+                number, last_pts, failed = begin.number, begin.pts, 0
             lost = failed
             if last_pts is not None:
                 lost += self._pace.hole(last_pts, pts, failed, number)
@@ -232,8 +270,10 @@ class VideoRecording(Recording):
             if torn:
                 self._torn_from = None
             flawed = frame.is_corrupt or complained or inherited
+            if begin and pts < begin.pts:
+                continue
             self._corrupt += flawed
-            number += 1 + lost
+            number = begin.number if begin and pts == begin.pts else number + 1 + lost
             last_pts = pts
             yield Image(number, number if self.timeless else pts, grey)
         self._cut_off = self._lost_at_end(last_pts)
@@ -272,13 +312,12 @@ class VideoRecording(Recording):
         squeezed = aspect > _SQUEEZED if kind == 1 else aspect < 1 / _SQUEEZED
         return Stated(_STEREO3D[kind] + "-half" * squeezed, swapped=bool(flags & 1))
 
-    def _decode(self) -> Iterator[tuple[av.VideoFrame, bool]]:
+    def _decode(self, packets: Iterator[_Packet]) -> Iterator[tuple[av.VideoFrame, bool]]:
         """Yield the images, and whether the decoder complained about them only in its log."""
         codec = self._stream.codec_context
         heeded = codec.name == _TELLS_THE_LOG
         heads = Heads(codec.extradata or b"") if codec.name == "h264" else None
         last: _Packet | None = None
-        packets = self._file.source.demux(self._stream)
         while True:
             try:
                 packet = next(packets)
