@@ -793,7 +793,7 @@ def test_a_corrupt_image_and_a_gap_at_the_command_line(
     right = folder(Path("right"), scene(), ".png")
     cut(left / "frame3.png", left / "frame3.png", 0.5)
     (right / "frame7.png").unlink()
-    assert main(["run", "left", "right", "--save", "steering"]) == 3
+    assert main(["run", "left", "right", "--save", "steering", "--no-check"]) == 3
     warnings = [line for line in capsys.readouterr().err.splitlines() if "warning" in line]
     assert warnings == [
         "warning: right: numbers are missing between 6 and 8: check that no images are lost",
