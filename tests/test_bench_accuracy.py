@@ -56,3 +56,22 @@ def test_the_bench_prints_every_matcher_on_every_scene(tmp_path, capsys):
     }
     assert moved["corridor straight"]["score"]["coverage"] > 0.7
     assert moved["corridor straight"]["score"]["bad_1"] < 0.1
+
+
+def test_the_harder_scenes_have_tables_of_accuracy_and_of_steadiness(capsys):
+    accuracy.main(["--quick", "--held-out"])
+    lines = [line for line in capsys.readouterr().out.splitlines() if line.startswith("| ")]
+    heads = [line for line in lines if line.startswith("| matcher |")]
+    assert [head.split(" | ")[1] for head in heads] == [
+        "layers, charged",
+        "layers, charged and still |",
+    ]
+    for matcher in accuracy.MATCHERS:
+        assert sum(line.startswith(f"| {matcher} |") for line in lines) == 2
+
+
+def test_every_harder_scene_can_be_rendered_and_no_seed_is_in_both_sets():
+    for scene, values in accuracy.HARD_SCENES.items():
+        settings = accuracy.SimulateSettings(**values)
+        assert len(settings.frame_range) > accuracy.RUN_IN, scene
+    assert not set(accuracy.SEEDS) & set(accuracy.HELD_OUT_SEEDS)
