@@ -171,7 +171,8 @@ class MovingObject:
             turn of the camera does not count. None without a rig, where the source has no time,
             and as long as it is unknown.
         time_to_contact_s: depth_m / closing_mps, which needs no rig; None where the source has no
-            time, where it does not come closer, and as long as it is unknown.
+            time, where it does not come closer or would need over a minute, and as long as it is
+            unknown.
         confidence: how far to believe in it, 0..1.
         place_m: where it is in the world, x and y in m; None without a rig and poses.
         velocity_mps: how fast it moves over ground, x and y in m/s; None likewise, where the

@@ -259,6 +259,24 @@ def test_repeated_and_frozen_frames(corridor: Views) -> None:
     assert report.ruined
 
 
+def test_an_image_that_hardly_differs_from_the_last_one_is_no_repetition(corridor: Views) -> None:
+    left, right = corridor
+    halting = right.copy()
+    for number in range(6, SHORT, 2):
+        halting[number] = halting[number - 1]
+        halting[number, 100:104, 100:104] ^= 1
+    report = checked((left, halting))
+    assert (report.repeated_left, report.repeated_right) == (0, 0)
+
+
+def test_a_dark_opening_is_not_what_a_run_is_judged_by(corridor: Views) -> None:
+    opening = np.full((WINDOW_FRAMES + 4, *corridor[0].shape[1:]), 2, np.uint8)
+    lit = [np.concatenate([opening, view]) for view in corridor]
+    assert said((lit[0], lit[1])) == []
+    assert [finding.name for finding in said((opening, opening))][:1] == ["dark"]
+    assert "swapped" in [finding.name for finding in said((lit[1], lit[0]))]
+
+
 def test_frames_dropped_halfway_are_a_drift() -> None:
     left, right = simulated(2, 66)
     report = checked((left[:-2], np.delete(right, [30, 31], axis=0)))

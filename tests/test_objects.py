@@ -27,7 +27,7 @@ from motionstereo_cli.robot.objects import (
     regions,
     trust,
 )
-from motionstereo_cli.robot.tracker import Tracker, Tracks
+from motionstereo_cli.robot.tracker import MAX_CONTACT_S, Tracker, Tracks
 from motionstereo_cli.settings import Settings
 from motionstereo_cli.simulate.settings import SimulateSettings
 from motionstereo_cli.sinks import OUTPUTS, RunContext
@@ -257,6 +257,11 @@ class TestTracker:
     def test_what_goes_away_has_a_negative_speed_and_no_time(self):
         (thing,) = coming(APPROACH_M[::-1])
         assert thing.closing_mps == pytest.approx(-1.0)
+        assert thing.time_to_contact_s is None
+
+    def test_a_contact_a_long_time_away_is_none(self):
+        (thing,) = coming([4 - 0.003 * n for n in range(12)])
+        assert 0 < thing.closing_mps < 4 / MAX_CONTACT_S
         assert thing.time_to_contact_s is None
 
     def test_doffs_counts(self):

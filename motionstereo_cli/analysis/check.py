@@ -18,7 +18,7 @@ import cv2
 import numpy as np
 
 from motionstereo_cli.analysis.features import NO_MATCHES, Matches, Window, joined
-from motionstereo_cli.analysis.findings import CheckReport, Finding
+from motionstereo_cli.analysis.findings import DARK_GREY, CheckReport, Finding
 from motionstereo_cli.analysis.mounting import mounted
 from motionstereo_cli.analysis.synchrony import Fit, fit_rows, step_or_drift
 from motionstereo_cli.types import StereoFrame
@@ -87,19 +87,33 @@ def watched(
 ) -> Iterator[StereoFrame]:
     """Yield the frames as they come, and say what is wrong once the first window has gone by.
 
+    Where that is dark, the window is the first one in the light.
+
     No frame is held back or read twice.
     """
-    checker = _Checker([0], _FEW_MOMENTS, quick=True)
-    left_to_see = WINDOW_FRAMES
+    checker, left_to_see, in_the_dark = _new_watch(), WINDOW_FRAMES, False
     for frame in frames:
+        if in_the_dark and not _is_dark(frame):
+            # Only the opening was dark: what follows is looked at instead.
+            checker, left_to_see, in_the_dark = _new_watch(), WINDOW_FRAMES, False
         if left_to_see:
             checker.see(frame)
             left_to_see -= 1
             if not left_to_see:
-                _tell(checker, max_disparity, rig, say)
+                in_the_dark = _is_dark(frame)
+                if not in_the_dark:
+                    _tell(checker, max_disparity, rig, say)
         yield frame
-    if left_to_see:
+    if left_to_see or in_the_dark:
         _tell(checker, max_disparity, rig, say)
+
+
+def _new_watch() -> _Checker:
+    return _Checker([0], _FEW_MOMENTS, quick=True)
+
+
+def _is_dark(frame: StereoFrame) -> bool:
+    return bool(np.percentile(frame.left[::4, ::4], 99.9) < DARK_GREY)
 
 
 def _tell(
@@ -130,7 +144,7 @@ class _Checker:
         self._quick = quick
         self._windows: list[Window] = []
         self._moved: tuple[list[float], list[float]] = ([], [])
-        self._last: tuple[Grey, Grey] | None = None
+        self._last: tuple[tuple[Grey, Grey], ...] = ()
         self._frames = 0
         self._scale = 1.0
 
@@ -138,10 +152,10 @@ class _Checker:
         number, self._frames = self._frames, self._frames + 1
         sides = (frame.left, frame.right)
         now = (_for_motion(frame.left), _for_motion(frame.right))
-        if self._last is not None:
-            for moved, image, last in zip(self._moved, now, self._last, strict=True):
-                moved.append(_moved_share(image, last))
-        self._last = now
+        looked_at = tuple(zip(sides, now, strict=True))
+        for moved, image, last in zip(self._moved, looked_at, self._last, strict=False):
+            moved.append(_moved_share(*image, *last))
+        self._last = looked_at
         if number in self._starts:
             self._windows.append(Window(number, self._moments))
         if self._windows and number < self._windows[-1].start + WINDOW_FRAMES:
@@ -206,13 +220,20 @@ def _shrunk(grey: Grey, width: int) -> Grey:
     return np.asarray(cv2.resize(grey, size, interpolation=cv2.INTER_AREA), np.uint8)
 
 
+#: Share that moves where an image is not the last one, but hardly differs.
+_HARDLY = 1e-9
+
+
 def _for_motion(grey: Grey) -> Grey:
     # Small and blurred: a sensor's noise and a codec's are gone, objects that move are not.
     return np.asarray(cv2.blur(_shrunk(grey, _MOTION_WIDTH), (3, 3)), np.uint8)
 
 
-def _moved_share(image: Grey, last: Grey) -> float:
-    return float(np.mean(cv2.absdiff(image, last) > _MOTION_GREY))
+def _moved_share(image: Grey, small: Grey, last: Grey, last_small: Grey) -> float:
+    """Return the share of the small image that has changed; 0 only if the image is the last one."""
+    if np.array_equal(image, last):
+        return 0.0
+    return max(float(np.mean(cv2.absdiff(small, last_small) > _MOTION_GREY)), _HARDLY)
 
 
 def _repeated(moved: Column, other: Column) -> NDArray[np.bool_]:

@@ -35,6 +35,9 @@ if TYPE_CHECKING:
 #: A region is an object once it has been seen in this many frames.
 MIN_SEEN = 3
 
+#: A contact later than this is none: so slow a speed is not told from 0.
+MAX_CONTACT_S = 60.0
+
 
 @dataclass(frozen=True, slots=True)
 class Tracks:
@@ -130,8 +133,15 @@ class Tracker:
             height=last.region.height,
             depth_m=ahead if self.rig else None,
             closing_mps=closing if self.rig else None,
-            time_to_contact_s=ahead / closing if closing is not None and closing > 0 else None,
+            time_to_contact_s=_contact_s(ahead, closing),
             confidence=trust(track, moves),
             place_m=last.place_m if in_world else None,
             velocity_mps=moves.over_ground_mps if in_world and moves else None,
         )
+
+
+def _contact_s(ahead: float, closing: float | None) -> float | None:
+    """Return the time to contact; None where it does not come, or is too far off to be known."""
+    if closing is None or closing * MAX_CONTACT_S < ahead:
+        return None
+    return ahead / closing
