@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import sys
 import traceback
 from collections.abc import Sequence
 from types import FrameType
+from typing import TextIO, cast
 
 import click
 from click.shell_completion import shell_complete
 
 from motionstereo_cli.commands import cli
-from motionstereo_cli.commands.messages import say
+from motionstereo_cli.commands.messages import Tolerant, say
 from motionstereo_cli.errors import INTERRUPTED_EXIT_CODE, MotionStereoError
 
 
@@ -21,8 +23,8 @@ def main(args: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit code.
 
     0 done, 1 failed, 2 usage, 3 done but the input was damaged, 4 ``compare`` found a
-    difference, 130 interrupted. Where the reader of a pipe has gone, there is nothing left to do:
-    0, silently.
+    difference, 130 interrupted. Where the reader of standard output has gone, and nothing else
+    was to be written: 0, silently. A message that cannot be written is dropped.
 
     No traceback is shown unless the environment has ``MOTIONSTEREO_DEBUG=1``.
 
@@ -30,6 +32,26 @@ def main(args: Sequence[str] | None = None) -> int:
         args: arguments after the program's name; the process's own if None.
     """
     signal.signal(signal.SIGTERM, _interrupt)
+    _fill_standard_descriptors()
+    if sys.stderr is None:
+        return _called(args)
+    with contextlib.redirect_stderr(cast("TextIO", Tolerant(sys.stderr))):
+        return _called(args)
+
+
+def _fill_standard_descriptors() -> None:
+    """Have a closed standard stream lead nowhere: else the next file opened would be in its place.
+
+    FFmpeg, for one, writes its log to number 2, whatever that is.
+    """
+    for number in range(3):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # the lowest number that is free
+
+
+def _called(args: Sequence[str] | None) -> int:
     given = list(sys.argv[1:] if args is None else args)
     if instruction := os.environ.get("_MOTIONSTEREO_COMPLETE"):
         return shell_complete(cli, {}, "motionstereo", "_MOTIONSTEREO_COMPLETE", instruction)

@@ -160,7 +160,7 @@ def compare(
         progress,
     )
     report = comparison.report()
-    if not report.outputs:
+    if not any(output.compared or output.differences for output in report.outputs):
         raise InputError(f"{golden} has nothing that run writes: check the path")
     for column in tolerances or {}:
         if column not in comparison.columns:
@@ -190,6 +190,7 @@ class _Comparison:
 
     def report(self) -> Report:
         outputs = {}
+        self._frames = _frames_of(self._golden)
         for save in OUTPUTS.values():
             path = self._golden / save.path
             if save.kind in ("disparity", "depth"):
@@ -216,7 +217,12 @@ class _Comparison:
         for column in golden.columns:
             if column not in actual.columns:
                 output.differ(column, "the column is missing")
+        for column in actual.columns:
+            if column not in golden.columns:
+                output.differ(column, "the column is not in golden")
         shared = [column for column in golden.columns if column in actual.columns]
+        if shared != [column for column in actual.columns if column in golden.columns]:
+            output.differ("columns", "they are in another order")
         for key in sorted(golden.rows.keys() | actual.rows.keys()):
             if key in golden.rows and key in actual.rows:
                 for column in shared:
@@ -282,7 +288,18 @@ class _Comparison:
                     f"(tolerance {self._settings.max_differing:.2%})"
                 )
                 output.differ("pixels", found, frame, share)
+        # Of golden there may be a part, but frames that its run did not have are too many.
+        for frame in actual.files:
+            if not self._in_golden(frame, golden):
+                output.differ("frames", "not in golden", frame)
         return output
+
+    def _in_golden(self, frame: int, golden: Maps) -> bool:
+        """Return whether the golden run had a frame, whether or not its image is there."""
+        if frame in golden.files:
+            return True
+        whole = list(golden.files) == list(range(len(golden.files)))
+        return not whole if self._frames is None else frame < self._frames
 
     def _record(self) -> Compared:
         output = Compared(RECORD, "values")
@@ -310,6 +327,12 @@ class _Comparison:
                 self._notes.append(f"{name} is {found}")
             else:
                 output.differ(name, found)
+        for name in actual.keys() - golden.keys():
+            section = name.partition(".")[0]
+            # Of the record, too, there may be a part: what a section that is there has is all.
+            there = any(key.partition(".")[0] == section for key in golden)
+            if there and section not in _IGNORED | _NOTED:
+                output.differ(name, f"{_shown(actual[name])}, not in golden")
         return output
 
     def _presence(self, name: str, files: list[Path]) -> Compared:
@@ -320,6 +343,14 @@ class _Comparison:
                 output.differ("files", f"{path} is missing")
         self._notes.append(f"{name} has to be there, what is in it is not compared")
         return output
+
+
+def _frames_of(golden: Path) -> int | None:
+    """Return how many frames a golden run had, None where it does not say."""
+    try:
+        return int(read_record(golden / RECORD)["counts"]["written"])
+    except (InputError, LookupError, TypeError, ValueError):
+        return None
 
 
 def format_table(report: Report) -> str:

@@ -23,6 +23,7 @@ from motionstereo_cli.batch.sinks import Sinks
 from motionstereo_cli.errors import InputError, MotionStereoError, OutputError
 from motionstereo_cli.files.atomic import part_of, reported
 from motionstereo_cli.files.targets import check_target, is_stream, open_stream
+from motionstereo_cli.files.video import check_size as check_video_size
 from motionstereo_cli.pipeline import process
 from motionstereo_cli.rig.calibration import rectify_source
 from motionstereo_cli.rig.poses import read_poses
@@ -96,6 +97,13 @@ def run(plan: RunPlan, watcher: Watcher | None = None, stdout: BinaryIO | None =
                 report = report_on(job, sinks.totals, resumed, started_s)
                 sinks.complete({"options": plan.options} | outcome(source, report))
                 return report
+        except BrokenPipeError:
+            if plan.folder is None:  # the reader has seen enough
+                raise
+            raise OutputError(
+                "the reader of the steering table has gone before the run was done: what was done "
+                f"is in {plan.folder}"
+            ) from None
         except KeyboardInterrupt:
             report = report_on(job, sinks.totals, resumed, started_s)
             return dataclasses.replace(report, interrupted=True)
@@ -168,6 +176,9 @@ def _sinks(job: Job) -> Sinks:
     inputs = inputs_of(job)
     if plan.folder is None:
         return Sinks()
+    for name in job.save:
+        if OUTPUTS[name].path.endswith(".mp4"):
+            check_video_size(plan.folder / OUTPUTS[name].path, source.width, source.height)
     check_target(plan.folder, inputs)
     if plan.table and not plan.to_stdout:
         check_target(plan.table, inputs)

@@ -55,8 +55,11 @@ def write_output(path: Path, content: bytes, inputs: Iterable[Path] = ()) -> Non
     if not is_stream(path):
         write_whole(path, content)
         return
-    with reported(path), open_stream(path) as stream:
-        stream.write(content)
+    try:
+        with reported(path), open_stream(path) as stream:
+            stream.write(content)
+    except BrokenPipeError:
+        raise OutputError(f"cannot write {path}: its reader has gone") from None
 
 
 def is_stream(path: Path) -> bool:
