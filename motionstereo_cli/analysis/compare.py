@@ -330,7 +330,7 @@ class _Comparison:
         for name in actual.keys() - golden.keys():
             section = name.partition(".")[0]
             # Of the record, too, there may be a part: what a section that is there has is all.
-            there = any(key.partition(".")[0] == section for key in golden)
+            there = any(key.startswith(f"{section}.") for key in golden)
             if there and section not in _IGNORED | _NOTED:
                 output.differ(name, f"{_shown(actual[name])}, not in golden")
         return output
