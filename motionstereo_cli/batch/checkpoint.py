@@ -198,6 +198,7 @@ def check_state(state: State, settings: Settings, width: int, height: int) -> No
             raise ValueError("a camera remembers nothing")
         limits = {
             "grey": (0, 255),
+            "contrast": (0, 255),
             "bands": (1, settings.bands),
             "moved": (0, 1),
             "charge": (settings.charge_min, settings.charge_max),

@@ -75,6 +75,10 @@ class RunPlan:
     reads: tuple[Path, ...] = ()
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "out", Path(self.out))
+        for name in ("poses", "table"):
+            if getattr(self, name) is not None:
+                object.__setattr__(self, name, Path(getattr(self, name)))
         in_metres = self.output_settings.near_m or self.output_settings.far_m
         no_metres = "need --rig: without it nothing is in metres"
         clashes = {

@@ -89,7 +89,8 @@ def identity_of(job: Job, inputs: Iterable[Path]) -> dict[str, Any]:
     table = None
     if plan.table and plan.folder and not plan.to_stdout and not is_stream(plan.table):
         # The same, however either is given.
-        table = os.path.relpath(plan.table.resolve(), plan.folder.resolve())
+        place = plan.table.parent.resolve() / plan.table.name
+        table = os.path.relpath(place, plan.folder.resolve())
     return {
         **head(job.save),
         **({} if table is None else {"table": table}),

@@ -1,0 +1,433 @@
+"""Nothing of the user's is destroyed, followed or taken for something else."""
+
+import contextlib
+import dataclasses
+import errno
+import fcntl
+import json
+import os
+import pickle
+import stat
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+import motionstereo_cli.batch.run as run_module
+from motionstereo_cli.__main__ import main
+from motionstereo_cli.batch.checkpoint import (
+    STATE_TYPES,
+    check_kinds,
+    check_state,
+    read_checkpoint,
+    write_checkpoint,
+)
+from motionstereo_cli.batch.contents import CHECKPOINT
+from motionstereo_cli.batch.plan import RunPlan
+from motionstereo_cli.batch.run import run
+from motionstereo_cli.batch.totals import Totals
+from motionstereo_cli.errors import BusyError, OutputError, SettingsError
+from motionstereo_cli.files import targets
+from motionstereo_cli.files.atomic import part_of, write_whole
+from motionstereo_cli.files.lock import locked
+from motionstereo_cli.memory import Memory
+from motionstereo_cli.pipeline import State
+from motionstereo_cli.settings import Settings
+
+FRAMES, HEIGHT, WIDTH = 9, 32, 48
+RIG = f"width: {WIDTH}\nheight: {HEIGHT}\nfocal_px: 40\nbaseline_m: 0.1\ncx: 23.5\ncy: 15.5\n"
+
+
+@pytest.fixture
+def recording(tmp_path, monkeypatch):
+    """Folders left and right of moving bars and a rig.yaml, in the current folder."""
+    monkeypatch.chdir(tmp_path)
+    noise = np.random.default_rng(0).integers(0, 256, (1, WIDTH + 40)).astype(np.uint8)
+    for side, shift in (("left", 0), ("right", 4)):
+        Path(side).mkdir()
+        for n in range(FRAMES):
+            image = np.repeat(noise[:, 2 * n + shift : 2 * n + shift + WIDTH], HEIGHT, axis=0)
+            assert cv2.imwrite(f"{side}/{n:04d}.png", np.ascontiguousarray(image))
+    Path("rig.yaml").write_text(RIG)
+    return tmp_path
+
+
+def contents(folder):
+    return {path: path.read_bytes() for path in sorted(Path(folder).rglob("*")) if path.is_file()}
+
+
+def ran(*options):
+    return main(["run", "left", "right", "--no-check", "--checkpoint-frames", "3", *options])
+
+
+@contextlib.contextmanager
+def ending_at(frame, monkeypatch):
+    """Have runs end as if the disk were full before a frame."""
+    whole = run_module.process
+
+    def until(*args, **options):
+        for result in whole(*args, **options):
+            if result.frame.index == frame:
+                raise OutputError("the disk is full")
+            yield result
+
+    with monkeypatch.context() as patch:
+        patch.setattr(run_module, "process", until)
+        yield
+
+
+# Inputs.
+
+
+@pytest.mark.parametrize(
+    ("command", "target"),
+    [
+        (["figure", "left", "right", "--frames", "4", "-o"], "left/0004.png"),
+        (["figure", "left", "right", "--frames", "4", "-o"], "right/new.png"),
+        (["figure", "left", "right", "--frames", "4", "--config", "c.toml", "-o"], "c.toml"),
+        (["rig", "rig.yaml", "-o"], "rig.yaml"),
+        (["rig", "rig.yaml", "-o"], "link.yaml"),
+        (["compare", "g", "h", "--json"], "h/run.json"),
+        (["compare", "g", "h", "--junit"], "h/run.json"),
+        (["evaluate", "g", "h", "--csv"], "h/depth/000002.png"),
+        (["evaluate", "g", "h", "--picture", "1", "-o"], "g/depth/000002.png"),
+        (["run", "left", "right", "--rig", "rig.yaml", "-o", "o", "--csv"], "rig.yaml"),
+        (["run", "left", "right", "--overwrite", "-o"], "left/out"),
+        (["run", "g/depth/*.png", "h/depth/*.png", "--overwrite", "-o"], "g"),
+    ],
+)
+def test_no_command_writes_to_its_input(recording, capsys, command, target):
+    Path("c.toml").write_text("bands = 8\n")
+    os.link("rig.yaml", "link.yaml")
+    for out in ("g", "h"):
+        assert ran("--rig", "rig.yaml", "--save", "depth", "-o", out) == 0
+    before = contents(".")
+    capsys.readouterr()
+    overwrite = ["--overwrite"] if "--csv" in command and command[0] == "run" else []
+    assert main([*command, target, *overwrite]) == 1
+    assert "an input of this run: give another" in capsys.readouterr().err
+    assert {path: before.get(path) for path in contents(".")} == before
+
+
+def test_fifos_and_devices_are_written_into(recording, monkeypatch, capsys):
+    os.mkfifo("fifo")
+    got = []
+    reader = threading.Thread(target=lambda: got.append(Path("fifo").read_bytes()))
+    reader.start()
+    assert main(["rig", "rig.yaml", "-o", "fifo"]) == 0
+    reader.join()
+    assert b"focal_px: 40.0" in got[0]
+    Path("null").symlink_to(os.devnull)
+    for _ in range(2):
+        assert ran("-o", "o", "--overwrite", "--save", "steering", "--csv", "null") == 0
+    assert Path("null").is_symlink()
+    assert stat.S_ISFIFO(Path("fifo").stat().st_mode)
+    monkeypatch.setattr(targets, "_PATIENCE_S", 0.1)
+    assert main(["rig", "rig.yaml", "-o", "fifo"]) == 1
+    assert "no program reads this FIFO" in capsys.readouterr().err
+    with pytest.raises(SettingsError, match="cannot go on with a table in null"):
+        RunPlan("left", "right", table="null", resume=True)
+
+
+# Other runs.
+
+
+def test_another_run_without_a_checkpoint_stays(recording, monkeypatch, capsys):
+    with ending_at(2, monkeypatch):
+        assert ran("-o", "out", "--save", "charge-png") == 1
+    assert not Path("out", CHECKPOINT).exists()
+    before = contents("out")
+    options = ["-o", "out", "--save", "charge-png", "--resume"]
+    assert ran(*options, "--bands", "9") == 1
+    assert main(["run", "right", "left", "--no-check", *options]) == 1
+    said = capsys.readouterr().err
+    assert "out is of another run, with settings.bands" in said
+    assert "out is of another run, with inputs.left." in said
+    assert contents("out") == before
+    assert ran(*options) == 0
+
+
+def test_a_table_is_of_one_run(recording, monkeypatch, capsys):
+    """However its name is given; and one of another run is neither continued nor cut."""
+    options = ["-o", "out", "--save", "charge-png"]
+    with ending_at(5, monkeypatch):
+        assert ran(*options, "--csv", "t.csv") == 1
+    assert ran("-o", "other", "--save", "charge-png", "--csv", "t.csv") == 1
+    assert "t.csv.part is there already" in capsys.readouterr().err
+    part_of(Path("t.csv")).rename("kept")
+    Path("t.csv").write_text("frame\nmine\n" * 99)
+    assert ran(*options, "--csv", "t.csv", "--resume") == 1
+    assert "t.csv.part was cut or changed" in capsys.readouterr().err
+    assert Path("t.csv").read_text() == "frame\nmine\n" * 99
+    Path("kept").rename("t.csv.part")
+    assert ran(*options, "--csv", str(Path("t.csv").absolute()), "--resume") == 0
+    assert Path("t.csv").read_text().count("\n") == 1 + FRAMES
+    Path("t.csv").unlink()
+    assert ran(*options, "--csv", "t.csv", "--resume") == 1
+    assert "out is complete, but t.csv is missing" in capsys.readouterr().err
+
+
+# Links.
+
+
+def test_overwrite_removes_nothing_behind_a_link(recording, capsys):
+    assert ran("-o", "real", "--save", "charge-png") == 0
+    Path("out").symlink_to("real")  # to a larger disk, say
+    assert ran("-o", "out", "--save", "charge-png", "--overwrite") == 0
+    Path("real/charge-png").rename("photos")
+    Path("real/charge-png").symlink_to(recording / "photos")
+    before = contents("photos")
+    for options in ((), ("--csv", "t.csv")):
+        assert ran("-o", "out", "--save", "charge-png", "--overwrite", *options) == 1
+    assert "out/charge-png is a link" in capsys.readouterr().err
+    assert contents("photos") == before
+
+
+@pytest.mark.parametrize("frame", [2, 5])
+def test_no_planted_link_is_written_through(recording, monkeypatch, frame):
+    """Neither where a run begins anew nor where it goes on from a checkpoint."""
+    options = ["-o", "out", "--save", "steering,charge-png,charge", "--csv", "t.csv"]
+    with ending_at(frame, monkeypatch):
+        assert ran(*options) == 1
+    Path("victim").write_text("precious")
+    names = ["run.checkpoint.part", "run.json.part.part", "steering.csv", "charge.mp4"]
+    names += ["charge-png/000005.png", "charge-png/000005.png.part", "charge.mp4.part"]
+    for name in (*names, "charge.0001.mp4.part", "../t.csv"):
+        Path("out", name).unlink(missing_ok=True)
+        Path("out", name).symlink_to(recording / "victim")
+    # Without a checkpoint it begins anew, and an image that it had not written is not its own.
+    assert ran(*options, "--resume") == (1 if frame == 2 else 0)
+    assert Path("victim").read_text() == "precious"
+    if frame == 5:
+        assert not [path for path in Path("out").rglob("*") if path.is_symlink()]
+
+
+def test_a_folder_that_becomes_a_link_ends_the_run(recording, monkeypatch, capsys):
+    Path("photos").mkdir()
+    whole = run_module.process
+
+    def planting(*args, **options):
+        for result in whole(*args, **options):
+            if result.frame.index == 3:
+                Path("out/charge-png").rename("away")
+                Path("out/charge-png").symlink_to(recording / "photos")
+            yield result
+
+    monkeypatch.setattr(run_module, "process", planting)
+    assert ran("-o", "out", "--save", "charge-png") == 1
+    assert "charge-png has become a link" in capsys.readouterr().err
+    assert not contents("photos")
+
+
+# Deletion that is cut short, and what goes on.
+
+
+@pytest.mark.parametrize("after", [0, 1, 5, FRAMES])
+def test_overwrite_may_be_killed_at_any_moment(recording, monkeypatch, after):
+    options = ["-o", "out", "--save", "charge-png,steering"]
+    assert ran(*options) == 0
+    removed = 0
+
+    def unlink(*args, **kwargs):
+        nonlocal removed
+        if removed == after:
+            raise SystemExit
+        removed += 1
+        real(*args, **kwargs)
+
+    real = os.unlink
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "unlink", unlink)
+        patch.setattr(os, "supports_dir_fd", {*os.supports_dir_fd, unlink})
+        with pytest.raises(SystemExit):
+            ran(*options, "--overwrite")
+    again = "--resume" if after % 2 else "--overwrite"
+    assert ran(*options, again) == 0
+    assert ran(*options, "--resume") == 0
+    assert len(list(Path("out/charge-png").iterdir())) == FRAMES
+
+
+def spoil_image(out):
+    (out / "charge-png/000001.png").write_bytes((out / "charge-png/000002.png").read_bytes())
+
+
+def lose_image(out):
+    (out / "charge-png/000001.png").unlink()
+
+
+def cut_segment(out):
+    os.truncate(out / "charge.0000.mp4.part", 300)
+
+
+def change_table(out):
+    path = out / "steering.csv.part"
+    path.write_bytes(path.read_bytes().replace(b"0,0", b"0,1", 1))
+
+
+@pytest.mark.parametrize("spoil", [spoil_image, lose_image, cut_segment, change_table])
+def test_resume_builds_on_nothing_that_was_changed(recording, monkeypatch, capsys, spoil):
+    options = ["-o", "out", "--save", "steering,charge,charge-png"]
+    with ending_at(5, monkeypatch):
+        assert ran(*options) == 1
+    spoil(Path("out"))
+    assert ran(*options, "--resume") == 1
+    assert "give --overwrite" in capsys.readouterr().err
+    assert ran(*options, "--overwrite") == 0
+
+
+@pytest.mark.parametrize("name", ["charge-png/000003.png", "steering.csv", "charge.mp4"])
+def test_complete_is_only_what_is_whole(recording, capsys, name):
+    options = ["-o", "out", "--save", "steering,charge,charge-png", "--resume"]
+    assert ran(*options) == 0
+    os.truncate(Path("out", name), 20)
+    assert ran(*options) == 1
+    assert "is no longer what the run wrote" in capsys.readouterr().err
+
+
+def test_a_checkpoint_with_a_flipped_bit_is_none(recording, monkeypatch, capsys):
+    with ending_at(5, monkeypatch):
+        assert ran("-o", "out", "--save", "steering") == 1
+    path = Path("out", CHECKPOINT)
+    whole = path.read_bytes()
+    for place in np.random.default_rng(0).integers(0, len(whole), 12):
+        path.write_bytes(whole[:place] + bytes([whole[place] ^ 4]) + whole[place + 1 :])
+        assert ran("-o", "out", "--save", "steering", "--resume") == 1
+        assert "no checkpoint that can be used" in capsys.readouterr().err
+
+
+def memory(**changes):
+    grey = np.zeros((HEIGHT, WIDTH), np.uint8)
+    return dataclasses.replace(Memory(grey, grey, grey + 1, grey > 0, grey), **changes)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"charge": np.zeros((HEIGHT, WIDTH + 1), np.uint8)},
+        {"charge": np.zeros((HEIGHT, WIDTH), np.float64)},
+        {"charge": "none"},
+        {"bands": np.full((HEIGHT, WIDTH), 9, np.uint8)},
+        {"moved": np.full((HEIGHT, WIDTH), None)},
+    ],
+)
+def test_a_crafted_state_is_refused(tmp_path, changes):
+    def check(state):
+        check_state(state, Settings(), WIDTH, HEIGHT)
+
+    path = tmp_path / CHECKPOINT
+    write_checkpoint(path, {}, State(memory(), memory()), Totals(3, 0.5, 0.5), {})
+    assert read_checkpoint(path, {}, check).totals == Totals(3, 0.5, 0.5)
+    with pytest.raises(OutputError, match="of another run"):
+        read_checkpoint(path, {"bands": 9}, check)
+    write_checkpoint(path, {}, State(memory(), memory(**changes)), Totals(3), {})
+    with pytest.raises(OutputError, match="no checkpoint that can be used"):
+        read_checkpoint(path, {}, check)
+
+
+def test_kinds_are_checked_all_the_way_down():
+    check_kinds((1, "a", None, (2.0, np.float32(1)), np.zeros(3)))
+    for wrong in ({1}, [1], (1, {"a": 1}), np.array([None])):
+        with pytest.raises(ValueError, match="holds"):
+            check_kinds(wrong)
+    assert all(dataclasses.is_dataclass(kind) for kind in STATE_TYPES)
+    assert pickle.loads(pickle.dumps(State())) == State()
+
+
+# Names, sizes, streams.
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="names are bytes on Linux only")
+def test_names_that_are_not_utf8(recording):
+    for side in ("left", "right"):
+        for path in Path(side).iterdir():
+            os.rename(path, os.path.join(os.fsencode(side), b"caf\xe9_" + os.fsencode(path.name)))
+        os.rename(side, os.fsencode(side) + b"\xe9")
+    args = [os.fsdecode(b"left\xe9"), os.fsdecode(b"right\xe9"), "--checkpoint-frames", "3"]
+    out = os.fsdecode(b"out\xe9")
+    for _ in range(2):
+        assert main(["run", *args, "--no-check", "-o", out, "--save", "charge", "--resume"]) == 0
+    assert json.loads(Path(out, "run.json").read_text("utf-8"))["inputs"]["left"]["path"]
+
+
+def test_images_too_wide_for_a_video_are_refused_first(recording, capsys):
+    for side in ("l", "r"):
+        Path(side).mkdir()
+        for n in range(2):
+            assert cv2.imwrite(f"{side}/{n}.png", np.full((16, 16_400), 9 * n, np.uint8))
+    assert main(["run", "l", "r", "--no-check", "-o", "out"]) == 1
+    assert "charge.mp4: H.264 takes up to 16384 px a side" in capsys.readouterr().err
+    assert not Path("out").exists()
+
+
+@pytest.mark.parametrize("stderr", ["gone", "full", "closed"])
+def test_a_message_that_nobody_reads_ends_no_run(recording, stderr):
+    # Too little texture moves for the check: there is something to say.
+    command = [sys.executable, "-m", "motionstereo_cli", "run", "left", "right", "-o", "out"]
+    command += ["--save", "steering"]
+    if stderr == "closed":
+        done = subprocess.run(["sh", "-c", '"$@" 2>&-', "sh", *command], check=False)
+    elif stderr == "full":
+        with Path("/dev/full").open("w") as full:
+            done = subprocess.run(command, stderr=full, check=False)
+    else:
+        reads, writes = os.pipe()
+        os.close(reads)
+        done = subprocess.run(command, stderr=writes, check=False)
+        os.close(writes)
+    assert done.returncode == 0
+    assert Path("out/run.json").exists()
+
+
+# Locks and disks.
+
+
+def test_two_runs_in_one_folder_are_told_apart_without_fcntl(tmp_path):
+    code = (
+        "import sys; sys.modules['fcntl'] = None\n"
+        "from pathlib import Path\n"
+        "from motionstereo_cli.errors import BusyError\n"
+        "from motionstereo_cli.files.lock import locked\n"
+        "out = Path(sys.argv[1])\n"
+        "for _ in range(2):\n"
+        "    with locked(out):\n"
+        "        try:\n"
+        "            with locked(out): print('both')\n"
+        "        except BusyError as error: print(error)\n"
+        "print(list(out.iterdir()))\n"
+    )
+    out = tmp_path / "out"
+    command = [sys.executable, "-c", code, str(out)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    said = f"{out} is being written by another run: wait for it, or give another folder\n"
+    assert done.stdout == 2 * said + "[]\n", done.stderr
+
+
+def test_a_lock_has_an_error_of_its_own(tmp_path):
+    with locked(tmp_path), pytest.raises(BusyError), locked(tmp_path):
+        pass
+
+
+def test_files_are_open_for_writing_when_they_are_synced(recording, monkeypatch):
+    """Windows refuses others."""
+
+    def fsync(file):
+        number = file if isinstance(file, int) else file.fileno()
+        if fcntl.fcntl(number, fcntl.F_GETFL) & os.O_ACCMODE == os.O_RDONLY:
+            raise OSError(errno.EBADF, os.strerror(errno.EBADF))
+
+    monkeypatch.setattr(os, "fsync", fsync)
+    plan = RunPlan("left", "right", "out", save=("steering", "charge", "charge-png"))
+    assert run(plan).frames == FRAMES
+
+
+def test_a_write_that_fails_leaves_what_was_there(tmp_path, monkeypatch):
+    path = tmp_path / "a"
+    path.write_text("old")
+    monkeypatch.setattr(os, "replace", lambda *_: (_ for _ in ()).throw(OSError(28, "full")))
+    with pytest.raises(OutputError, match="full"):
+        write_whole(path, b"new")
+    assert [(p.name, p.read_text()) for p in tmp_path.iterdir()] == [("a", "old")]
