@@ -353,16 +353,6 @@ def test_names_that_are_not_utf8(recording):
     assert json.loads(Path(out, "run.json").read_text("utf-8"))["inputs"]["left"]["path"]
 
 
-def test_images_too_wide_for_a_video_are_refused_first(recording, capsys):
-    for side in ("l", "r"):
-        Path(side).mkdir()
-        for n in range(2):
-            assert cv2.imwrite(f"{side}/{n}.png", np.full((16, 16_400), 9 * n, np.uint8))
-    assert main(["run", "l", "r", "--no-check", "-o", "out"]) == 1
-    assert "charge.mp4: H.264 takes up to 16384 px a side" in capsys.readouterr().err
-    assert not Path("out").exists()
-
-
 @pytest.mark.parametrize("stderr", ["gone", "full", "closed"])
 def test_a_message_that_nobody_reads_ends_no_run(recording, stderr):
     # Too little texture moves for the check: there is something to say.

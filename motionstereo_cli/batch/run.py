@@ -23,7 +23,6 @@ from motionstereo_cli.batch.sinks import Sinks
 from motionstereo_cli.errors import InputError, MotionStereoError, OutputError
 from motionstereo_cli.files.atomic import part_of, reported
 from motionstereo_cli.files.targets import check_target, is_stream, open_stream
-from motionstereo_cli.files.video import check_size as check_video_size
 from motionstereo_cli.pipeline import process
 from motionstereo_cli.rig.calibration import rectify_source
 from motionstereo_cli.rig.poses import read_poses
@@ -176,9 +175,6 @@ def _sinks(job: Job) -> Sinks:
     inputs = inputs_of(job)
     if plan.folder is None:
         return Sinks()
-    for name in job.save:
-        if OUTPUTS[name].path.endswith(".mp4"):
-            check_video_size(plan.folder / OUTPUTS[name].path, source.width, source.height)
     check_target(plan.folder, inputs)
     if plan.table and not plan.to_stdout:
         check_target(plan.table, inputs)

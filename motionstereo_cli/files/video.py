@@ -55,9 +55,6 @@ def table_of(palette: NDArray[np.uint8]) -> NDArray[np.uint8]:
 #: 0.997, 16.5 and 14 kB).
 _PREVIEW_QUANTIZER = "22"
 
-#: The largest width and height of x264.
-MAX_H264_PX = 16_384
-
 #: What shows for longer, in s, does not fit into MP4's numbers.
 _LONGEST_S = 10_000
 
@@ -84,19 +81,6 @@ def _container(path: Path) -> dict[str, Any]:
     if path.suffix == ".mkv":
         return {"format": "matroska", "options": {"fflags": "+bitexact"}}
     return {"format": "mp4", "options": {"fflags": "+bitexact", "movflags": "+faststart"}}
-
-
-def check_size(path: Path, width: int, height: int) -> None:
-    """Make sure that pictures are not too large for a video.
-
-    Raises:
-        OutputError: they are.
-    """
-    if path.suffix != ".mkv" and max(width, height) > MAX_H264_PX:
-        raise OutputError(
-            f"{path}: H.264 takes up to {MAX_H264_PX} px a side, and this would be "
-            f"{width}x{height}: leave it out of --save, or give a smaller --scale"
-        )
 
 
 class VideoWriter:
@@ -216,8 +200,6 @@ class VideoWriter:
             self._container.mux(packet)
 
     def _add_stream(self, frame: av.VideoFrame) -> Any:
-        if not self._lossless:
-            check_size(self.path, frame.width, frame.height)
         # The rate is only a label: the time stamps say when each frame is shown.
         codec = "ffv1" if self._lossless else "libx264"
         stream: Any = self._container.add_stream(codec, rate=30)
