@@ -115,6 +115,7 @@ def test_an_interrupted_run_is_shown_as_far_as_it_came(copy):
     assert "This run was ended" in page
     assert len(data_in(page)["run"]["x"]) == rows - 2
     assert page.count("data:image/jpeg") == 2
+    assert "Run it again" not in page
 
 
 def test_a_run_without_most_outputs_says_what_is_missing(copy):
@@ -292,3 +293,13 @@ def test_a_page_of_somebody_else_stays(copy, recording, capsys):
     assert "report.html is not from" in capsys.readouterr().err
     assert (copy / "report.html").read_text() == "mine"
     assert (copy / "run.json").exists()
+
+
+def test_without_times_frames_are_counted(copy):
+    text = (copy / "steering.csv").read_text()
+    (copy / "steering.csv").write_text(re.sub(r"^(\d+,\d+),[\d.]+", r"\1,", text, flags=re.M))
+    page = page_of(copy)
+    data = data_in(page)["run"]
+    assert not data["timed"]
+    assert data["x"][5] / data["frameS"] == pytest.approx(5)
+    assert "seen from frame" in page

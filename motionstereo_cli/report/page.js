@@ -77,7 +77,7 @@
   const lead = () => {
     const video = leader();
     $("play").disabled = !video;
-    if (!video) { $("hint").textContent = "The videos are not beside this page, so it shows one frame of each. " + $("hint").textContent.replace("Space plays; ", ""); return; }
+    if (!video) { $("hint").textContent = $("hint").dataset.still + $("hint").textContent.replace("Space plays; ", " "); return; }
     if (video.requestVideoFrameCallback) {
       const next = (_, frame) => { follow(frame.mediaTime); if (video === leader()) video.requestVideoFrameCallback(next); };
       video.requestVideoFrameCallback(next);
@@ -124,7 +124,11 @@
   });
 
   // Plots share one axis, cursor and zoom.
-  const axisLabel = (u, values) => values.map((v) => (run.timed ? `${+v.toFixed(3)} s` : Math.round(frameOf(0) + (v - x[0]) / step)));
+  const axisLabel = (u, values) => values.map((v) => {
+    if (run.timed) return `${+v.toFixed(3)} s`;
+    const frame = v / run.frameS;
+    return Math.abs(frame - Math.round(frame)) < 0.01 ? `${Math.round(frame)}` : "";
+  });
   const lonely = (values) => values.flatMap((v, i) => (v !== null && (values[i - 1] ?? null) === null && (values[i + 1] ?? null) === null ? [i] : []));
   const axes = (values, space) => [
     { stroke: () => colour("muted"), grid: { stroke: () => colour("grid"), width: 1 }, ticks: { show: false }, values: axisLabel, size: 26, gap: 2, font: "11px system-ui, sans-serif" },

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from motionstereo_cli.report.folder import Steering
+from motionstereo_cli.report.folder import FRAME_S, Steering
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -65,6 +65,7 @@ def plotted(steering: Steering) -> dict[str, Any]:
     kept = kept_rows(steering.series.values(), codes)
     return {
         "timed": steering.timed,
+        "frameS": FRAME_S,
         "videoBegin": steering.video_begin,
         "x": steering.places[kept].tolist(),
         "frame": None if len(kept) == len(steering) else steering.frames[kept].tolist(),

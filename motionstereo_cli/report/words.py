@@ -47,12 +47,11 @@ def changed(record: Mapping[str, Any]) -> Iterator[Changed]:
 
 
 def command(record: Mapping[str, Any]) -> str | None:
-    """Return the command that runs it again, for a shell; None where the record has no inputs."""
-    inputs = record.get("inputs")
-    if not inputs:
+    """Return the command that runs it again, for a shell; None where its options are unknown."""
+    if "options" not in record:
         return None
-    words = ["motionstereo", "run", *(each["path"] for each in inputs.values())]
-    words += record.get("options", [])
+    words = ["motionstereo", "run", *(each["path"] for each in record["inputs"].values())]
+    words += record["options"]
     save = list(record.get("outputs", {}))
     if tuple(save) != DEFAULT_OUTPUTS:
         words += ["--save", ",".join(save)]
