@@ -232,7 +232,7 @@ def test_what_cannot_be_done_in_pieces_is_said(recording):
     clip = [str(recording / "left.mp4"), str(recording / "right.mp4")]
     for more, said in (
         (["--charge-mode", "general"], "never forgets"),
-        (["--save", "preview"], "arrow"),
+        (["--save", "preview"], "follows from frame to frame"),
     ):
         with pytest.raises(SettingsError, match=said):
             pieces_of(plan_of([*clip, *more]), 2)

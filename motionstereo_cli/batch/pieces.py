@@ -52,6 +52,9 @@ PIECE = FolderKind(
 )
 
 #: Parts of a run that make one frame after the other and no image of their own.
+#: Outputs that follow from frame to frame, and are made of what the pieces keep.
+_FOLLOWED = ("steering", "steering-jsonl", "objects", "map")
+
 _UNKNOWN = Steering("blind", None, None, None, None)
 
 
@@ -78,11 +81,15 @@ def pieces_of(plan: RunPlan, count: int) -> list[Piece]:
             "--pieces needs --charge-mode permanency: the general charge never forgets, so a "
             "piece would have to begin at the first frame"
         )
-    if "preview" in plan.outputs or plan.table is not None:
-        raise SettingsError(
-            "--pieces can make neither preview, whose arrow follows from frame to frame, nor "
-            "--csv: leave them out"
-        )
+    for name in plan.outputs:
+        # They show images and the heading, which follows from frame to frame.
+        if OUTPUTS[name].in_order and name not in _FOLLOWED:
+            raise SettingsError(
+                f"--pieces cannot make {name}, which shows what follows from frame to frame: leave "
+                "it out"
+            )
+    if plan.table is not None:
+        raise SettingsError("--pieces cannot write --csv: leave it out, there is steering.csv")
     with open_stereo(plan.left, plan.right, plan.input_settings) as source:
         frames = source.expected_frames
     if frames is None:

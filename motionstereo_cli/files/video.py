@@ -15,9 +15,8 @@ import cv2
 import numpy as np
 
 from motionstereo_cli.compiled.pictures import planes as fill
-from motionstereo_cli.errors import OutputError
-from motionstereo_cli.files.atomic import open_new, part_of, reported, segment_of, sync
-from motionstereo_cli.files.reading import sha256_of
+from motionstereo_cli.files.atomic import open_new, part_of, reported, sync
+from motionstereo_cli.files.segments import Segments
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -273,10 +272,9 @@ class SegmentedVideo:
     def __init__(self, path: Path, time_base: Fraction, since: VideoMark = ((), None)) -> None:
         self._path = path
         self._time_base = time_base
-        self._complete, self._last_pts = since
+        sums, self._last_pts = since
+        self._segments = Segments(path, sums)
         self._writer: VideoWriter | None = None
-        for segment, sums in zip(self._segments(), self._complete, strict=True):
-            _check(segment, sums)
 
     def write(self, image: Picture | list[Picture], pts: int) -> None:
         """Append an image; one not after the last gets the next time stamp.
@@ -285,9 +283,9 @@ class SegmentedVideo:
             OutputError: the file cannot be written.
         """
         if self._writer is None:
-            segment = segment_of(self._path, len(self._complete))
+            part = self._segments.next
             self._writer = VideoWriter(
-                self._path, self._time_base, part=segment, preview=True, after=self._last_pts
+                self._path, self._time_base, part=part, preview=True, after=self._last_pts
             )
         self._writer.write(image, pts)
         self._last_pts = self._writer.last_pts
@@ -300,12 +298,9 @@ class SegmentedVideo:
         """
         if self._writer is not None:
             self._writer.finish()
-            segment = segment_of(self._path, len(self._complete))
-            sync(segment)
             self._writer = None
-            with reported(segment):
-                self._complete = (*self._complete, sha256_of(segment))
-        return self._complete, self._last_pts
+            self._segments.end()
+        return self._segments.sums, self._last_pts
 
     def close(self) -> None:
         """Complete the video and give it its name.
@@ -314,31 +309,14 @@ class SegmentedVideo:
             OutputError: the file cannot be written.
         """
         self.checkpoint()
-        join(self._segments(), self._path)
+        join(self._segments.paths, self._path)
 
     def abandon(self, *, keep: bool) -> None:
         """Complete the last segment or, without ``keep``, remove all."""
         if self._writer is not None:
             self._writer.abandon(keep=keep)
         if not keep:
-            for segment in self._segments():
-                segment.unlink(missing_ok=True)
-
-    def _segments(self) -> list[Path]:
-        return [segment_of(self._path, number) for number in range(len(self._complete))]
-
-
-def _check(segment: Path, sums: str) -> None:
-    """Make sure that a segment is what a checkpoint says."""
-    try:
-        found = None if segment.is_symlink() else sha256_of(segment)
-    except OSError as error:
-        raise OutputError(
-            f"{segment} is missing ({error.strerror}): --resume cannot go on without it, give "
-            "--overwrite"
-        ) from error
-    if found != sums:
-        raise OutputError(f"{segment} was cut or changed: --resume cannot go on, give --overwrite")
+            self._segments.remove()
 
 
 def join(segments: Sequence[Path], path: Path) -> None:

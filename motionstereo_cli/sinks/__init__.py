@@ -263,6 +263,15 @@ OUTPUTS = {
         "points.NumberedClouds",
         needs_rig=True,
     ),
+    "bag": Output(
+        "results.mcap",
+        "ROS 2 bag with the stamps of the input: depth (16UC1, mm) with camera_info, "
+        "DisparityImage (32FC1, px), charge (PNG), steering (PoseStamped in camera_link, REP 103), "
+        "objects (MarkerArray); images and objects in camera_optical_frame",
+        "bag.BagFile",
+        needs_rig=True,
+        in_order=True,
+    ),
     "map": Output(
         "map.ply",
         "what moved in the image, fused over all frames: points in the world of the poses in m, "
