@@ -50,7 +50,7 @@ def _dense(right: Memory, left: Memory, settings: Settings) -> Found:
     from motionstereo_cli.stages.dense import ROWS, match_dense
     from motionstereo_cli.stages.trails import match_trails
 
-    s, wanted, ages = settings, keys_of(right, settings), age_of(right, settings)
+    s, wanted = settings, keys_of(right, settings)
     charged = wanted > 0
     proposed, _ = match_trails(
         wanted[::ROWS],
@@ -65,13 +65,13 @@ def _dense(right: Memory, left: Memory, settings: Settings) -> Found:
         balanced(right.grey, left.grey, s.max_disparity),
         charged,
         proposed,
-        ages[::ROWS] == 0,
+        age_of(right, s)[::ROWS] == 0,
         s.max_disparity,
     )
     matched = without_speckles(disparity, ~np.isnan(disparity), s.speckle_px)
     disparity = filled(matched, charged, s.gap_px)
     disparity[~charged] = np.nan
-    return disparity, lambda: confidence_by_margin(disparity, matched, margin, ages)
+    return disparity, lambda: confidence_by_margin(disparity, matched, margin)
 
 
 def _regions(right: Memory, left: Memory, settings: Settings) -> Found:

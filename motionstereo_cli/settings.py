@@ -237,8 +237,11 @@ class Settings:
 #: Named sets of values; what they leave out keeps its default.
 PRESETS: dict[str, dict[str, Any]] = {
     "default": {},
+    "fast": {"contrast_px": 0.0, "bands": 8, "min_jump": 6, "matcher": "trails"},
+    "dense": {"contrast_px": 15.0, "bands": 16, "min_jump": 8, "matcher": "dense"},
     "paper": {
         "blur_px": 0.0,
+        "contrast_px": 0.0,
         "bands": 8,
         "grey_min": 0,
         "grey_max": 255,
@@ -247,6 +250,7 @@ PRESETS: dict[str, dict[str, Any]] = {
         "charge_max": 255,
         "charge_min": 0,
         "charge_leak": 16,
+        "matcher": "trails",
         "match_on": "charge",
         "max_residual": 255.0,
     },

@@ -213,15 +213,19 @@ def semi_global(right, left, right_slope, left_slope, where, proposed_px, weight
                 found = int(totals[y, x][d]), d
                 if x + d not in partner or found[0] < partner[x + d][0]:
                     partner[x + d] = found
+        before = -2  # the last pixel's whole disparity
         for x in range(width):
+            last, before = before, -2
             if not where[y, x]:
                 continue
             total = totals[y, x]
             d = int(np.argmin(total))
             second = min((int(total[e]) for e in reach if abs(d - e) > 1), default=32767)
             excess = second - int(total[d])
-            if excess < max(60, 0.05 * second) or abs(partner[x + d][1] - d) > 1:
+            seen = x + d < width or abs(last - d) <= 1
+            if not seen or excess < max(60, 0.05 * second) or abs(partner[x + d][1] - d) > 1:
                 continue
+            before = d
             margin[y, x], disparity[y, x] = excess, d
             if 0 < d < max_disparity:
                 below, above = (int(total[d + i] - total[d]) for i in (-1, 1))

@@ -120,7 +120,7 @@ def test_frames_older_than_the_memory_do_not_matter(leak):
 
 
 def test_general_charge_grows_step_by_step():
-    settings = Settings(charge_mode="general", charge_gain=50, blur_px=0, min_jump=0)
+    settings = Settings(charge_mode="general", charge_gain=50, contrast_px=0, blur_px=0, min_jump=0)
     levels = [(0, 200)[index % 2] for index in range(4)]
     flicker = [np.full((8, 9), level, np.uint8) for level in levels]
     frames = [StereoFrame(i, i, None, grey, grey) for i, grey in enumerate(flicker)]
@@ -140,6 +140,7 @@ def test_the_settings_reach_the_stages():
     frames = list(sliding([8]))
     plain = last(process(frames))
     for change in (
+        {"contrast_px": 15.0},
         {"bands": 3},
         {"blur_px": 3.0},
         {"grey_min": 100},
@@ -152,7 +153,7 @@ def test_the_settings_reach_the_stages():
     ):
         changed = last(process(frames, Settings(**change)))
         assert not np.array_equal(plain.charge, changed.charge), change
-    for change in ({"max_disparity": 5}, {"min_votes": 100_000}, {"speckle_px": 10_000}):
+    for change in ({"max_disparity": 5}, {"matcher": "dense"}, {"speckle_px": 10_000}):
         changed = last(process(frames, Settings(**change)))
         assert not np.array_equal(plain.disparity_px, changed.disparity_px, equal_nan=True), change
 
@@ -232,7 +233,8 @@ def test_the_surer_the_fewer_errors(corridor):
 @pytest.mark.parametrize("leak", [1, 16, 255])
 def test_memories_in_one_pass_are_those_of_the_equations(leak):
     random = np.random.default_rng(leak)
-    options = Settings(charge_leak=leak, charge_max=200, charge_min=7, min_jump=3, blur_px=0)
+    charges = {"charge_leak": leak, "charge_max": 200, "charge_min": 7}
+    options = Settings(**charges, min_jump=3, blur_px=0, contrast_px=0)
     memory, bands, charge = None, None, np.full((9, 21), 7, np.uint8)
     table = band_table(options.bands)
     for _ in range(6):

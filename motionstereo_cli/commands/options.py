@@ -173,9 +173,10 @@ baseline_unit_option = click.option(
 _preset_option = click.option(
     "--preset",
     type=click.Choice(list(PRESETS)),
+    metavar="NAME",
     default="default",
     show_default=True,
-    help="Set of values for the method; options that are given win.",
+    help=f"Set of values for the method ({', '.join(PRESETS)}); options that are given win.",
 )
 
 

@@ -428,14 +428,22 @@ def paint(
 ) -> cython.void:
     """Fill in disparities between whole px: where lines of equal slope through three costs meet.
 
-    A left pixel is the partner of one right pixel, and of those that agree with it within 1 px.
+    A left pixel is the partner of one right pixel, and of those that agree with it within 1 px. A
+    partner beyond the border was not seen: it has to go on where the pixel before had its own.
     """
-    x: cython.Py_ssize_t
+    x: cython.int
     total: cython.short[:, ::1] = work.total
+    width: cython.int = cython.cast(cython.int, total.shape[0])
     last: cython.Py_ssize_t = total.shape[1] - 1
-    for x in range(total.shape[0]):
+    before: cython.int = -2
+    for x in range(width):
         d: cython.int = work.best[x]
-        if d < 0 or abs(work.partner[x + d] - d) > 1:
+        if d >= 0 and (
+            abs(work.partner[x + d] - d) > 1 or (x + d >= width and abs(before - d) > 1)
+        ):
+            d = -1
+        before = d if d >= 0 else -2
+        if d < 0:
             disparity[y, x] = NAN
             margin[y, x] = NAN
             continue

@@ -1,0 +1,92 @@
+"""Why a run matches little of what is charged: measured on its images, not guessed."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+
+if TYPE_CHECKING:
+    from motionstereo_cli.types import Grey
+
+#: A run that matches less of what is charged than this says so.
+MIN_MATCHED_SHARE = 0.3
+
+#: Charge on less of the image than this says nothing about the matching.
+_MIN_CHARGED_SHARE = 0.01
+
+#: Rows by which the views may be off one another, in px of images of at most this width.
+_ROWS = (-8, -4, -2, 2, 4, 8)
+_WIDTH = 640
+
+#: cv2.StereoBM counts what is certain; a cause has to give this many times more of it, and this
+#: share of the image.
+_BLOCK_PX, _UNIQUENESS, _TEXTURE = 15, 15, 20
+_TIMES_MORE, _MIN_SURE_SHARE = 1.5, 0.03
+
+#: Difference of brightness in grey levels that is worth a word.
+_MIN_BRIGHTNESS = 5.0
+
+
+def shortfall(
+    charged: float, matched: float, right: Grey, left: Grey, max_disparity: int
+) -> str | None:
+    """Return why little of what is charged was matched, as a sentence; None where enough was.
+
+    Other explanations are tried on one pair of images: swapped views, rows that are off, a larger
+    range. The one under which most pixels find a certain partner is the reason, if that is much
+    more than without; then comes the brightness.
+
+    Args:
+        charged, matched: mean shares of the image with charge and with a disparity, 0..1.
+        right, left: a pair of images of the run, (height, width) uint8.
+        max_disparity: as the run has it, px.
+    """
+    if charged < _MIN_CHARGED_SHARE or matched >= MIN_MATCHED_SHARE * charged:
+        return None
+    said = f"only {matched / charged:.0%} of what is charged was matched"
+    scale = min(1.0, _WIDTH / right.shape[1])
+    if scale < 1:
+        right, left = (
+            np.asarray(
+                cv2.resize(view, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), np.uint8
+            )
+            for view in (right, left)
+        )
+    reach = max(round(max_disparity * scale), 1)
+    plain = max(_sure(right, left, reach), _MIN_SURE_SHARE)
+    causes = {
+        "left and right seem to be swapped: try --swap": _sure(left, right, reach),
+        f"objects seem to be nearer than --max-disparity {max_disparity} reaches: "
+        f"try {2 * max_disparity}": _sure(right, left, 2 * reach),
+    }
+    for rows in _ROWS:
+        moved = np.roll(left, rows, axis=0)
+        causes[
+            f"the left image seems to be {abs(rows) / scale:.0f} px too "
+            f"{'high' if rows > 0 else 'low'}: calibrate, or see `motionstereo check`"
+        ] = _sure(right, moved, reach)
+    cause = max(causes, key=lambda each: causes[each])
+    if causes[cause] > _TIMES_MORE * plain:
+        return f"{said}: {cause}"
+    brighter = float(np.median(left)) - float(np.median(right))
+    if abs(brighter) >= _MIN_BRIGHTNESS:
+        which = "brighter" if brighter > 0 else "darker"
+        return f"{said}; the left view is {abs(brighter):.0f} grey levels {which}"
+    return f"{said}; rows, range, order and brightness of the views look right"
+
+
+def _sure(right: Grey, left: Grey, max_disparity: int) -> float:
+    """Return the share of an image, 0..1, that finds a certain partner within the range."""
+    disparities = -(-max_disparity // 16) * 16
+    if min(right.shape) <= _BLOCK_PX or right.shape[1] <= disparities:
+        return 0.0
+    matcher = cv2.StereoBM.create(disparities, _BLOCK_PX)
+    matcher.setUniquenessRatio(_UNIQUENESS)
+    matcher.setTextureThreshold(_TEXTURE)
+    matcher.setDisp12MaxDiff(1)
+    matcher.setSpeckleWindowSize(50)
+    matcher.setSpeckleRange(1)
+    known = matcher.compute(left, right) > 0
+    return float(known.mean())
