@@ -18,7 +18,8 @@ from bench.torture import Verdict, _difference, _faults, format_markdown
 SHORT = """
 import sys
 from bench.torture import format_markdown, torture
-verdicts = torture({"damaged": 20, "repeat": 3, "kill": 2, "disk": 3}, seed=int(sys.argv[1]))
+trials = {"damaged": 20, "repeat": 3, "kill": 2, "disk": 3, "hostile": 9}
+verdicts = torture(trials, seed=int(sys.argv[1]))
 print(format_markdown(verdicts))
 failures = [failure for verdict in verdicts for failure in verdict.failures]
 # How many frames are done again depends on the disk: that is for make torture to say.
@@ -33,7 +34,7 @@ def test_a_short_torture() -> None:
         [sys.executable, "-c", SHORT, "1"], capture_output=True, text=True, check=False
     )
     assert done.returncode == 0, done.stdout + done.stderr[-3000:]
-    assert done.stdout.count("\n| ") == 5
+    assert done.stdout.count("\n| ") == 6
 
 
 @pytest.mark.parametrize("damage", DAMAGES)

@@ -29,6 +29,7 @@ from tqdm import tqdm
 from bench.children import Ended, call, fork, warm_up
 from bench.clips import Clip, rendered, repeated
 from bench.damage import DAMAGES, encoded, seen_in_image, seen_in_video
+from bench.hostile import hostile
 from bench.markdown import table
 from motionstereo_cli.batch.plan import RunPlan
 from motionstereo_cli.batch.run import Watcher, run
@@ -529,7 +530,14 @@ def _steered(clip: Clip, out: Path, progress: Callable[[], object]) -> int:
 # All of it.
 
 #: The parts, each with its number of trials: frames for the last.
-PARTS = {"damaged": 1000, "kill": 100, "disk": 50, "repeat": 50, "long": 100_000}
+PARTS = {
+    "damaged": 1000,
+    "kill": 100,
+    "disk": 50,
+    "repeat": 50,
+    "hostile": 1000,
+    "long": 100_000,
+}
 
 
 def torture(trials: Mapping[str, int], *, first: int = 0, seed: int = 0) -> list[Verdict]:
@@ -563,6 +571,13 @@ def torture(trials: Mapping[str, int], *, first: int = 0, seed: int = 0) -> list
                     verdicts.append(full(clip, place, numbers, seed))
                 case "repeat":
                     verdicts.append(repeat(clip, place, numbers, seed))
+                case "hostile":
+                    found, lost = hostile(clip, place, numbers, seed)
+                    what = (
+                        f"{count}: links planted, inputs as outputs, kills at changes of the disk"
+                    )
+                    goal = "no file of the user's is lost; the same command works after a kill"
+                    verdicts.append(Verdict("hostile use", what, goal, found, lost))
                 case _:
                     verdicts.append(long(clip, place, count))
     return verdicts
