@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import random
 import subprocess
 import sys
@@ -31,7 +32,11 @@ sys.exit(bool(failures))
 
 def test_a_short_torture() -> None:
     done = subprocess.run(
-        [sys.executable, "-c", SHORT, "1"], capture_output=True, text=True, check=False
+        [sys.executable, "-c", SHORT, "1"],
+        env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)},
+        capture_output=True,
+        text=True,
+        check=False,
     )
     assert done.returncode == 0, done.stdout + done.stderr[-3000:]
     assert done.stdout.count("\n| ") == 6
