@@ -189,7 +189,7 @@ def test_another_run_is_not_taken_for_this_one(half_done, recording, tmp_path, c
     assert "with files.1.sha256 " in said(others)
     fewer = [*half_done[: half_done.index("--save")], *half_done[half_done.index("--save") + 2 :]]
     assert "is of another run, with outputs.age: give" in said(fewer)
-    assert "without table" in said([*half_done, "--csv", str(tmp_path / "new.csv")])
+    assert "without a table by --csv" in said([*half_done, "--csv", str(tmp_path / "new.csv")])
     assert main(half_done) == 1
     assert (
         "is not empty: give another folder, or --overwrite, or --resume" in capsys.readouterr().err

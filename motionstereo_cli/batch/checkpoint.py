@@ -226,10 +226,15 @@ def check_same(out: Path, identity: Mapping[str, Any], found: Mapping[str, Any])
         )
 
 
+#: What options give, where the record has another word for it.
+_IN_WORDS = {"table": "a table by --csv", "files": "the files of --rig and --poses"}
+
+
 def _difference(wanted: Any, there: Any, name: str = "") -> str:
     """Return the first difference of two JSON values; where files lie makes none."""
     if wanted is None or there is None:
-        return "" if wanted is there else f"with{'out' if there is None else ''} {name}"
+        what = _IN_WORDS.get(name.partition(".")[0], name)
+        return "" if wanted is there else f"with{'out' if there is None else ''} {what}"
     if isinstance(wanted, list) and isinstance(there, list):
         wanted, there = (dict(enumerate(each)) for each in (wanted, there))
     if isinstance(wanted, dict) and isinstance(there, dict):

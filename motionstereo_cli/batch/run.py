@@ -107,7 +107,7 @@ def run(plan: RunPlan, watcher: Watcher | None = None, stdout: BinaryIO | None =
             report = report_on(job, sinks.totals, resumed, started_s)
             return dataclasses.replace(report, interrupted=True)
         except Exception as error:
-            if plan.folder is not None and sinks.totals.frames:
+            if plan.folder is not None and sinks.totals.frames > resumed:
                 # After other errors the same command fails again at the same frame.
                 goes_on = isinstance(error, OutputError | OSError) and source.rereadable
                 advice = ": with --resume the same command goes on from the last checkpoint"

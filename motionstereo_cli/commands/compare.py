@@ -80,12 +80,10 @@ def compare(
     from motionstereo_cli.analysis import compare as library
     from motionstereo_cli.analysis.picture import draw_worst
     from motionstereo_cli.files.images import encode_png
-    from motionstereo_cli.files.targets import check_target, write_output
+    from motionstereo_cli.files.targets import check_targets, write_output
 
     inputs = (actual, golden, *config_files())
-    for path in (picture, junit, json_path):
-        if path:
-            check_target(path, inputs)
+    check_targets((picture, junit, json_path), inputs)
     with tqdm(unit="image", disable=None) as bar:
         report = library.compare(
             actual, golden, settings, tolerances=tolerance, progress=bar.update

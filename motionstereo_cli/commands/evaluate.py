@@ -76,7 +76,7 @@ def evaluate(
     from motionstereo_cli.analysis.evaluate import Comparison
     from motionstereo_cli.analysis.evaluate import evaluate as evaluate_library
     from motionstereo_cli.files.images import encode_png
-    from motionstereo_cli.files.targets import check_target, write_output
+    from motionstereo_cli.files.targets import check_targets, write_output
     from motionstereo_cli.rig import read_rig
     from motionstereo_cli.sinks.reading import Maps
 
@@ -88,9 +88,7 @@ def evaluate(
     )
     given = [path for path in (rig, mask) if path is not None]
     inputs = (result, truth, *given, *config_files())
-    for path in (csv_path, json_path, picture_path if picture is not None else None):
-        if path is not None:
-            check_target(path, inputs)
+    check_targets((csv_path, json_path, None if picture is None else picture_path), inputs)
     if picture is not None:
         drawn = encode_png(evaluate_report.draw_errors(comparison.pair(picture)))
         write_output(picture_path, drawn, inputs)

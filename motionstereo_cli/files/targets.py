@@ -40,6 +40,14 @@ def check_target(path: Path, inputs: Iterable[Path]) -> None:
             raise OutputError(f"{path} lies in {taken}, an input of this run: give another place")
 
 
+def check_targets(paths: Iterable[Path | None], inputs: Iterable[Path]) -> None:
+    """Make sure of several files, as :func:`check_target` does; None stands for none."""
+    taken = tuple(inputs)
+    for path in paths:
+        if path is not None:
+            check_target(path, taken)
+
+
 def write_output(path: Path, content: bytes, inputs: Iterable[Path] = ()) -> None:
     """Write the file that a user named, in the place of an older one if there is one.
 
