@@ -410,8 +410,10 @@ def test_files_are_open_for_writing_when_they_are_synced(recording, monkeypatch)
             raise OSError(errno.EBADF, os.strerror(errno.EBADF))
 
     monkeypatch.setattr(os, "fsync", fsync)
-    plan = RunPlan("left", "right", "out", save=("steering", "charge", "charge-png"))
-    assert run(plan).frames == FRAMES
+    plan = RunPlan(
+        "left", "right", "out", rig=("rig.yaml",), save=("steering", "charge", "charge-png")
+    )
+    assert run(pickle.loads(pickle.dumps(plan))).frames == FRAMES
 
 
 def test_a_write_that_fails_leaves_what_was_there(tmp_path, monkeypatch):

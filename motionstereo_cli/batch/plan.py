@@ -76,6 +76,8 @@ class RunPlan:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "out", Path(self.out))
+        for name in ("rig", "reads"):
+            object.__setattr__(self, name, tuple(map(Path, getattr(self, name))))
         for name in ("poses", "table"):
             if getattr(self, name) is not None:
                 object.__setattr__(self, name, Path(getattr(self, name)))
