@@ -76,7 +76,7 @@ class Settings:
     )
     # Disparity.
     matcher: str = param(
-        "trails",
+        "dense",
         "How the two memories are matched. "
         + "; ".join(f"{name}: {matcher.what}" for name, matcher in MATCHERS.items())
         + ".",
@@ -237,8 +237,8 @@ class Settings:
 #: Named sets of values; what they leave out keeps its default.
 PRESETS: dict[str, dict[str, Any]] = {
     "default": {},
-    "fast": {"contrast_px": 0.0, "bands": 8, "min_jump": 6, "matcher": "trails"},
-    "dense": {"contrast_px": 15.0, "bands": 16, "min_jump": 8, "matcher": "dense"},
+    "fast": {"matcher": "trails"},
+    "contrast": {"contrast_px": 15.0, "bands": 16, "min_jump": 8},
     "paper": {
         "blur_px": 0.0,
         "contrast_px": 0.0,

@@ -50,7 +50,7 @@ def test_the_results_are_the_expected_ones(out):
 
 def test_steers_left_into_the_turn_and_straight_after_it(out):
     steer = [float(row["steer"]) for row in rows(out / "steering.csv")[1:]]
-    assert max(np.abs(steer[14:38])) < 0.1
+    assert max(np.abs(steer[14:30])) < 0.1
     assert min(steer[49:60]) > 0.25
     assert max(steer[49:60]) > 0.7
     assert max(np.abs(steer[79:])) < 0.1
