@@ -15,8 +15,8 @@ demo: $(READY)  ## run the main job on sample_data
 		--save report,preview
 	@echo "Open out/demo/report.html in a browser. preview.mp4 plays anywhere; steering.csv has a row for each frame."
 
-test: $(READY)  ## run the tests
-	$(BIN)/pytest
+test: $(READY)  ## run the tests, on all cores
+	$(BIN)/pytest -n auto --dist loadfile
 
 lint: $(READY)  ## check style and types
 	$(BIN)/ruff check .

@@ -170,12 +170,12 @@ def test_the_table_goes_to_a_file_of_any_name(run_args, rig, recording, capsys):
     assert main(args) == 0
     text = Path("mine.csv").read_text()
     assert text == Path("motionstereo_out/steering.csv").read_text()
-    for taken, said in (
-        ("mine.csv", "mine.csv is there already"),
-        (str(recording / "left.mp4"), "is an input of this run"),
-        ("motionstereo_out/steering.csv", "is in the output folder"),
+    for taken, out, said in (
+        ("mine.csv", "other", "mine.csv is there already"),
+        (str(recording / "left.mp4"), "other", "is an input"),
+        ("motionstereo_out/steering.csv", "motionstereo_out", "is in the output folder"),
     ):
-        assert main([*args[:-1], taken, "-o", "motionstereo_out"]) == 1
+        assert main([*args[:-1], taken, "-o", out]) == 1
         assert said in capsys.readouterr().err
     assert Path("mine.csv").read_text() == text
     assert main([*args, "--overwrite"]) == 0
@@ -191,7 +191,7 @@ def test_every_output_can_be_had_at_once(run_args, rig):
         assert all(path.is_file() for path in paths), name
     assert not list(out.rglob("*.png.part"))
     outputs = json.loads((out / "run.json").read_text())["outputs"]
-    assert list(outputs) == wanted
+    assert set(outputs) == set(wanted)
 
 
 def test_the_same_run_gives_the_same_bytes_but_for_the_timing(run_args, rig):

@@ -349,7 +349,7 @@ def test_dash_puts_csv_on_standard_output_alone(sides, tmp_path):
     disparity(sides[0] / "disparity", np.ones((2, 4), np.float32), first=9)
     done = called(*sides, "--csv", "-", cwd=tmp_path)
     assert done.returncode == 0
-    assert "warning: 1 frames are in OUT alone" in done.stderr
+    assert "warning: 1 frames are only in OUT" in done.stderr
     assert len(list(csv.DictReader(io.StringIO(done.stdout)))) == 3
 
 

@@ -33,6 +33,7 @@ from motionstereo_cli.errors import InputError, OutputError, SettingsError
 from motionstereo_cli.files.atomic import part_of, reported
 from motionstereo_cli.files.video import join
 from motionstereo_cli.pipeline import Course, Findings, Joints, State, follow, looked, result_of
+from motionstereo_cli.robot.free_space import FreeSpace
 from motionstereo_cli.robot.guide import ImageProfile, MapProfile
 from motionstereo_cli.robot.mapper import Mapper
 from motionstereo_cli.sinks import OUTPUTS
@@ -288,7 +289,7 @@ def _kept(folder: Path) -> Iterator[Any]:
     try:
         with path.open("rb") as file:
             while file.peek(1):
-                yield Reader(file, (Findings, ImageProfile, MapProfile)).load()
+                yield Reader(file, (Findings, ImageProfile, MapProfile, FreeSpace)).load()
     except (OSError, ValueError, EOFError, AttributeError, pickle.UnpicklingError) as error:
         raise OutputError(
             f"{path} cannot be used ({error}): give the same command again"

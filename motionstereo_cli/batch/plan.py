@@ -152,9 +152,8 @@ class RunPlan:
 
     @property
     def options(self) -> list[str]:
-        """The options that are no parameters, but for ``--save``, as a command line has them."""
-        words = ["-o", str(self.out)]
-        words += [word for path in self.rig for word in ("--rig", str(path))]
+        """The options that are neither parameters nor say where results go, as words."""
+        words = [word for path in self.rig for word in ("--rig", str(path))]
         words += ["--poses", str(self.poses)] if self.poses else []
         return words + (["--baseline-unit", self.baseline_unit] if self.baseline_unit else [])
 
