@@ -99,7 +99,8 @@ def command(recording):
 
 @pytest.fixture(scope="module")
 def undisturbed(command, tmp_path_factory):
-    out = tmp_path_factory.mktemp("undisturbed")
+    # Of the same name as the others, because the report is called by it.
+    out = tmp_path_factory.mktemp("undisturbed") / "out"
     assert main([*command, "-o", str(out), "--csv", str(out.parent / "table.csv")]) == 0
     return out
 
