@@ -106,10 +106,12 @@ def undisturbed(command, tmp_path_factory):
 
 
 def contents(out):
-    """All files by name; of run.json all but the times."""
+    """All files by name; of run.json all but times and options, and no page: both name the folder."""
     found = {str(path.relative_to(out)): path.read_bytes() for path in out.rglob("*.*")}
+    assert found.pop("report.html")
     record = json.loads(found.pop("run.json"))
     assert record.pop("timing")
+    assert record.pop("options")
     return found | {"run.json": record}
 
 

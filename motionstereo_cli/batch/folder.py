@@ -137,6 +137,7 @@ class RunFolder(Sinks):
                 said["sums"] = {
                     name: sums_of(self.path, self._kind.outputs[name], said["counts"]["written"])
                     for name in self._outputs
+                    if name != "report"  # the command report writes it again
                 }
         complete(self.path, said, self._kind)
         super().complete(record)
