@@ -82,6 +82,7 @@ def test_only_the_files_of_robot_that_keep_state_join_its_pure_ones():
         "robot/tracker.py",
     } | {
         "batch/checkpoint.py",  # it names what is kept from frame to frame
+        "batch/pieces.py",  # it hands on what pieces found
         "sinks/map.py",
         "sinks/points.py",
         "simulate/plan.py",
