@@ -73,6 +73,9 @@ class TestTrails:
         settings = {"block_px": (block_rows, block_columns), "max_ratio": 0.9}
         found = match_trails(right, left, reach, **settings, min_votes=least)
         wanted = oracles.match_trails(right, left, reach, **settings, min_votes=least)
+        # Votes that are just enough may miss by the last bit of float32, which decides.
+        decided = np.abs(wanted[1] - least) > 1e-4
+        found, wanted = (np.where(decided, each, np.nan) for each in (found, wanted))
         np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-4)
 
     def test_nothing_charged_gives_nothing(self):
