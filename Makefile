@@ -43,8 +43,9 @@ regress: $(READY)  ## see that a run on sample_data gives what it gave before
 	$(BIN)/motionstereo compare out/regress sample_data/golden \
 		--junit out/regress.xml --picture out/regress.png
 
-fuzz: $(READY)  ## try damaged calibration, poses, settings and tables, each for 10 minutes
+fuzz: $(READY)  ## try damaged calibration, poses, settings and tables, each for 10 minutes, and new examples
 	$(BIN)/pytest tests/test_fuzz.py -s --fuzz-seconds 600
+	$(BIN)/pytest -n auto --dist loadfile --hypothesis-profile default
 
 torture: $(READY)  ## damage input, kill runs, fill disks, run for long: half an hour
 	$(BENCH) torture

@@ -25,7 +25,7 @@ from motionstereo_cli.simulate.layers import Layers
 from motionstereo_cli.simulate.scenes import render_scene
 from motionstereo_cli.simulate.settings import SimulateSettings
 from motionstereo_cli.simulate.street import Street
-from motionstereo_cli.simulate.surfaces import rectangle, render
+from motionstereo_cli.simulate.surfaces import NEAR_M, rectangle, render
 from motionstereo_cli.simulate.texture import Texture
 from motionstereo_cli.simulate.write import simulate
 from motionstereo_cli.types import Rig
@@ -338,7 +338,7 @@ def test_the_nearest_of_surfaces_in_any_position_wins(seed):
             away, right, down = np.linalg.solve(
                 np.column_stack([ray, -sides[0], -sides[1]]), one.corners_m[0] - eye
             )
-            if away > 0 and 0 <= right <= 1 and 0 <= down <= 1:
+            if away > NEAR_M and 0 <= right <= 1 and 0 <= down <= 1:
                 hits.append(away)
         assert depth[row, column] == pytest.approx(min(hits), rel=1e-5)
 

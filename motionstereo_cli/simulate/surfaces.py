@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 _SAMPLES = 3
 #: What is nearer along the optical axis is not seen.
-_NEAR_M = 0.05
+NEAR_M = 0.05
 #: A plane that passes the camera so closely is seen edge-on.
 _EDGE_ON_M = 1e-9
 
@@ -183,10 +183,10 @@ def _bounds(corners: Vector, camera: Camera) -> NDArray[np.intp]:
     ahead, after = corners[..., :1], following[..., :1]
     with np.errstate(divide="ignore", invalid="ignore"):
         # Where an edge comes from behind the camera it is cut.
-        cut = corners + (_NEAR_M - ahead) / (after - ahead) * (following - corners)
-        crosses = (ahead < _NEAR_M) != (after < _NEAR_M)
+        cut = corners + (NEAR_M - ahead) / (after - ahead) * (following - corners)
+        crosses = (ahead < NEAR_M) != (after < NEAR_M)
         points = np.concatenate([corners, cut], axis=1)
-        kept = np.concatenate([ahead >= _NEAR_M, crosses], axis=1)
+        kept = np.concatenate([ahead >= NEAR_M, crosses], axis=1)
         size = np.array([camera.height, camera.width])
         places = (
             np.array([camera.cy, camera.cx])
