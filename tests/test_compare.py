@@ -20,10 +20,8 @@ from motionstereo_cli.analysis.compare import (
     Report,
     WorstImage,
     compare,
-    format_json,
-    format_junit,
-    format_table,
 )
+from motionstereo_cli.analysis.compare_report import format_json, format_junit, format_table
 from motionstereo_cli.analysis.picture import draw_worst
 from motionstereo_cli.analysis.settings import CompareSettings
 from motionstereo_cli.errors import InputError, SettingsError

@@ -126,3 +126,12 @@ def test_only_known_files_stand_at_the_top():
     allowed |= {"README.md", "LICENSE", "CHANGELOG.md", "out", "build"}
     found = {path.name for path in PACKAGE.parent.iterdir() if not path.name.startswith(".")}
     assert {name for name in found if not name.endswith(".egg-info")} <= allowed
+
+
+def test_a_command_says_what_happens_and_leaves_the_work_to_others():
+    for path in MODULES:
+        if room(path) == "commands":
+            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+                if isinstance(node, ast.FunctionDef):
+                    code = node.body[1:] if ast.get_docstring(node) else node.body
+                    assert not code or node.end_lineno - code[0].lineno < 40, node.name

@@ -9,13 +9,13 @@ from typing import Any
 import click
 
 from motionstereo_cli.analysis.settings import COLUMN_TOLERANCE, CompareSettings
+from motionstereo_cli.commands.forms import print_form, write_files
 from motionstereo_cli.commands.grouped import GroupedCommand
 from motionstereo_cli.commands.messages import say
 from motionstereo_cli.commands.options import config_files, settings_options
 from motionstereo_cli.errors import DIFFERENT_EXIT_CODE
 
 _FILE = click.Path(dir_okay=False, path_type=Path)
-_STDOUT = Path("-")
 
 
 def _tolerances(
@@ -77,7 +77,8 @@ def compare(
 
     from tqdm import tqdm
 
-    from motionstereo_cli.analysis import compare as library
+    from motionstereo_cli.analysis import compare_report
+    from motionstereo_cli.analysis.compare import compare as compare_library
     from motionstereo_cli.analysis.picture import draw_worst
     from motionstereo_cli.files.images import encode_png
     from motionstereo_cli.files.targets import check_targets, write_output
@@ -85,16 +86,17 @@ def compare(
     inputs = (actual, golden, *config_files())
     check_targets((picture, junit, json_path), inputs)
     with tqdm(unit="image", disable=None) as bar:
-        report = library.compare(
+        report = compare_library(
             actual, golden, settings, tolerances=tolerance, progress=bar.update
         )
     if picture and report.worst_image:
         drawn = encode_png(draw_worst(report.worst_image, golden)[..., ::-1])
         write_output(picture, drawn, inputs)
-    if junit:
-        write_output(junit, library.format_junit(report), inputs)
-    if json_path and json_path != _STDOUT:
-        write_output(json_path, library.format_json(report).encode(), inputs)
+    forms = (
+        (junit, compare_report.format_junit),
+        (json_path, compare_report.format_json),
+    )
+    write_files(report, forms, inputs)
 
     for line in report.notes:
         say("note", line)
@@ -102,6 +104,5 @@ def compare(
         image = report.worst_image
         found = f"{image.name} differs most: {picture}" if image else "no picture: no images differ"
         say("note", found)
-    shown = library.format_json if json_path == _STDOUT else library.format_table
-    click.echo(shown(report), nl=False)
+    print_form(report, forms, compare_report.format_table)
     return DIFFERENT_EXIT_CODE if report.differs else 0

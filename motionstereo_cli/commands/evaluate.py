@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
+from motionstereo_cli.commands.forms import STDOUT, print_form, write_files
 from motionstereo_cli.commands.grouped import GroupedCommand
 from motionstereo_cli.commands.messages import say
 from motionstereo_cli.commands.options import config_files, config_option
 
+if TYPE_CHECKING:
+    from motionstereo_cli.analysis.evaluate import Comparison, Report
+
 _KIND = click.Choice(["disparity", "depth"])
 _TABLE = click.Path(dir_okay=False, allow_dash=True, path_type=Path)
-_STDOUT = Path("-")
 
 
 @click.command(cls=GroupedCommand)
@@ -67,7 +71,7 @@ def evaluate(
     coverage, bad-pixel shares, D1, errors in px and, with a rig, in m; --csv - or --json - print
     these instead.
     """
-    if csv_path == json_path == _STDOUT:
+    if csv_path == json_path == STDOUT:
         raise click.UsageError("--csv - and --json - cannot both have standard output: name a file")
 
     from tqdm import tqdm
@@ -95,6 +99,15 @@ def evaluate(
     with tqdm(total=len(comparison.numbers), unit="frame", disable=None) as bar:
         report = evaluate_library(comparison, bar.update)
 
+    _say_what_is_not_scored(comparison, report)
+    forms = ((csv_path, evaluate_report.format_csv), (json_path, evaluate_report.format_json))
+    write_files(report, forms, inputs)
+    print_form(report, forms, evaluate_report.format_table)
+    if picture is not None:
+        say("note", f"errors of frame {picture} in {picture_path}")
+
+
+def _say_what_is_not_scored(comparison: Comparison, report: Report) -> None:
     for side, count in (("OUT", report.only_out), ("TRUTH", report.only_truth)):
         if count:
             say("warning", f"{count} frames are only in {side} and not scored")
@@ -103,14 +116,3 @@ def evaluate(
         say("warning", f"OUT is in the {out_view} view, but TRUTH in the {truth_view} one")
     if not comparison.has_depth:
         say("note", "no rig is known, so errors in m are not: give --rig")
-    for path, content in (
-        (csv_path, evaluate_report.format_csv),
-        (json_path, evaluate_report.format_json),
-    ):
-        if path is not None and path != _STDOUT:
-            write_output(path, content(report).encode(), inputs)
-    shown = evaluate_report.format_csv if csv_path == _STDOUT else evaluate_report.format_table
-    shown = evaluate_report.format_json if json_path == _STDOUT else shown
-    click.echo(shown(report), nl=False)
-    if picture is not None:
-        say("note", f"errors of frame {picture} in {picture_path}")

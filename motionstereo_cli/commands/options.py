@@ -216,10 +216,10 @@ def _help(item: Param) -> str:
     return f"{item.help}  [{shown}]" if shown else item.help
 
 
-#: A configuration has a few hundred lines, and no option takes a larger number.
 #: Key in a context's ``meta`` for the file that was read.
 _CONFIG = f"{__name__}.config"
 
+#: A configuration has a few hundred lines, and no option takes a larger number.
 _MAX_CONFIG_BYTES, _MAX_NUMBER = 1_000_000, 1e18
 
 config_option = click.option(

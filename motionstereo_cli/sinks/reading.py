@@ -19,13 +19,13 @@ from numpy.typing import NDArray
 from motionstereo_cli.errors import InputError
 from motionstereo_cli.files.stills import DamagedImageError, read_still, shown
 from motionstereo_cli.rig import read_rig
+from motionstereo_cli.sinks import OUTPUTS, RECORD
+from motionstereo_cli.sinks.images import DISPARITY_PER_PX
+from motionstereo_cli.sinks.settings import OutputSettings
 from motionstereo_cli.types import Rig
 
 if TYPE_CHECKING:
     from motionstereo_cli.types import Real
-from motionstereo_cli.sinks import OUTPUTS, RECORD
-from motionstereo_cli.sinks.images import DISPARITY_PER_PX
-from motionstereo_cli.sinks.settings import OutputSettings
 
 #: Folders of images that a run writes, the most exact ones first.
 _FOLDERS = tuple(
@@ -146,8 +146,8 @@ def _said_in(folder: Path) -> tuple[Rig | None, str | None, int]:
     path = folder / RECORD
     if not path.is_file():
         return rig, "right" if rig else None, OutputSettings().depth_scale  # simulate's truth
+    record = read_record(path)
     try:
-        record = json.loads(path.read_bytes())
         if rig is None and record["rig"] is not None:
             rig = Rig(**record["rig"])
         per_m = int(
@@ -157,10 +157,7 @@ def _said_in(folder: Path) -> tuple[Rig | None, str | None, int]:
         if not (per_m > 0 and all(map(math.isfinite, given))):
             raise ValueError
         return rig, record.get("settings", {}).get("reference"), per_m
-    except (
-        *(OSError, ValueError, LookupError, TypeError, AttributeError),
-        *(OverflowError, RecursionError),
-    ) as error:
+    except (ValueError, LookupError, TypeError, AttributeError, OverflowError) as error:
         raise InputError(f"{path}: its rig cannot be read: give --rig, or run again") from error
 
 
