@@ -189,7 +189,7 @@ def test_overwrite_removes_nothing_behind_a_link(recording, capsys):
 
 @pytest.mark.parametrize("frame", [2, 5])
 def test_no_planted_link_is_written_through(recording, monkeypatch, frame):
-    """Neither where a run begins anew nor where it goes on from a checkpoint."""
+    """Neither where a run starts again nor where it goes on from a checkpoint."""
     options = ["-o", "out", "--save", "steering,charge-png,charge", "--csv", "t.csv"]
     with ending_at(frame, monkeypatch):
         assert ran(*options) == 1
@@ -199,7 +199,7 @@ def test_no_planted_link_is_written_through(recording, monkeypatch, frame):
     for name in (*names, "charge.0001.mp4.part", "../t.csv"):
         Path("out", name).unlink(missing_ok=True)
         Path("out", name).symlink_to(recording / "victim")
-    # Without a checkpoint it begins anew, and an image that it had not written is not its own.
+    # Without a checkpoint it starts again, and an image that it had not written is not its own.
     assert ran(*options, "--resume") == (1 if frame == 2 else 0)
     assert Path("victim").read_text() == "precious"
     if frame == 5:

@@ -16,8 +16,8 @@ if TYPE_CHECKING:
 #: Images are looked at in at most this width, in px.
 _WIDTH = 480
 
-#: Views stand alike where matches are all by nearly the same y apart, within this share of the
-#: height; so many, and so many times as many as without the turn, tell that one mends it.
+#: Views stand alike where all matches differ by nearly the same y, within this share of the
+#: height; this many, and this many times as many as without the turn, show that a turn mends it.
 _ROW_REACH = 0.03
 _MIN_MATCHES = 25
 _TIMES_AS_MANY = 3

@@ -140,7 +140,7 @@ def read_checkpoint(
         check(state)
     except Exception as error:  # damaged pickles raise anything
         raise OutputError(
-            f"{path} is no checkpoint that can be used ({error}): give --overwrite to begin anew"
+            f"{path} is no checkpoint that can be used ({error}): give --overwrite to start again"
         ) from error
     return Checkpoint(state, totals, marks)
 
@@ -222,7 +222,7 @@ def check_same(out: Path, identity: Mapping[str, Any], found: Mapping[str, Any])
     if difference := _difference(wanted, there):
         raise OutputError(
             f"{out} is of another run, {difference}: "
-            "give the same input and options, or --overwrite to begin anew"
+            "give the same input and options, or --overwrite to start again"
         )
 
 

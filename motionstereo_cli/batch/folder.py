@@ -153,7 +153,7 @@ class RunFolder(Sinks):
             if not same:
                 raise OutputError(
                     f"{self.path} is complete, but {name} is no longer what the run wrote: "
-                    "give --overwrite to begin anew"
+                    "give --overwrite to start again"
                 )
 
     def _begin(self) -> None:

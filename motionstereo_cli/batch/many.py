@@ -290,7 +290,7 @@ class _Batch:
         return status
 
     def renew(self, *, at_once: bool = False) -> None:
-        """Write the table of all recordings anew, where it is time to."""
+        """Write the table of all recordings again, when it is due."""
         if at_once or time.monotonic() > self._renewed_s + _RENEW_S:
             write_whole(self._out / TABLE, format_statuses(self.statuses))
             self._renewed_s = time.monotonic()

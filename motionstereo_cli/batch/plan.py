@@ -87,7 +87,7 @@ class RunPlan:
             "-o - writes only the steering table: leave --save and --csv out": (
                 self.folder is None and (self.save or self.table)
             ),
-            "--resume goes on, --overwrite begins anew: give one of them": (
+            "--resume goes on, --overwrite starts again: give one of them": (
                 self.resume and self.overwrite
             ),
             "--resume cannot go on with a table on standard output: give a file": (

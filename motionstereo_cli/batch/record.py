@@ -160,7 +160,7 @@ def report_of(record: Mapping[str, Any], plan: RunPlan) -> RunReport:
     if plan.table is not None and not plan.table.exists():
         raise OutputError(
             f"{plan.folder} is complete, but {plan.table} is missing: give --overwrite to begin "
-            "anew, or leave it out"
+            "again, or leave it out"
         )
     frames = record["counts"]["written"]
     return RunReport(

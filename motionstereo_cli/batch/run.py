@@ -278,5 +278,5 @@ def _first(results: Iterator[FrameResult], plan: RunPlan) -> Iterable[FrameResul
     except Exception as error:
         raise OutputError(
             f"{plan.folder} cannot be gone on with, its checkpoint does not fit ({error}): "
-            "give --overwrite to begin anew"
+            "give --overwrite to start again"
         ) from error

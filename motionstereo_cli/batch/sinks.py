@@ -37,7 +37,7 @@ class Sinks:
     Attributes:
         state: all that is kept from frame to frame, None before the first.
         totals: sums over the frames so far; at first those that an earlier process did.
-        resumed: an earlier process began the same run, and this one goes on or begins anew.
+        resumed: an earlier process began the same run, and this one continues or starts again.
         finished: what an earlier process said of itself that did all there is to do; None: none.
     """
 

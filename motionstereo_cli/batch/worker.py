@@ -63,7 +63,7 @@ def work(
             status = _ended(status, report)
             for line in report.damage:
                 say("warning", line)
-        except KeyboardInterrupt:  # within a piece, which is begun anew
+        except KeyboardInterrupt:  # within a piece, which is started again
             status = dataclasses.replace(status, status="interrupted")
         except MotionStereoError as error:
             status = dataclasses.replace(status, status="failed", reason=str(error))

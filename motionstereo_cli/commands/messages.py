@@ -18,7 +18,7 @@ _WORTH_SAYING_S = 5
 
 
 class Tolerant:
-    """Standard error that may be full, or its reader gone: what nobody can read is dropped.
+    """Standard error that may be full, or its reader gone: what cannot be read is dropped.
 
     Args:
         stream: standard error.

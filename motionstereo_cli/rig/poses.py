@@ -37,7 +37,7 @@ _UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 #: Poses that are farther apart hardly have times in s, and nothing with a stereo camera is as fast.
 _MAX_INTERVAL_S, _MAX_SPEED_MPS = 1.0, 100.0
 
-#: A step between poses that is so many times the usual one is a gap.
+#: A step between poses that is this many times the usual one is a gap.
 _MAX_GAP = 10
 
 #: Directions of the robot frame in the optical one: forward is z, left is -x, up is -y.

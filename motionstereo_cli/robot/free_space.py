@@ -24,7 +24,7 @@ _MIN_STRIP_SHARE = 0.01
 _NEARER_SHARE = 0.2
 #: Of the ground in a strip, the share allowed to be farther than it is said to be seen.
 _FARTHER_SHARE = 0.05
-#: Of all that is known, the share that is farther than the nearest thing.
+#: Of all that is known, the share that is farther than the nearest obstacle.
 _NEAREST_SHARE = 0.99
 
 #: How far up the ground reaches, and what a vehicle passes under, in camera heights.
@@ -38,7 +38,7 @@ _HORIZONS, _SLOPES, _BINS, _ROWS = 16, 32, 128, 32
 #: Such a share of an image, as :func:`find_ground` counts it, has to lie on the ground: on a line
 #: through a mere wall lie 0.125, on the floor of a smooth corridor 0.14, on a road 0.3 to 0.4.
 _MIN_GROUND = 0.13
-#: What is below the ground counts so many times against it.
+#: What is below the ground counts this many times against it.
 _BELOW_COST = 2.0
 
 #: A vehicle's width, the longest way that is told from longer ones, and how far off the point is
@@ -54,7 +54,7 @@ _MIN_PX = 0.25
 _TURN_COST, _CHANGE_COST, _SOFTNESS = 0.1, 0.2, 0.05
 #: Ways shorter than this share of the best one end the gap that it leads through.
 _GAP_LENGTH = 0.5
-#: Unknown strips between known ones count as these if there are at most so many, as a share.
+#: Unknown strips between known ones count as these if there are at most this many, as a share.
 _GAP_SHARE = 0.25
 
 
@@ -76,7 +76,7 @@ class FreeSpace:
     """What stands in each vertical strip of an image.
 
     Attributes:
-        standing_px: nearness of the nearest thing that stands there, (strips,) float32; NaN where
+        standing_px: nearness of the nearest obstacle there, (strips,) float32; NaN where
             none is known.
         ground_px: nearness of the farthest ground seen there, (strips,) float32; NaN = none.
         slope: px of the ground's nearness a row of the camera's image; NaN where none was found.
@@ -257,7 +257,7 @@ def _lengths(
 
 
 def nearest(nearness_px: NDArray[np.float32]) -> float | None:
-    """Return the nearness of the nearest thing in px; None where too little is known.
+    """Return the nearness of the nearest obstacle in px; None where too little is known.
 
     All but a hundredth of the known pixels are farther.
 

@@ -37,7 +37,7 @@ class FolderRecording(Recording):
     out.
 
     The time stamp of an image is the number in its file name, where the names differ in one
-    number alone and count in steps; otherwise its place. Only ``frame_rate`` makes a time of it.
+    number only and count in steps; otherwise its place. Only ``frame_rate`` makes a time of it.
     Where a ``data.csv`` lies beside a folder ``data``, as EuRoC has it, or a ``times.txt`` beside a
     folder ``image_0``, as KITTI has it, the time stamps are there.
 

@@ -82,7 +82,7 @@ def natural_key(name: str) -> list[tuple[int, str]]:
 def file_numbers(stems: list[str]) -> list[int] | None:
     """Return the number in each of a folder's file names without suffix, given in order.
 
-    None unless the names differ in that number alone and count in steps of one size, gaps
+    None unless the names differ only in that number and count in steps of one size, gaps
     allowed: time stamps, several numbers and words tell nothing.
     """
     split = [re.split(r"([0-9]+)", stem) for stem in stems]
