@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import difflib
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, fields
+from types import MappingProxyType
 from typing import Any
 
 from motionstereo_cli.errors import SettingsError
@@ -30,6 +31,7 @@ class Param:
         group: heading that it stands under in the help, empty for that of its dataclass.
         common: whether the short help shows it.
         old: former name, still understood on the command line and in the configuration file.
+        words: words that stand for values, as ``auto`` for 0.
     """
 
     name: str
@@ -43,6 +45,7 @@ class Param:
     group: str
     common: bool
     old: str
+    words: Mapping[str, Any]
 
     @property
     def flag(self) -> str:
@@ -66,6 +69,8 @@ class Param:
         Raises:
             SettingsError: it is of another kind, not a number, or out of range.
         """
+        if isinstance(value, str):
+            value = self.words.get(value, value)
         wanted = {bool: "true or false", int: "a whole number", float: "a number", str: "text"}
         try:
             if self.kind is bool and not isinstance(value, bool):
@@ -103,10 +108,18 @@ def param(
     group: str = "",
     common: bool = False,
     old: str = "",
+    words: Mapping[str, Any] = MappingProxyType({}),
 ) -> Any:
     """Declare a dataclass field that :func:`params` describes and :func:`checked` verifies."""
-    meta = {"help": help, "unit": unit, "low": low, "high": high, "choices": choices}
-    return field(default=default, metadata=meta | {"group": group, "common": common, "old": old})
+    meta: dict[str, Any] = {
+        "help": help,
+        "unit": unit,
+        "low": low,
+        "high": high,
+        "choices": choices,
+    }
+    meta |= {"group": group, "common": common, "old": old, "words": words}
+    return field(default=default, metadata=meta)
 
 
 def params(settings: type) -> Iterator[Param]:

@@ -18,11 +18,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from motionstereo_cli.errors import SettingsError
 from motionstereo_cli.matchers import MATCHERS
 from motionstereo_cli.memory import Memory, age_of, in_mirror, mirrored, see
 from motionstereo_cli.robot.guide import Guide, guide_of
 from motionstereo_cli.robot.tracker import Tracker, Tracks
-from motionstereo_cli.settings import FOREVER, Settings
+from motionstereo_cli.settings import AUTO, FOREVER, Settings
 from motionstereo_cli.stages.depth import depth
 from motionstereo_cli.types import FrameResult, MovingObject, Pose, Rig, Steering, StereoFrame
 
@@ -103,7 +104,15 @@ class Joints(NamedTuple):
         with_objects: bool,
         extras: Collection[str] = EXTRAS,
     ) -> Joints:
-        """Return what a stream needs."""
+        """Return what a stream needs.
+
+        Raises:
+            SettingsError: ``max_disparity`` is still to be measured.
+        """
+        if settings.max_disparity == AUTO:
+            raise SettingsError(
+                "--max-disparity auto: the range is measured by run and batch; give a number here"
+            )
         guide = guide_of(settings, rig, with_poses=with_poses)
         tracker = Tracker(settings, rig) if with_objects else None
         return cls(settings, rig, guide, tracker, frozenset(extras))

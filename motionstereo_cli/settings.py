@@ -16,6 +16,9 @@ from motionstereo_cli.params import checked, param
 #: The largest age in frames that can be told apart.
 FOREVER = 254
 
+#: What ``--max-disparity auto`` is until the range is measured.
+AUTO = 0
+
 
 @dataclass(frozen=True, slots=True)
 class Settings:
@@ -89,11 +92,13 @@ class Settings:
     )
     max_disparity: int = param(
         64,
-        "Maximum disparity. A larger one finds nearer objects and takes longer.",
+        "Maximum disparity. A larger one finds nearer objects and takes longer. auto (or 0): "
+        "measured in a sample of the recording, as check does.",
         unit="px",
-        low=1,
+        low=AUTO,
         high=2048,
         common=True,
+        words={"auto": AUTO},
     )
     reference: str = param(
         "right",

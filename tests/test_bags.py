@@ -12,7 +12,8 @@ from motionstereo_cli.__main__ import main
 from motionstereo_cli.errors import InputError, SettingsError
 from motionstereo_cli.rig.calibration import rectify_source
 from motionstereo_cli.sources import open_stereo
-from motionstereo_cli.sources.bag import BagRecording, is_bag, stereo_topics
+from motionstereo_cli.sources.bag import BagRecording
+from motionstereo_cli.sources.bag_topics import is_bag, stereo_topics
 from motionstereo_cli.sources.settings import InputSettings
 from motionstereo_cli.types import Rig
 
@@ -268,3 +269,24 @@ def test_info_and_run_take_a_bag(tmp_path, capsys):
     assert facts["rig"]["focal_px"] == pytest.approx(50)
     assert main(["run", str(path), "-o", str(tmp_path / "out"), "--save", "steering,depth"]) == 0
     assert (tmp_path / "out/depth/000005.png").exists()
+
+
+def test_what_needs_a_calibration_takes_that_of_a_bag(tmp_path, capsys):
+    path, poses = written(tmp_path, ".mcap"), tmp_path / "poses.txt"
+    rows = [f"{5 + n * PERIOD_NS / 1e9:.6f} {n / 100} 0 0 0 0 0 1" for n in range(-1, 8)]
+    poses.write_text("\n".join(rows))
+    given = ["run", str(path), "--poses", str(poses), "--near-m", "1", "-o", str(tmp_path / "out")]
+    assert main([*given, "--save", "steering,depth"]) == 0
+    assert "--rig" not in capsys.readouterr().err
+    assert (tmp_path / "out/depth/000005.png").exists()
+
+
+@pytest.mark.parametrize(("white", "level", "warned"), [(0, 16, 1), (4095, 250, 0)])
+def test_deep_images_of_a_bag_are_scaled_as_those_of_folders(tmp_path, white, level, warned):
+    with Bag(tmp_path / "deep.bag", ".bag") as bag:
+        for side in ("left", "right"):
+            deep = np.full((8, 8), 4015, np.uint16)
+            bag.image(f"/{side}/image_raw", deep, 10**9, "mono16")
+    with open_stereo(tmp_path / "deep.bag", settings=InputSettings(white=white)) as source:
+        assert next(iter(source)).left.max() == level
+        assert len([line for line in source.warnings if "--white 4095" in line]) == 2 * warned

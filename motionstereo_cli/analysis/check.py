@@ -32,9 +32,12 @@ if TYPE_CHECKING:
 
 #: Frames in a window, those of them in which features are matched, and windows in a recording.
 WINDOW_FRAMES = 16
-_WINDOWS = 5
+MAX_WINDOWS = 5
 _MOMENTS = (3, 5, 7, 9, 11)
 _FEW_MOMENTS = (4, 8, 12)
+
+#: The largest range that a run takes, in px.
+MAX_DISPARITY = 2048
 
 #: Images are looked at in at most this width, in px; at the start of a run in half their own, but
 #: not less than the quick one.
@@ -71,7 +74,7 @@ def check(
         rig: what a calibration says of the frames; None without one.
         progress: called after each frame.
     """
-    checker = _Checker(_starts(expected_frames), _MOMENTS)
+    checker = _Checker(starts(expected_frames), _MOMENTS)
     for frame in frames:
         checker.see(frame)
         progress()
@@ -108,6 +111,15 @@ def watched(
         _tell(checker, max_disparity, rig, say)
 
 
+def advised_range(sample: Iterable[StereoFrame]) -> CheckReport:
+    """Return what windows of a recording, one after the other, tell of disparities."""
+    windows = range(0, MAX_WINDOWS * WINDOW_FRAMES, WINDOW_FRAMES)
+    checker = _Checker(windows, _MOMENTS)
+    for frame in sample:
+        checker.see(frame)
+    return checker.report(MAX_DISPARITY, None)
+
+
 def _new_watch() -> _Checker:
     return _Checker([0], _FEW_MOMENTS, quick=True)
 
@@ -124,12 +136,15 @@ def _tell(
             say(finding)
 
 
-def _starts(expected_frames: int | None) -> Sequence[int]:
-    """Return where windows begin: evenly spread, or ever farther apart where no end is known."""
+def starts(expected_frames: int | None) -> Sequence[int]:
+    """Return the frames at which windows begin.
+
+    They are evenly spread, or ever farther apart where no end is known.
+    """
     if expected_frames is None:
-        return [0, *(100 * 4**i for i in range(_WINDOWS - 1))]
+        return [0, *(100 * 4**i for i in range(MAX_WINDOWS - 1))]
     room = max(expected_frames - WINDOW_FRAMES, 0)
-    count = max(1, min(_WINDOWS, expected_frames // WINDOW_FRAMES))
+    count = max(1, min(MAX_WINDOWS, expected_frames // WINDOW_FRAMES))
     return [room * i // max(count - 1, 1) for i in range(count)]
 
 
@@ -293,7 +308,7 @@ def _disparities(
     return {
         "disparity_low_px": low,
         "disparity_high_px": high,
-        "advised_max_disparity": max(16, 16 * math.ceil(1.1 * high / 16)),
+        "advised_max_disparity": min(max(16, 16 * math.ceil(1.1 * high / 16)), MAX_DISPARITY),
         "behind": float(np.mean(disparity + doffs < -_ZERO_PX)),
         "negative": float(np.mean(disparity < -_ZERO_PX)),
         "beyond": float(np.mean(disparity > max_disparity)),

@@ -22,6 +22,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from motionstereo_cli.batch.auto import Say, with_range
 from motionstereo_cli.batch.pieces import Piece, pieces_of
 from motionstereo_cli.batch.plan import RunPlan
 from motionstereo_cli.batch.record import versions
@@ -138,7 +139,9 @@ def run_batch(
                     count = math.ceil(_threads(client) / len(waiting))
                 jobs = max(usable_cores() // _threads(client), 1) if cluster.local else 1
                 asked = pieces is not None
-                tasks = (_items(name, plans[name], count, asked=asked) for name in waiting)
+                tasks = (
+                    _items(name, plans[name], count, watcher.say, asked=asked) for name in waiting
+                )
                 batch.process(client, itertools.chain.from_iterable(tasks), jobs)
         batch.renew(at_once=True)
         return batch.statuses
@@ -152,28 +155,35 @@ class Item:
         name: the recording.
         piece: which piece.
         pieces: all pieces of the recording; empty where it is not cut.
+        max_disparity: the range of all pieces, where it was measured.
     """
 
     name: str
     piece: Piece | None = None
     pieces: tuple[Piece, ...] | None = None
+    max_disparity: int | None = None
 
     def joining(self) -> Item:
         """Return the task that joins all pieces of the recording."""
         return dataclasses.replace(self, piece=None)
 
 
-def _items(name: str, plan: RunPlan, count: int, *, asked: bool) -> list[Item]:
+def _items(name: str, plan: RunPlan, count: int, say: Say, *, asked: bool) -> list[Item]:
     """Return the tasks of a recording that can be done at once."""
+
+    def named(kind: str, text: str) -> None:
+        say(kind, f"{name}: {text}")
+
     if count > 1:
         try:
             pieces = tuple(pieces_of(plan, count))
+            if len(pieces) > 1:
+                measured = with_range(plan, named).settings.max_disparity
+                return [Item(name, piece, pieces, measured) for piece in pieces]
         except MotionStereoError:
             if asked:
                 raise
-            pieces = ()  # as one, which says what is wrong
-        if len(pieces) > 1:
-            return [Item(name, piece, pieces) for piece in pieces]
+            # As one, which says what is wrong.
     return [Item(name)]
 
 
@@ -248,8 +258,10 @@ class _Batch:
 
     def _submit(self, client: Client, item: Item, jobs: int) -> Future:
         plan = self._plans[item.name]
+        measured = {} if item.max_disparity is None else {"max_disparity": item.max_disparity}
+        settings = {**plan["settings"], **measured}
         task = {
-            "plan": {**plan, "jobs": plan["jobs"] or jobs},
+            "plan": {**plan, "jobs": plan["jobs"] or jobs, "settings": settings},
             "out": str(self._out),
             "name": item.name,
             "hash": self._hashes[item.name],

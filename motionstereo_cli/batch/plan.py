@@ -40,14 +40,14 @@ class RunPlan:
         rig: calibration files, in any format that ``--rig`` takes; none: no lengths, no angles.
         baseline_unit: unit of length in the calibration, ``m``, ``cm`` or ``mm``; None = the
             format's.
-        poses: where the rig was; needs ``rig``.
+        poses: where the rig was; needs a calibration, of ``rig`` or in a bag.
         pose_settings: how to understand the poses.
         save: names of the outputs in ``out``, from :data:`~motionstereo_cli.sinks.OUTPUTS`.
         table: a further place for the steering table; ``-`` is standard output, row by row.
         overwrite: replace the results of an earlier run in ``out``, and a file ``table``.
         resume: go on where the same run was ended in ``out``, or begin if it has not yet.
         jobs: frames matched at a time; results do not depend on it. None: the number of cores,
-            1 with standard input.
+            1 with a pipe.
         with_check: look for mistakes in the first frames.
         settings, input_settings, output_settings: parameters of processing, input and output.
         reads: further files that were read for the plan, and must not be written to.
@@ -81,8 +81,6 @@ class RunPlan:
         for name in ("poses", "table"):
             if getattr(self, name) is not None:
                 object.__setattr__(self, name, Path(getattr(self, name)))
-        in_metres = self.output_settings.near_m or self.output_settings.far_m
-        no_metres = "need --rig: without it nothing is in metres"
         clashes = {
             "-o - writes only the steering table: leave --save and --csv out": (
                 self.folder is None and (self.save or self.table)
@@ -96,11 +94,7 @@ class RunPlan:
             f"--resume cannot go on with a table in {self.table}: give a file": (
                 self.resume and self.table and is_stream(self.table)
             ),
-            "--resume cannot read standard input again: give files": (
-                self.resume and self.from_stdin
-            ),
-            f"--poses {no_metres}": self.poses and not self.rig,
-            f"--near-m and --far-m {no_metres}": in_metres and not self.rig,
+            "--resume cannot read a pipe again: give files": self.resume and self.from_pipe,
             f"--jobs cannot be {self.jobs}: give 1 or more": (
                 self.jobs is not None and self.jobs < 1
             ),
@@ -146,9 +140,11 @@ class RunPlan:
         return self.folder is None or str(self.table) == _STANDARD
 
     @property
-    def from_stdin(self) -> bool:
-        """Whether a recording comes from standard input."""
-        return _STANDARD in (self.left, self.right)
+    def from_pipe(self) -> bool:
+        """Whether a recording comes from standard input or a FIFO."""
+        return any(
+            name == _STANDARD or is_stream(Path(name)) for name in (self.left, self.right) if name
+        )
 
     @property
     def options(self) -> list[str]:

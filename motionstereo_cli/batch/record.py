@@ -25,6 +25,7 @@ from motionstereo_cli.rig import rig_values
 from motionstereo_cli.rig.poses import Trajectory
 from motionstereo_cli.sinks import OUTPUTS, RunContext, available
 from motionstereo_cli.sources import StereoSource
+from motionstereo_cli.types import StereoFrame
 
 GREY = (
     "luma of the decoded video, expanded to 0..255 where the stream is limited range; "
@@ -63,10 +64,19 @@ class RunReport:
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Job:
-    """A plan whose input is open."""
+    """A plan whose input is open.
+
+    Attributes:
+        plan: with a range of disparities that is a number.
+        source: the input, which rectifies.
+        frames: all frames of the source.
+        context: what the outputs need.
+        poses: where the rig was; None if it is not known.
+    """
 
     plan: RunPlan
     source: StereoSource
+    frames: Iterable[StereoFrame]
     context: RunContext
     poses: Trajectory | None
 

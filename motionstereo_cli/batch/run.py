@@ -14,13 +14,14 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from motionstereo_cli.analysis.check import watched
+from motionstereo_cli.batch.auto import with_range, with_range_of_opening
 from motionstereo_cli.batch.checkpoint import check_state
 from motionstereo_cli.batch.folder import RunFolder
 from motionstereo_cli.batch.interrupts import finishing
 from motionstereo_cli.batch.plan import RunPlan
 from motionstereo_cli.batch.record import Job, RunReport, identity_of, outcome, report_of, report_on
 from motionstereo_cli.batch.sinks import Sinks
-from motionstereo_cli.errors import InputError, MotionStereoError, OutputError
+from motionstereo_cli.errors import InputError, MotionStereoError, OutputError, SettingsError
 from motionstereo_cli.files.atomic import part_of, reported
 from motionstereo_cli.files.targets import check_target, is_stream, open_stream
 from motionstereo_cli.pipeline import process
@@ -127,13 +128,13 @@ def job_of(plan: RunPlan, source: StereoSource, watcher: Watcher) -> Job:
     """Have the source rectify, and read what is known before the first frame."""
     for line in source.warnings:
         watcher.say("warning", line)
-    if not plan.rig and available(plan.outputs, rig=False) != plan.outputs:
-        watcher.say("note", "depth in m needs --rig: disparity takes the place of depth")
     calibration = rectify_source(source, plan.rig, plan.baseline_unit)
     for line in calibration.warnings if calibration else ():
         watcher.say("warning", line)
     rig, poses = None, None
-    if calibration is not None:
+    if calibration is None:
+        _do_without_rig(plan, watcher)
+    else:
         check_size(calibration.rig, source)
         rig = adapted_rig(calibration.rig, source.settings)
         if plan.poses:
@@ -144,10 +145,29 @@ def job_of(plan: RunPlan, source: StereoSource, watcher: Watcher) -> Job:
             for line in poses.check_covers(*span):
                 watcher.say("warning", line)
     time_base = source.time_base or DEFAULT_TIME_BASE
-    job = Job(plan, source, RunContext(time_base, plan.settings, rig, plan.output_settings), poses)
+    frames: Iterable[StereoFrame] = source
+    if source.rereadable:
+        plan = with_range(plan, watcher.say)
+    else:
+        plan, frames = with_range_of_opening(plan, source, watcher.say)
+    context = RunContext(time_base, plan.settings, rig, plan.output_settings)
+    job = Job(plan, source, frames, context, poses)
     if plan.folder is not None:
         check_video_size(job.save, source.width, source.height)
     return job
+
+
+def _do_without_rig(plan: RunPlan, watcher: Watcher) -> None:
+    """Make sure that a run without a calibration needs none."""
+    output = plan.output_settings
+    for flags, given in (
+        ("--poses", plan.poses),
+        ("--near-m and --far-m", output.near_m or output.far_m),
+    ):
+        if given:
+            raise SettingsError(f"{flags} need --rig: without it nothing is in metres")
+    if available(plan.outputs, rig=False) != plan.outputs:
+        watcher.say("note", "depth in m needs --rig: disparity takes the place of depth")
 
 
 def check_size(rig: Rig, source: StereoSource) -> None:
@@ -242,10 +262,10 @@ def _write(sinks: Sinks, job: Job, watcher: Watcher) -> None:
 def _results(job: Job, sinks: Sinks, watcher: Watcher) -> Iterator[FrameResult]:
     """Yield the results that an earlier process did not give."""
     plan, context = job.plan, job.context
-    frames: Iterable[StereoFrame] = job.source
+    frames = job.frames
     if plan.with_check:
         frames = watched(
-            job.source,
+            frames,
             plan.settings.max_disparity,
             lambda finding: watcher.say("warning", finding.text),
             rig=context.rig,
@@ -261,7 +281,7 @@ def _results(job: Job, sinks: Sinks, watcher: Watcher) -> Iterator[FrameResult]:
         # They take time: only where they are asked for.
         with_objects="objects" in job.save or job.poses is not None,
         extras={extra for name in job.save for extra in OUTPUTS[name].extras},
-        jobs=plan.jobs or (1 if plan.from_stdin else os.cpu_count()) or 1,
+        jobs=plan.jobs or (os.cpu_count() if job.source.rereadable else 1) or 1,
         state=sinks.state,
     )
     if sinks.state is not None:

@@ -139,7 +139,7 @@ def pose_options(command: Callable[..., Any]) -> Callable[..., Any]:
         type=click.Path(path_type=Path),
         help="Poses of the rig; guidance then has a memory. TUM format, lines t x y z qx qy qz qw "
         "of the point halfway between the cameras, in s and m; x forward, y left, z up; t as in "
-        "the recordings; or EuRoC's or KITTI's format. Needs --rig.",
+        "the recordings; or EuRoC's or KITTI's format. Needs --rig, or a bag with camera_info.",
     )(collected)
 
 
@@ -192,12 +192,13 @@ def _option(item: Param, group: str) -> Callable[[Callable[..., Any]], Callable[
     if item.kind is bool:
         return option(f"{item.flag}/--no-{item.flag.removeprefix('--')}", item.name, default=None)
     kind = {int: "INTEGER", float: "NUMBER", str: "TEXT"}[item.kind]
+    words = (*item.choices, *item.words)
     return option(
         item.flag,
         item.name,
         type=item.parse,
         metavar=f"[{'|'.join(item.choices)}]" if item.choices and not _many(item) else kind,
-        shell_complete=lambda _, __, begun: [c for c in item.choices if c.startswith(begun)],
+        shell_complete=lambda _, __, begun: [word for word in words if word.startswith(begun)],
     )
 
 

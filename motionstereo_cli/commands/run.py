@@ -75,7 +75,7 @@ _OPTIONS = (
         type=click.IntRange(1, 256),
         metavar="INTEGER",
         help="Frames matched at the same time. Results do not depend on it, but come that many "
-        "frames later, less one.  [default: number of cores, 1 with standard input]",
+        "frames later, less one.  [default: number of cores, 1 with a pipe]",
     ),
     click.option(
         "--check/--no-check",

@@ -1,43 +1,36 @@
-"""One camera from a ROS bag: ROS 1 (.bag), or ROS 2 (.db3, .mcap, or a folder of them).
+"""One camera from a ROS bag.
 
-Read by rosbags, which needs no ROS. Messages are decoded one at a time, and each camera has a
-reader of its own, so that both decode side by side.
+Messages are decoded one at a time, and each camera has a reader of its own, so that both decode
+side by side.
 """
 
 from __future__ import annotations
 
 import contextlib
 import hashlib
-import json
-import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from fractions import Fraction
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
 
-from motionstereo_cli.errors import InputError, SettingsError
+from motionstereo_cli.errors import InputError
 from motionstereo_cli.files.reading import MAX_PIXELS
 from motionstereo_cli.files.stills import DamagedImageError, decode, grey_of
-from motionstereo_cli.sources.recording import Image, Recording, images
+from motionstereo_cli.sources.bag_topics import (
+    bag_damage,
+    camera_info_of,
+    image_topics,
+    opened_bag,
+)
+from motionstereo_cli.sources.recording import Image, Recording, dark, images
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
-    from rosbags.highlevel import AnyReader
-    from rosbags.interfaces import Connection
 
     from motionstereo_cli.types import Grey
-
-SUFFIXES = frozenset({".bag", ".db3", ".mcap"})
-
-#: Types of messages that hold an image, and that of a calibration.
-_IMAGES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
-_CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
-
-#: What the left camera is called in the names of topics, and the right one in its place.
-_SIDES = (("left", "right"), ("infra1", "infra2"), ("cam0", "cam1"), ("camera0", "camera1"))
 
 #: Encodings of raw images: bytes per pixel, what cv2 makes grey of them, None where they are.
 _ENCODINGS: dict[str, tuple[int, int | None]] = {
@@ -62,84 +55,6 @@ _ENCODINGS: dict[str, tuple[int, int | None]] = {
 }
 
 
-class Topic(NamedTuple):
-    """A topic of images.
-
-    Attributes:
-        name: its name.
-        kind: type of its messages.
-        messages: how many there are.
-        encoding: of the first one's pixels.
-        width, height: size of the first one in px; 0 for a compressed one.
-        rate: messages per second, a mean; None where one message tells none.
-    """
-
-    name: str
-    kind: str
-    messages: int
-    encoding: str
-    width: int
-    height: int
-    rate: float | None
-
-    def __str__(self) -> str:
-        """Return the topic in words."""
-        size = f"{self.width}x{self.height} px, " if self.width else ""
-        rate = f", {self.rate:.3g} per second" if self.rate else ""
-        return f"{self.name} ({size}{self.encoding}, {images(self.messages)}{rate})"
-
-
-def is_bag(path: Path) -> bool:
-    """Return whether a path is that of a ROS bag."""
-    if path.is_dir():
-        return (path / "metadata.yaml").is_file()
-    return path.suffix.lower() in SUFFIXES and path.is_file()
-
-
-def stereo_topics(path: Path, given: str = "") -> tuple[str, str]:
-    """Return the topics of the left and the right camera.
-
-    Args:
-        path: the bag.
-        given: both, as ``/left/image_raw,/right/image_raw``; found by name if empty.
-
-    Raises:
-        InputError: the bag cannot be read, or there is no pair, or more than one.
-        SettingsError: what is given is not two topics of images.
-    """
-    with _opened(path) as reader:
-        found = {topic.name: topic for topic in _topics(reader)}
-    listed = "; ".join(map(str, found.values())) or "none"
-    if given:
-        names = [name.strip() for name in given.split(",")]
-        if len(names) != 2 or names[0] == names[1] or not set(names) <= found.keys():
-            raise SettingsError(
-                f"--topics {given}: give two topics of {path}, left first; its image topics: "
-                f"{listed}"
-            )
-        return names[0], names[1]
-    pairs = [(name, right) for name in found if (right := _right_of(name)) in found]
-    # Rectified images need no rectification, and raw ones lose nothing by compression.
-    for better in ("rect", "raw"):
-        if len(pairs) > 1 and any(better in left for left, _ in pairs):
-            pairs = [pair for pair in pairs if better in pair[0]]
-    if len(pairs) > 1 and len(plain := [p for p in pairs if found[p[0]].kind == _IMAGES[0]]) == 1:
-        pairs = plain
-    if len(pairs) != 1:
-        what = "several pairs of cameras" if pairs else "no pair of a left and a right camera"
-        raise InputError(f"{path} has {what}: give --topics LEFT,RIGHT; its image topics: {listed}")
-    left, right = pairs[0]
-    assert right is not None
-    return left, right
-
-
-def _right_of(name: str) -> str | None:
-    for left, right in _SIDES:
-        if re.search(rf"(?<![a-z]){left}(?![a-z0-9])", name):
-            return re.sub(rf"(?<![a-z]){left}(?![a-z0-9])", right, name)
-    return None
-
-
 class BagRecording(Recording):
     """The images of one topic, in the order in which they were recorded.
 
@@ -150,6 +65,7 @@ class BagRecording(Recording):
     Args:
         path: the bag.
         topic: name of the topic.
+        white: level that becomes 255 in images of 16 bits; 0 = 65535.
         max_pixels: largest width times height of an image.
 
     Attributes:
@@ -164,20 +80,23 @@ class BagRecording(Recording):
     stamped = True
     time_base = Fraction(1, 10**9)
 
-    def __init__(self, path: Path, topic: str, *, max_pixels: int = MAX_PIXELS) -> None:
+    def __init__(
+        self, path: Path, topic: str, *, white: int = 0, max_pixels: int = MAX_PIXELS
+    ) -> None:
         self._path, self._topic, self._max_pixels = path, topic, max_pixels
+        self._white, self._judged = white, bool(white)
         self._lost, self._ended = 0, ""
         self._going_back = 0
         with contextlib.ExitStack() as opened:
-            self._reader = opened.enter_context(_opened(path))
-            found = {each.name: each for each in _topics(self._reader)}
+            self._reader = opened.enter_context(opened_bag(path))
+            found = {each.name: each for each in image_topics(self._reader)}
             if topic not in found:
                 raise InputError(f"{path} has no images on {topic}")
             self._about = found[topic]
             self.expected_images = self._about.messages
             rate = self._about.rate
             self.frame_rate = None if rate is None else Fraction(rate).limit_denominator(1001)
-            self.camera_info = _camera_info(self._reader, topic)
+            self.camera_info = camera_info_of(self._reader, topic)
             self.rectified = "rect" in topic
             self._start(self._images_of(), f"{path} {topic}")
             self._opened = opened.pop_all()
@@ -275,7 +194,7 @@ class BagRecording(Recording):
                     yield recorded_ns, self._reader.deserialize(raw, connection.msgtype)
                 except AnyReaderError:
                     yield recorded_ns, None
-        except _damage() as error:
+        except bag_damage() as error:
             self._ended = str(error).rstrip(".")
             self._lost += max(self._about.messages - count, 1)
 
@@ -283,7 +202,7 @@ class BagRecording(Recording):
         """Return the grey levels of a message."""
         name = f"{self._path} {self._topic}"
         if not hasattr(message, "encoding"):
-            return grey_of(decode(bytes(message.data), Path(name), self._max_pixels)[0], Path(name))
+            return self._scaled(decode(bytes(message.data), Path(name), self._max_pixels)[0], name)
         if message.encoding not in _ENCODINGS:
             raise InputError(
                 f"{name} has images of encoding {message.encoding!r}: convert them to one of "
@@ -300,7 +219,7 @@ class BagRecording(Recording):
         rows = np.ascontiguousarray(rows[:, : width * bytes_per_pixel])
         if message.encoding in ("mono16", "16UC1"):
             order = ">u2" if message.is_bigendian else "<u2"
-            return grey_of(rows.view(order).astype(np.uint16), Path(name))
+            return self._scaled(rows.view(order).astype(np.uint16), name)
         if conversion is None:
             return rows
         pixels: NDArray[np.uint8] = rows
@@ -308,93 +227,9 @@ class BagRecording(Recording):
             pixels = rows.reshape(height, width, bytes_per_pixel)
         return np.asarray(cv2.cvtColor(pixels, conversion), np.uint8)
 
-
-@contextlib.contextmanager
-def _opened(path: Path) -> Iterator[AnyReader]:
-    try:
-        from rosbags.highlevel import AnyReader
-        from rosbags.typesys import Stores, get_typestore
-    except ImportError:
-        raise InputError(
-            f"{path} is a ROS bag, which needs rosbags: pip install 'motionstereo[ros]'"
-        ) from None
-    try:
-        reader = AnyReader([path], default_typestore=get_typestore(Stores.LATEST))
-        reader.open()
-    except _damage() as error:
-        advice = "rosbag reindex makes an index" if "index" in str(error) else "is it whole?"
-        raise InputError(
-            f"cannot read the bag {path}: {str(error).rstrip('.')}: {advice}"
-        ) from None
-    try:
-        yield reader
-    finally:
-        reader.close()
-
-
-def _damage() -> tuple[type[Exception], ...]:
-    """Return what rosbags raises of damaged bags; the databases and codecs below it raise more."""
-    import sqlite3
-    import struct
-
-    from rosbags.highlevel import AnyReaderError
-    from rosbags.rosbag1 import ReaderError as Reader1Error
-    from rosbags.rosbag2 import ReaderError as Reader2Error
-
-    known = (AnyReaderError, Reader1Error, Reader2Error, sqlite3.Error, struct.error)
-    return (*known, OSError, ValueError, LookupError, EOFError, AssertionError, RuntimeError)
-
-
-def _topics(reader: AnyReader) -> list[Topic]:
-    """Return the topics that hold images, by name."""
-    found = []
-    for name, about in sorted(reader.topics.items()):
-        if about.msgtype not in _IMAGES:
-            continue
-        first = _first(reader, about.connections)
-        if first is None:
-            continue
-        seconds = (reader.end_time - reader.start_time) / 1e9
-        raw = about.msgtype == _IMAGES[0]
-        found.append(
-            Topic(
-                name,
-                about.msgtype,
-                about.msgcount,
-                first.encoding if raw else first.format,
-                first.width if raw else 0,
-                first.height if raw else 0,
-                (about.msgcount - 1) / seconds if about.msgcount > 1 and seconds > 0 else None,
-            )
-        )
-    return found
-
-
-def _first(reader: AnyReader, connections: Sequence[Connection]) -> Any:
-    """Return the first message of some connections, None where there is none to be read."""
-    try:
-        for connection, _, raw in reader.messages(connections=connections):
-            return reader.deserialize(raw, connection.msgtype)
-    except _damage():
-        pass
-    return None
-
-
-def _camera_info(reader: AnyReader, topic: str) -> str | None:
-    """Return the calibration that lies beside a topic of images, as JSON."""
-    parts = topic.split("/")
-    for length in range(len(parts) - 1, 0, -1):  # /cam/image/compressed: /cam/image, then /cam
-        name = "/".join([*parts[:length], "camera_info"])
-        about = reader.topics.get(name)
-        if about is not None and about.msgtype == _CAMERA_INFO:
-            info = _first(reader, about.connections)
-            if info is None:
-                return None
-            # ROS 1 writes the names of these in capitals, ROS 2 does not.
-            numbers = {
-                key: [float(value) for value in getattr(info, key, getattr(info, key.upper(), ()))]
-                for key in "dkrp"
-            }
-            about_lens = {"distortion_model": info.distortion_model} if any(numbers["d"]) else {}
-            return json.dumps({"width": info.width, "height": info.height, **about_lens, **numbers})
-    return None
+    def _scaled(self, pixels: NDArray[Any], name: str) -> Grey:
+        """Return grey levels; of the first image note whether it leaves much of 16 bits unused."""
+        if pixels.dtype == np.uint16 and not self._judged:
+            self.warnings += dark(name, int(pixels.max(initial=0)), 16)
+        self._judged = True
+        return grey_of(pixels, Path(name), self._white)

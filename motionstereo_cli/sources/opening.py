@@ -11,7 +11,8 @@ from pathlib import Path
 
 from motionstereo_cli.errors import InputError, SettingsError
 from motionstereo_cli.files.stills import SUFFIXES, shown
-from motionstereo_cli.sources.bag import BagRecording, is_bag, stereo_topics
+from motionstereo_cli.sources.bag import BagRecording
+from motionstereo_cli.sources.bag_topics import is_bag, stereo_topics
 from motionstereo_cli.sources.folder import FolderRecording
 from motionstereo_cli.sources.pipe import Pipe
 from motionstereo_cli.sources.recording import Recording
@@ -161,7 +162,7 @@ def open_recording(
     """
     path = Path(name)
     if topic:
-        return BagRecording(path, topic, max_pixels=settings.max_pixels)
+        return BagRecording(path, topic, white=settings.white, max_pixels=settings.max_pixels)
     is_still = path.suffix.lower() in SUFFIXES or not path.exists()
     if not (name == STDIN or is_address(name)) and (path.is_dir() or is_still):
         files = None if path.is_dir() else _files(name)
