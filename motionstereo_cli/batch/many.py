@@ -14,18 +14,17 @@ import itertools
 import json
 import math
 import os
-import signal
 import time
 from collections import Counter, deque
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from motionstereo_cli.batch.auto import Say, with_range
+from motionstereo_cli.batch.cluster import Cluster, client_of, threads_of, usable_cores
 from motionstereo_cli.batch.pieces import Piece, pieces_of
 from motionstereo_cli.batch.plan import RunPlan
-from motionstereo_cli.batch.record import versions
 from motionstereo_cli.batch.status import (
     DONE,
     FAILED,
@@ -49,32 +48,6 @@ TABLE = "batch.csv"
 _PROGRESS = "motionstereo-frames"
 #: The table is renewed at most once in this time, in s.
 _RENEW_S = 1.0
-#: How long a scheduler may take to answer, in s.
-_ANSWER_S = 10
-#: How long its workers may take to come, in s.
-_WORKERS_S = 60
-
-
-@dataclass(frozen=True, slots=True)
-class Cluster:
-    """Where to work.
-
-    Attributes:
-        workers: processes on this machine; None = one for each core. Of a cluster, not used.
-        scheduler: address of a scheduler, ``tcp://host:port``; None = processes on this machine.
-        scheduler_file: file in which a scheduler has left its address.
-        tls: paths of ``ca``, ``cert`` and ``key``, for a scheduler that asks for them.
-    """
-
-    workers: int | None = None
-    scheduler: str | None = None
-    scheduler_file: Path | None = None
-    tls: Mapping[str, str] = dataclasses.field(default_factory=dict)
-
-    @property
-    def local(self) -> bool:
-        """Whether the workers are processes on this machine."""
-        return self.scheduler is None and self.scheduler_file is None
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,14 +63,6 @@ class BatchWatcher:
     say: Callable[[str, str], object]
     frames: Callable[[int], object]
     ended: Callable[[Status], object]
-
-
-def usable_cores() -> int:
-    """Return how many cores this process may use."""
-    try:
-        return len(os.sched_getaffinity(0))
-    except AttributeError:  # not on this system
-        return os.cpu_count() or 1
 
 
 def run_batch(
@@ -134,10 +99,10 @@ def run_batch(
         if waiting:
             workers = cluster.workers or usable_cores()
             count = pieces or math.ceil(workers / len(waiting))
-            with _client(cluster, watcher, len(waiting) * count) as client:
+            with client_of(cluster, len(waiting) * count, watcher.say) as client:
                 if not (pieces or cluster.local):
-                    count = math.ceil(_threads(client) / len(waiting))
-                jobs = max(usable_cores() // _threads(client), 1) if cluster.local else 1
+                    count = math.ceil(threads_of(client) / len(waiting))
+                jobs = max(usable_cores() // threads_of(client), 1) if cluster.local else 1
                 asked = pieces is not None
                 tasks = (
                     _items(name, plans[name], count, watcher.say, asked=asked) for name in waiting
@@ -224,7 +189,7 @@ class _Batch:
         def fill() -> None:
             # No more at a time than there are workers: all tasks that a worker holds are
             # suspects when it dies.
-            while waiting and len(under_way) < _threads(client):
+            while waiting and len(under_way) < threads_of(client):
                 item = waiting.popleft()
                 if self._known[item.name].status not in FAILED:
                     future = self._submit(client, item, jobs)
@@ -326,94 +291,3 @@ def _work(task: Mapping[str, Any]) -> None:
         done = frames
 
     work(task, tell)
-
-
-def _threads(client: Client) -> int:
-    count: int = sum(client.nthreads().values())
-    return max(count, 1)
-
-
-@contextlib.contextmanager
-def _client(cluster: Cluster, watcher: BatchWatcher, tasks: int) -> Iterator[Client]:
-    """Yield a client of a cluster whose versions are those of this process.
-
-    Raises:
-        InputError: Dask is not installed, the scheduler does not answer, or versions differ.
-    """
-    try:
-        import dask
-        from distributed import Client, LocalCluster
-        from distributed.security import Security
-    except ImportError:
-        raise InputError("batch needs Dask: pip install 'motionstereo[batch]'") from None
-    # A worker that dies is tried once more.
-    settings = {"distributed.scheduler.allowed-failures": 1, "logging.distributed": "critical"}
-    with contextlib.ExitStack() as opened:
-        opened.enter_context(dask.config.set(settings))
-        if cluster.local:
-            workers = min(cluster.workers or usable_cores(), tasks)
-            with _deaf_children():
-                local = opened.enter_context(
-                    LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address=None)
-                )
-            client = opened.enter_context(Client(local))
-        else:
-            address = cluster.scheduler or str(cluster.scheduler_file)
-            security = None
-            if cluster.tls:
-                files = {
-                    f"tls_{key}_file" if key == "ca" else f"tls_client_{key}": value
-                    for key, value in cluster.tls.items()
-                }
-                security = Security(**files, require_encryption=True)
-            where = (
-                {"address": cluster.scheduler}
-                if cluster.scheduler
-                else {"scheduler_file": str(cluster.scheduler_file)}
-            )
-            try:
-                client = opened.enter_context(Client(**where, timeout=_ANSWER_S, security=security))
-            except (OSError, ValueError) as error:
-                raise InputError(
-                    f"there is no scheduler at {address} ({error}): start it, or check the "
-                    "address; the same command goes on then"
-                ) from None
-            try:
-                client.wait_for_workers(1, timeout=_WORKERS_S)
-            except TimeoutError:
-                raise InputError(f"the scheduler at {address} has no workers: start some") from None
-            watcher.say("note", f"{_threads(client)} workers; see {client.dashboard_link}")
-        _check_versions(client)
-        yield client
-
-
-@contextlib.contextmanager
-def _deaf_children() -> Iterator[None]:
-    """Have processes that are started ignore Ctrl-C, which a terminal sends to all of them."""
-    former = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, former)
-
-
-def _check_versions(client: Client) -> None:
-    """Make sure that all workers would give the same bytes.
-
-    Raises:
-        InputError: a version differs.
-    """
-    mine = versions()
-    try:
-        theirs = client.run(versions)
-    except Exception as error:
-        raise InputError(
-            f"the workers cannot run motionstereo: {error}: install it there"
-        ) from None
-    for worker, found in theirs.items():
-        for name, version in mine.items():
-            if found.get(name) != version:
-                raise InputError(
-                    f"{name} is {found.get(name)} on {worker}, but {version} here: install the "
-                    "same versions, so that all give the same results"
-                )

@@ -100,8 +100,9 @@ def batch(
     'archive/*/left.mp4' 'archive/*/right.mp4' is a recording for each match. Options of run hold
     for all recordings, those of a row for its own. The same command again does what is not done.
     """
+    from motionstereo_cli.batch.cluster import Cluster
     from motionstereo_cli.batch.manifest import plans
-    from motionstereo_cli.batch.many import BatchWatcher, Cluster, run_batch
+    from motionstereo_cli.batch.many import BatchWatcher, run_batch
 
     shared, inputs = _apart(given)
     tls = {key: cluster.pop(f"tls_{key}") for key in ("ca", "cert", "key")}

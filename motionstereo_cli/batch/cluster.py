@@ -1,0 +1,171 @@
+"""The processes that a batch is worked on by, as a client of Dask sees them."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import importlib.util
+import os
+import signal
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from motionstereo_cli.batch.record import versions
+from motionstereo_cli.errors import InputError
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+#: How long a scheduler may take to answer, in s.
+_ANSWER_S = 10
+#: How long its workers may take to come, in s.
+_WORKERS_S = 60
+
+
+@dataclass(frozen=True, slots=True)
+class Cluster:
+    """Where to work.
+
+    Attributes:
+        workers: processes on this machine; None = one for each core. Of a cluster, not used.
+        scheduler: address of a scheduler, ``tcp://host:port``; None = processes on this machine.
+        scheduler_file: file in which a scheduler has left its address.
+        tls: paths of ``ca``, ``cert`` and ``key``, for a scheduler that asks for them.
+    """
+
+    workers: int | None = None
+    scheduler: str | None = None
+    scheduler_file: Path | None = None
+    tls: Mapping[str, str] = dataclasses.field(default_factory=dict)
+
+    @property
+    def local(self) -> bool:
+        """Whether the workers are processes on this machine."""
+        return self.scheduler is None and self.scheduler_file is None
+
+
+def usable_cores() -> int:
+    """Return how many cores this process may use."""
+    try:
+        return len(os.sched_getaffinity(0))
+    except AttributeError:  # not on this system
+        return os.cpu_count() or 1
+
+
+def threads_of(client: Client) -> int:
+    """Return how many tasks the workers do at a time, at least 1."""
+    count: int = sum(client.nthreads().values())
+    return max(count, 1)
+
+
+@contextlib.contextmanager
+def client_of(cluster: Cluster, tasks: int, say: Callable[[str, str], object]) -> Iterator[Client]:
+    """Yield a client of a cluster whose versions are those of this process.
+
+    Args:
+        cluster: where to work; processes on this machine are started, and ended with the block.
+        tasks: how many there are; no more processes than that are started.
+        say: called with a kind, ``note``, and a line.
+
+    Raises:
+        InputError: Dask is not installed, the scheduler does not answer, or versions differ.
+    """
+    try:
+        import dask
+        import distributed  # noqa: F401
+    except ImportError:
+        raise InputError("batch needs Dask: pip install 'motionstereo[batch]'") from None
+    # A worker that dies is tried once more.
+    settings = {"distributed.scheduler.allowed-failures": 1, "logging.distributed": "critical"}
+    with dask.config.set(settings):
+        opened = _started(cluster, tasks) if cluster.local else _joined(cluster)
+        with opened as client:
+            where = [] if cluster.local else [f"{threads_of(client)} workers"]
+            with contextlib.suppress(KeyError):  # a scheduler without one
+                where += [f"dashboard at {link}"] if (link := client.dashboard_link) else []
+            if where:
+                say("note", "; ".join(where))
+            _check_versions(client)
+            yield client
+
+
+@contextlib.contextmanager
+def _started(cluster: Cluster, tasks: int) -> Iterator[Client]:
+    """Yield a client of processes on this machine."""
+    from distributed import Client, LocalCluster
+
+    workers = min(cluster.workers or usable_cores(), tasks)
+    # Dask's dashboard is drawn by a package that it does not bring.
+    dashboard = "127.0.0.1:0" if importlib.util.find_spec("bokeh") else None
+    with _deaf_children():
+        local = LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address=dashboard)
+    with local, Client(local) as client:
+        yield client
+
+
+@contextlib.contextmanager
+def _joined(cluster: Cluster) -> Iterator[Client]:
+    """Yield a client of a scheduler that is there, and has workers."""
+    from distributed import Client
+    from distributed.security import Security
+
+    address = cluster.scheduler or str(cluster.scheduler_file)
+    security = None
+    if cluster.tls:
+        files = {
+            f"tls_{key}_file" if key == "ca" else f"tls_client_{key}": value
+            for key, value in cluster.tls.items()
+        }
+        security = Security(**files, require_encryption=True)
+    where = (
+        {"address": cluster.scheduler}
+        if cluster.scheduler
+        else {"scheduler_file": str(cluster.scheduler_file)}
+    )
+    try:
+        joined = Client(**where, timeout=_ANSWER_S, security=security)
+    except (OSError, ValueError) as error:
+        raise InputError(
+            f"there is no scheduler at {address} ({error}): start it, or check the "
+            "address; the same command goes on then"
+        ) from None
+    with joined as client:
+        try:
+            client.wait_for_workers(1, timeout=_WORKERS_S)
+        except TimeoutError:
+            raise InputError(f"the scheduler at {address} has no workers: start some") from None
+        yield client
+
+
+@contextlib.contextmanager
+def _deaf_children() -> Iterator[None]:
+    """Have processes that are started ignore Ctrl-C, which a terminal sends to all of them."""
+    former = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, former)
+
+
+def _check_versions(client: Client) -> None:
+    """Make sure that all workers would give the same bytes.
+
+    Raises:
+        InputError: a version differs.
+    """
+    mine = versions()
+    try:
+        theirs = client.run(versions)
+    except Exception as error:
+        raise InputError(
+            f"the workers cannot run motionstereo: {error}: install it there"
+        ) from None
+    for worker, found in theirs.items():
+        for name, version in mine.items():
+            if found.get(name) != version:
+                raise InputError(
+                    f"{name} is {found.get(name)} on {worker}, but {version} here: install the "
+                    "same versions, so that all give the same results"
+                )
