@@ -9,7 +9,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from recordings import COUNT, encode, number_in, scene
+from recordings import COUNT, encode, number_in, remux, scene
 
 from motionstereo_cli.sources import open_stereo
 from motionstereo_cli.sources.pairing import _Step, pair
@@ -165,20 +165,49 @@ def test_frames_from_any_place_are_those_of_the_whole(
             sides.append(film(tmp_path / f"{side}{suffix}", kept, list(ALL)))
     settings = InputSettings(**given, **({"frame_rate": 30} if suffix == ".png" else {}))
 
-    def frames(index: int) -> list[tuple[Any, ...]]:
+    def frames(index: int) -> tuple[list[tuple[Any, ...]], Any]:
         with open_stereo(*sides, settings) as source:
             sought = source.begin_at(index)
             found = [
                 (f.index, f.pts, f.time_s, f.left.tobytes(), f.right.tobytes()) for f in source
             ]
             assert sought or not 0 < index < len(whole)
-            return found
+            return found, (source.counts, source.damage, source.first_pts)
 
     whole: list[tuple[Any, ...]] = []
-    whole = frames(0)
+    whole, came = frames(0)
     assert len(whole) >= 4
     for index in range(1, len(whole) + 1):
-        assert frames(index) == whole[index:]
+        assert frames(index) == (whole[index:], came)
+
+
+@pytest.mark.parametrize("start", ["7", "0.25s"])
+def test_what_is_before_the_start_is_not_decoded(tmp_path: Path, start: str) -> None:
+    """The same frames and counts all the same."""
+    options = {"g": "3", "sc_threshold": "0", "bf": "0"}
+    sides = [
+        encode(tmp_path / f"{side}.mp4", scene(), "libx264", "yuv420p", options=options)
+        for side in ("left", "right")
+    ]
+    with open_stereo(*sides) as source:
+        whole = [(frame.pts, frame.left.tobytes()) for frame in source]
+    with open_stereo(*sides, InputSettings(start=start)) as source:
+        found = list(source)
+        first = len(whole) - len(found)
+        assert first == {"7": 7, "0.25s": 8}[start]
+        assert [(frame.pts, frame.left.tobytes()) for frame in found] == whole[first:]
+        assert [frame.index for frame in found] == list(range(len(found)))
+        assert source.counts["skipped"] == first
+        assert source.counts["left"]["read"] == len(whole)
+        assert source.damage == []
+    spoilt = remux(
+        sides[0], tmp_path / "spoilt.mp4", lambda n, packet: b"no image" if n == 1 else packet
+    )
+    with open_stereo(spoilt, sides[1], InputSettings(start=start)) as source:
+        assert [frame.left.tobytes() for frame in source] == [
+            frame.left.tobytes() for frame in found
+        ]
+        assert source.damage == []  # it is not looked at
 
 
 def test_what_cannot_seek_is_decoded_from_the_start(tmp_path: Path) -> None:

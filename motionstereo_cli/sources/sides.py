@@ -57,10 +57,11 @@ class Shot(NamedTuple):
     loss: Loss
 
 
-def bare(stream: Recording, number: int, pts: int) -> Shot:
-    """Return an image that is not decoded, to be paired."""
-    time_s = None if stream.time_base is None else pts * stream.time_base
-    return Shot(number, number, pts, time_s, (), repeats=False, loss=Loss(0, 0, ()))
+def bare(stream: Recording) -> Iterator[Shot]:
+    """Yield the images of a recording, not decoded, to be paired; none where it cannot tell."""
+    for order, (number, pts) in enumerate(stream.outline()):
+        time_s = None if stream.time_base is None else pts * stream.time_base
+        yield Shot(order, number, pts, time_s, (), repeats=False, loss=Loss(0, 0, ()))
 
 
 class Side:
@@ -71,12 +72,14 @@ class Side:
         early: images that came before the first of those.
         repeated: images used that were the one before, while objects moved in the other view.
         loss: what was lost up to the last image that came.
+        begin: images passed over that are not decoded.
     """
 
     def __init__(self, stream: Recording, half: int = 0) -> None:
         self.stream, self.half = stream, half
         self.paired = self.early = self.repeated = 0
         self.loss = Loss(0, 0, ())
+        self.begin = 0
         self._came = 0
         self._last_used = -1
         self._ended = False
@@ -89,6 +92,10 @@ class Side:
                 return
             self._came, self.loss = self._came + 1, item.loss
             yield item
+
+    def begin_with(self, shot: Shot) -> None:
+        """Count all images before one as come."""
+        self.begin = self._came = shot.order
 
     def use(self, shot: Shot) -> None:
         """Note that an image has a partner."""

@@ -53,6 +53,7 @@ class StereoSource:
         frame_rate: frames delivered per second, a mean; None if unknown.
         expected_frames: how many there seem to be, None if unknown.
         paths: files and folders that are read.
+        first_pts: time stamp of frame 0, once this or a later one was delivered.
         warnings: what looks wrong at the outset, one line each.
 
     Raises:
@@ -80,7 +81,8 @@ class StereoSource:
         self._frames: Generator[StereoFrame] | None = None
         self._skipped = self._first_frame = 0
         self._begin = Selected(0, 0, None)
-        self._to_the_end = False
+        self._to_the_end = self._placed = False
+        self.first_pts = 0
         self.warnings = [line for stream in self._streams for line in stream.warnings]
 
         right = self._sides[1]
@@ -267,34 +269,59 @@ class StereoSource:
 
         To be called before the iteration. Where the recordings tell when each image was, they are
         paired without decoding, and begin at the key frames before. Elsewhere all is decoded, and
-        the frames before are dropped. In the first case, what was lost before is not counted, and
-        each image before that cannot be decoded shifts the frames by one.
+        the frames before are dropped. In the first case, what was damaged before is not counted,
+        and each image before that cannot be decoded shifts the frames by one.
 
         Returns:
-            Whether it was by seeking.
+            Whether it was the first case.
         """
-        outlines = {id(stream): stream.outline() for stream in self._streams}
-        if frame and all(outlines.values()):
-            lefts, rights = (
-                (bare(side.stream, *each) for each in outlines[id(side.stream)])
-                for side in self._sides
-            )
-            how = self._pairing
-            pairs = pair(lefts, rights, how.lead, how.tolerance)
-            for place, left, right in chosen(
-                pairs, self._begin, self.settings, self._sides[1].stream.begin_s
-            ):
-                if place.frame == frame:
-                    self._begin = place
-                    numbers = {id(self._sides[0].stream): left, id(self._sides[1].stream): right}
-                    sought = [each.skip_to(numbers[id(each)].number) for each in self._streams]
-                    return all(sought)
-                how.note(left, right)
+        self._placed = True
+        if not frame and not self.settings.first:
+            return False
+        if not self._passed_over(frame):
+            self._sides = [Side(side.stream, side.half) for side in self._sides]
             self._pairing = pairing(self._sides[0].stream, self._sides[1].stream, self.settings)
-        self._first_frame = frame
+            self._skipped, self._first_frame = 0, frame
+            return False
+        return True
+
+    def _passed_over(self, frame: int) -> bool:
+        """Count what is before a frame as if it were read, and have the recordings begin there."""
+        one = len(self._streams) == 1
+        feeds = (
+            itertools.tee(bare(self._streams[0])) if one else (bare(s.stream) for s in self._sides)
+        )
+        for place, left, right in self._pairs(*feeds):
+            if place.frame == frame:
+                if one and left.number != right.number:
+                    return False  # one recording begins at one place
+                self._begin = place
+                for side, shot in zip(self._sides, (left, right), strict=True):
+                    side.begin_with(shot)
+                    if not one or side is self._sides[0]:
+                        side.stream.skip_to(shot.number)
+                return True
+            self._note(place, left, right)
         return False
 
+    def _pairs(
+        self, lefts: Iterator[Shot], rights: Iterator[Shot]
+    ) -> Iterator[tuple[Selected, Shot, Shot]]:
+        how, begin_s = self._pairing, self._sides[1].stream.begin_s
+        pairs = pair(lefts, rights, how.lead, how.tolerance)
+        return chosen(pairs, self._begin, self.settings, begin_s)
+
+    def _note(self, place: Selected, left: Shot, right: Shot) -> None:
+        self._pairing.note(left, right)
+        for side, shot in zip(self._sides, (left, right), strict=True):
+            side.use(shot)
+        self._skipped += place.frame is None
+        if place.frame == 0:
+            self.first_pts = right.pts
+
     def _deliver(self) -> Generator[StereoFrame]:
+        if not self._placed:
+            self.begin_at(0)
         with ExitStack() as stack:
             feeds: list[Iterator[Shot | Loss]] = [
                 stack.enter_context(closing(prefetch(self._shots(side), _DEPTH, side.stream.stop)))
@@ -303,33 +330,22 @@ class StereoSource:
             if len(feeds) == 1:
                 feeds = list(itertools.tee(feeds[0]))
             left_side, right_side = self._sides
-            how = self._pairing
-            pairs = pair(
-                left_side.follow(feeds[0]), right_side.follow(feeds[1]), how.lead, how.tolerance
-            )
             last, place = None, None
-            for place, left, right in chosen(
-                pairs, self._begin, self.settings, self._sides[1].stream.begin_s
+            for place, left, right in self._pairs(
+                left_side.follow(feeds[0]), right_side.follow(feeds[1])
             ):
-                how.note(left, right)
-                left_side.use(left)
-                right_side.use(right)
+                self._note(place, left, right)
                 if last is not None:
                     left_side.repeated += left.repeats and moves(right, last[1])
                     right_side.repeated += right.repeats and moves(left, last[0])
                 last = left, right
-                if place.frame is None:
-                    self._skipped += 1
-                elif place.frame >= self._first_frame:
+                if place.frame is not None and place.frame >= self._first_frame:
                     time_s = None if right.time_s is None else float(right.time_s)
                     grey = left.views[left_side.half], right.views[right_side.half]
                     yield StereoFrame(place.frame, right.pts, time_s, *grey, right.number)
             self._to_the_end = place is None or not place.is_last
         if place is None or place.begun is None:
             raise InputError(self._nothing(0 if place is None else place.number + 1))
-
-    def _chosen(self, pairs: Iterator[tuple[Shot, Shot]]) -> Iterator[tuple[Selected, Shot, Shot]]:
-        return chosen(pairs, self._begin, self.settings, self._sides[1].stream.begin_s)
 
     def _shots(self, side: Side) -> Iterator[Shot | Loss]:
         """Yield what a decoding thread makes, and at last what was lost in all."""
@@ -338,7 +354,7 @@ class StereoSource:
         if len(self._streams) == 1 and s.swap:
             views = views[::-1]
         last: Grey | None = None
-        for order, image in enumerate(stream):
+        for order, image in enumerate(stream, side.begin):
             repeats, last = last is not None and same(image.grey, last), image.grey
             parts = layout.split(image.grey, s.layout)
             cut = (self._made(part, view) for part, view in zip(parts, views, strict=True))

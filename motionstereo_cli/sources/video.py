@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import itertools
 import struct
 from collections.abc import Iterator, Sequence
@@ -21,7 +22,7 @@ from motionstereo_cli.sources.luma import bits_of, brightest, grey_levels, is_fu
 from motionstereo_cli.sources.pace import Pace, rhythm
 from motionstereo_cli.sources.pipe import Pipe
 from motionstereo_cli.sources.recording import Image, Recording, dark, images
-from motionstereo_cli.sources.seeking import Entry, entry, numbered
+from motionstereo_cli.sources.seeking import CodedImage, Entry, entry, numbered
 
 if TYPE_CHECKING:
     from motionstereo_cli.types import Grey
@@ -130,7 +131,11 @@ class VideoRecording(Recording):
 
     def outline(self) -> Sequence[tuple[int, int]]:
         """Return numbers and time stamps, by reading the whole file."""
-        return () if self.timeless else list(numbered(self._file.coded(), self._new_pace()))
+        return () if self.timeless else list(numbered(self._coded, self._new_pace()))
+
+    @functools.cached_property
+    def _coded(self) -> list[CodedImage]:
+        return self._file.coded()
 
     def skip_to(self, number: int) -> bool:
         """Begin with an image, by a seek to the key frame before it where the file tells it.
@@ -138,7 +143,7 @@ class VideoRecording(Recording):
         Images that cannot be decoded count as those before them do, so that numbers are the same.
         """
         pace = None if self.timeless else self._new_pace()
-        coded = self._file.coded() if pace else []
+        coded = self._coded if pace else []
         found = entry(coded, pace, number) if pace else None
         if found is None or pace is None:
             return super().skip_to(number)
