@@ -238,7 +238,7 @@ def look(right: Memory, left: Memory, joints: Joints) -> Look:
     s, rig = joints.settings, joints.rig
     shown = right if s.reference == "right" else left
     disparity, chance = match(right, left, s, with_confidence="confidence" in joints.extras)
-    with_depth = rig is not None and "depth_m" in joints.extras
+    with_depth = "depth_m" in joints.extras
     regions: tuple[Region, ...] = ()
     if joints.tracker is not None:
         regions = joints.tracker.regions(disparity, age_of(shown, s) <= FRESH_FRAMES)
@@ -246,7 +246,7 @@ def look(right: Memory, left: Memory, joints: Joints) -> Look:
         age_of(shown, s) if "age_frames" in joints.extras else None,
         disparity,
         chance,
-        depth(disparity, rig.focal_px, rig.baseline_m, rig.doffs) if rig and with_depth else None,
+        depth_of(disparity, rig) if with_depth else None,
         Findings(
             joints.guide.profile(disparity, shown.moved),
             regions,
@@ -254,6 +254,11 @@ def look(right: Memory, left: Memory, joints: Joints) -> Look:
             matched=float(np.count_nonzero(~np.isnan(disparity))) / disparity.size,
         ),
     )
+
+
+def depth_of(disparity_px: Real, rig: Rig | None) -> Real | None:
+    """Return depth in m of disparity in px, NaN = unknown; None without a rig."""
+    return None if rig is None else depth(disparity_px, rig.focal_px, rig.baseline_m, rig.doffs)
 
 
 def match(

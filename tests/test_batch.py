@@ -7,13 +7,14 @@ import signal
 import subprocess
 import sys
 import time
-from pathlib import Path
 
+import av
 import pytest
+from recordings import encode, remux
 
 from motionstereo_cli.__main__ import main
 from motionstereo_cli.batch.manifest import matched, plans, read_manifest
-from motionstereo_cli.batch.pieces import join_pieces, pieces_of, run_piece
+from motionstereo_cli.batch.pieces import behind_damage, join_pieces, pieces_of, run_piece
 from motionstereo_cli.batch.plan import RunPlan
 from motionstereo_cli.batch.run import Watcher, run
 from motionstereo_cli.batch.status import (
@@ -28,6 +29,7 @@ from motionstereo_cli.errors import InputError, SettingsError
 from motionstereo_cli.settings import Settings
 from motionstereo_cli.simulate.settings import SimulateSettings
 from motionstereo_cli.simulate.write import simulate
+from motionstereo_cli.sinks import OUTPUTS
 
 pytest.importorskip("distributed")
 
@@ -199,43 +201,97 @@ def test_good_recordings_are_done_as_run_does_them_and_bad_ones_named(archive, t
     assert changed == ["bad.status.json"]
 
 
-@pytest.mark.parametrize("count", [2, 5])
-def test_pieces_give_the_bytes_of_one_run(recording, tmp_path, monkeypatch, count):
-    """Tables, map, images and videos, in permanency mode; a run-in that is too short shows."""
-    clip = tmp_path / "clip"
-    settings = SimulateSettings(frames="300:345", width=96, height=64, noise_sigma=1.5)
-    simulate(clip, settings)
-    given = [str(clip / "left.mp4"), str(clip / "right.mp4"), "--rig", str(clip / "rig.yaml")]
-    given += ["--poses", str(clip / "poses.txt"), "--checkpoint-frames", "10", "--no-check"]
-    given += ["--save", "steering,objects,depth,disparity-pfm,charge,depth-video,depth-mkv,map"]
-    whole, parts = (plan_of([*given, "-o", str(tmp_path / name)]) for name in ("whole", "parts"))
+def piecemeal(given, tmp_path, count):
+    """Do a run whole and in pieces, and return which pieces were made again."""
+    whole, parts = (
+        plan_of(
+            [*given, "-o", str(tmp_path / name / "out"), "--csv", str(tmp_path / name / "t.csv")]
+        )
+        for name in ("whole", "parts")
+    )
+    for name in ("whole", "parts"):
+        (tmp_path / name).mkdir()
     run(whole)
     pieces = pieces_of(parts, count)
     assert len(pieces) == count
     for piece in reversed(pieces):
         run_piece(parts, piece, Watcher())
-    report = join_pieces(parts, pieces, Watcher())
-    assert report.frames == 45
-    files = {path.relative_to(tmp_path / "whole") for path in (tmp_path / "whole").rglob("*.*")}
-    assert files == {
-        path.relative_to(tmp_path / "parts") for path in (tmp_path / "parts").rglob("*.*")
-    }
-    for file in files - {Path("run.json")}:
-        assert (tmp_path / "parts" / file).read_bytes() == (tmp_path / "whole" / file).read_bytes()
+    again = behind_damage(parts, pieces)
+    for piece in again:
+        run_piece(parts, piece, Watcher(), seek=False)
+    assert behind_damage(parts, pieces) == []
+    join_pieces(parts, pieces, Watcher())
     one, other = (
-        json.loads((tmp_path / name / "run.json").read_text()) for name in ("whole", "parts")
+        {
+            str(path.relative_to(tmp_path / name)): path.read_bytes()
+            for path in (tmp_path / name).rglob("*.*")
+        }
+        for name in ("whole", "parts")
     )
+    assert one.keys() == other.keys()
+    assert [name for name in one if one[name] != other[name]] == ["out/run.json"]
+    one, other = (json.loads(each["out/run.json"]) for each in (one, other))
     assert {**one, "timing": None} == {**other, "timing": None}
+    return [pieces.index(piece) for piece in again]
+
+
+@pytest.fixture(scope="module")
+def long_clip(tmp_path_factory):
+    """45 frames with a key frame every 10, in which a seek can begin."""
+    folder = tmp_path_factory.mktemp("long") / "clip"
+    settings = SimulateSettings(frames="300:345", width=96, height=64, noise_sigma=1.5)
+    simulate(folder, settings)
+    for side in ("left.mp4", "right.mp4"):
+        with av.open(str(folder / side)) as video:
+            images = [frame.to_ndarray(format="gray") for frame in video.decode(video=0)]
+        encode(folder / side, images, "libx264", "yuv420p", options={"g": "10", "bf": "2"})
+    return folder
+
+
+def options_of(clip):
+    given = [str(clip / "left.mp4"), str(clip / "right.mp4"), "--rig", str(clip / "rig.yaml")]
+    return [*given, "--checkpoint-frames", "10", "--no-check"]
+
+
+@pytest.mark.parametrize(
+    ("count", "save"), [(2, ",".join(OUTPUTS)), (5, "steering,objects,disparity,depth-video,map")]
+)
+def test_pieces_give_the_bytes_of_one_run(long_clip, tmp_path, count, save):
+    """Every output, in permanency mode; a run-in that is too short shows."""
+    given = [*options_of(long_clip), "--poses", str(long_clip / "poses.txt"), "--save", save]
+    assert piecemeal(given, tmp_path, count) == []
+
+
+@pytest.mark.parametrize(
+    ("lost", "again"),
+    [
+        # The packet of an image that nothing is built on, or of one that others are built on.
+        ({4}, [2, 3, 4]),  # the second begins at the first frame, too
+        ({22, 30}, [3, 4]),
+    ],
+)
+def test_pieces_of_damaged_recordings_give_the_bytes_of_one_run(long_clip, tmp_path, lost, again):
+    clip = tmp_path / "clip"
+    shutil.copytree(long_clip, clip)
+    remux(
+        *(long_clip / "left.mp4", clip / "left.mp4"),
+        lambda number, packet: b"no image" if number in lost else packet,
+    )
+    given = [*options_of(clip), "--save", "steering,disparity,charge"]
+    assert piecemeal(given, tmp_path, 5) == again
+    assert json.loads((tmp_path / "whole/out/run.json").read_text())["damage"]
+
+
+def test_pieces_keep_to_what_is_chosen(long_clip, tmp_path):
+    given = [*options_of(long_clip), "--save", "steering,disparity"]
+    given += ["--start", "3", "--end", "40", "--every", "2", "--checkpoint-frames", "5"]
+    assert piecemeal(given, tmp_path, 2) == []
 
 
 def test_what_cannot_be_done_in_pieces_is_said(recording):
     clip = [str(recording / "left.mp4"), str(recording / "right.mp4")]
-    for more, said in (
-        (["--charge-mode", "general"], "never forgets"),
-        (["--save", "preview"], "follows from frame to frame"),
-    ):
-        with pytest.raises(SettingsError, match=said):
-            pieces_of(plan_of([*clip, *more]), 2)
+    with pytest.raises(SettingsError, match="never forgets"):
+        pieces_of(plan_of([*clip, "--charge-mode", "general"]), 2)
 
 
 KILLER = """

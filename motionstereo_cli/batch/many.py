@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Any
 
 from motionstereo_cli.batch.auto import Say, with_range
 from motionstereo_cli.batch.cluster import Cluster, client_of, threads_of, usable_cores
-from motionstereo_cli.batch.pieces import Piece, pieces_of
+from motionstereo_cli.batch.pieces import Piece, behind_damage, pieces_of
 from motionstereo_cli.batch.plan import RunPlan
 from motionstereo_cli.batch.status import (
     DONE,
@@ -121,16 +121,14 @@ class Item:
         piece: which piece.
         pieces: all pieces of the recording; empty where it is not cut.
         max_disparity: the range of all pieces, where it was measured.
+        seek: whether the piece may begin at a seek.
     """
 
     name: str
     piece: Piece | None = None
     pieces: tuple[Piece, ...] | None = None
     max_disparity: int | None = None
-
-    def joining(self) -> Item:
-        """Return the task that joins all pieces of the recording."""
-        return dataclasses.replace(self, piece=None)
+    seek: bool = True
 
 
 def _items(name: str, plan: RunPlan, count: int, say: Say, *, asked: bool) -> list[Item]:
@@ -156,7 +154,7 @@ class _Batch:
     """The recordings of a batch, and what is known of each."""
 
     def __init__(self, plans: Mapping[str, RunPlan], out: Path, watcher: BatchWatcher) -> None:
-        self._out, self._watcher = out, watcher
+        self._out, self._watcher, self._given = out, watcher, plans
         self._plans = {name: plan.as_json() for name, plan in plans.items()}
         self._hashes = {name: _hash(plan) for name, plan in self._plans.items()}
         self._known = {name: read_status(out, name) for name in plans}
@@ -204,8 +202,9 @@ class _Batch:
                 if item.piece is None or not self._went_well(item, future):
                     self._note(item.name, future)
                 elif not left[item.name]:
-                    waiting.appendleft(item.joining())
-                    left[item.name] = 1
+                    following = self._following(item)
+                    waiting.extendleft(reversed(following))
+                    left[item.name] = len(following)
                 future.release()
                 fill()
         except KeyboardInterrupt:
@@ -217,6 +216,18 @@ class _Batch:
             self._stop.unlink(missing_ok=True)
             with contextlib.suppress(OSError):
                 self.renew(at_once=True)
+
+    def _following(self, item: Item) -> list[Item]:
+        """Return what is to be done when all pieces of a recording are: some again, or joining."""
+        pieces = item.pieces or ()
+        if again := behind_damage(self._given[item.name], pieces):
+            self._watcher.say(
+                "note",
+                f"{item.name}: behind damage, {len(again)} of {len(pieces)} pieces are made again "
+                "by decoding from the start",
+            )
+            return [dataclasses.replace(item, piece=piece, seek=False) for piece in again]
+        return [dataclasses.replace(item, piece=None)]
 
     def _went_well(self, item: Item, future: Future) -> bool:
         return future.status == "finished" and read_status(self._out, item.name).status == "running"
@@ -233,8 +244,9 @@ class _Batch:
             "stop": str(self._stop),
             "piece": item.piece,
             "pieces": item.pieces if item.piece is None else None,
+            "seek": item.seek,
         }
-        key = f"{item.name}-{item.piece}-{os.getpid()}"
+        key = f"{item.name}-{item.piece}-{item.seek}-{os.getpid()}"
         future: Future = client.submit(_work, task, key=key, pure=False)
         return future
 

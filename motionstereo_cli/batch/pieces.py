@@ -5,34 +5,47 @@ made in pieces, each in a folder of its own. A piece begins as many frames early
 last. What follows from frame to frame (heading, objects, map) is then made in order, from the few
 numbers that the pieces keep of each frame.
 
-Pieces begin at multiples of ``checkpoint_frames``, where videos have key frames.
+Pieces begin at multiples of ``checkpoint_frames``, where videos have key frames. They seek where
+the recordings let them, which passes over damage without seeing it: behind damage that another
+piece has seen, a piece is made again by decoding from the start.
 """
 
 from __future__ import annotations
 
+import io
 import itertools
 import math
 import os
 import pickle
 import shutil
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+from isal import isal_zlib
 
 from motionstereo_cli.batch.checkpoint import Reader
 from motionstereo_cli.batch.contents import FolderKind
-from motionstereo_cli.batch.folder import RunFolder
+from motionstereo_cli.batch.folder import RunFolder, record_of
 from motionstereo_cli.batch.plan import RunPlan
 from motionstereo_cli.batch.record import Job, RunReport, identity_of, outcome, report_of, report_on
-from motionstereo_cli.batch.run import Watcher, inputs_of, job_of, opened
+from motionstereo_cli.batch.run import Watcher, add_table, inputs_of, job_of, opened
 from motionstereo_cli.errors import InputError, OutputError, SettingsError
 from motionstereo_cli.files.atomic import part_of, reported
 from motionstereo_cli.files.video import join
-from motionstereo_cli.pipeline import Course, Findings, Joints, State, follow, looked, result_of
+from motionstereo_cli.pipeline import (
+    Course,
+    Findings,
+    Joints,
+    State,
+    depth_of,
+    follow,
+    looked,
+    result_of,
+)
 from motionstereo_cli.robot.free_space import FreeSpace
 from motionstereo_cli.robot.guide import ImageProfile, MapProfile
 from motionstereo_cli.robot.mapper import Mapper
@@ -52,9 +65,8 @@ PIECE = FolderKind(
     {**{name: each.paths for name, each in OUTPUTS.items()}, _FINDINGS: ("findings.bin",)},
 )
 
-#: Parts of a run that make one frame after the other and no image of their own.
-#: Outputs that follow from frame to frame, and are made of what the pieces keep.
-_FOLLOWED = ("steering", "steering-jsonl", "objects", "map")
+#: Outputs that follow from frame to frame and show images, which pieces keep for them.
+_SHOWING = {"preview", "bag"}
 
 _UNKNOWN = Steering("blind", None, None, None, None)
 
@@ -82,15 +94,6 @@ def pieces_of(plan: RunPlan, count: int) -> list[Piece]:
             "--pieces needs --charge-mode permanency: the general charge never forgets, so a "
             "piece would have to begin at the first frame"
         )
-    for name in plan.outputs:
-        # They show images and the heading, which follows from frame to frame.
-        if OUTPUTS[name].in_order and name not in _FOLLOWED:
-            raise SettingsError(
-                f"--pieces cannot make {name}, which shows what follows from frame to frame: leave "
-                "it out"
-            )
-    if plan.table is not None:
-        raise SettingsError("--pieces cannot write --csv: leave it out, there is steering.csv")
     with open_stereo(plan.left, plan.right, plan.input_settings) as source:
         frames = source.expected_frames
     if frames is None:
@@ -108,58 +111,93 @@ def folder_of(plan: RunPlan, piece: Piece | None = None) -> Path:
     return folder if piece is None else folder / f"{piece.first:06d}"
 
 
-def run_piece(plan: RunPlan, piece: Piece, watcher: Watcher) -> None:
+def run_piece(plan: RunPlan, piece: Piece, watcher: Watcher, *, seek: bool = True) -> None:
     """Make all that the frames of a piece decide by themselves; a piece that is done is kept.
+
+    Args:
+        plan: the run.
+        piece: the piece.
+        watcher: called while it goes on.
+        seek: begin at a seek where the recordings let it; else decode from the start, and make a
+            piece again that did seek.
 
     Raises:
         InputError: the recordings cannot be read.
         OutputError: the results cannot be written.
     """
+    folder = folder_of(plan, piece)
+    if not seek and (done := record_of(folder, PIECE)) and done["sought"]:
+        shutil.rmtree(folder)
     with open_stereo(plan.left, plan.right, plan.input_settings) as source:
         job = job_of(plan, source, watcher)
         names = tuple(name for name in job.save if not OUTPUTS[name].in_order)
+        outputs = (*names, _FINDINGS)
         identity = {
             **identity_of(job, inputs_of(job)),
             "program": PIECE.program,
-            "outputs": dict.fromkeys((*names, _FINDINGS)),
+            "outputs": dict.fromkeys(outputs),
             "piece": list(piece),
         }
-        folder = folder_of(plan, piece)
-        outputs = (*names, _FINDINGS)
         with RunFolder(folder, outputs, PIECE, identity=identity, resume=True) as sinks:
             if sinks.finished is not None:
                 return
+            begin = max(piece.first - _run_in(plan), 0)
+            sought = seek and source.begin_at(begin)
+            if seek and begin and not sought:
+                watcher.say("note", "the recordings do not let seek: decoded from the start")
+            frames = itertools.islice(source, 0 if seek else begin, None)
             findings = sinks.own(_FindingsFile(folder / PIECE.outputs[_FINDINGS][0]))
-            for result, kept in _results(job, piece, sinks, names):
+            stop = None if piece.stop is None else piece.stop - begin
+            part = itertools.islice(frames, stop)
+            for result, kept in _results(job, piece, part, sinks, names):
                 sinks.write(result)
                 findings.add(kept)
                 if (result.frame.index + 1) % plan.output_settings.checkpoint_frames == 0:
                     sinks.end_segments()
                 watcher.progress()
+            if not sinks.totals.frames and piece.first == 0:
+                raise InputError(
+                    "the recordings have no frame in common: check that they are whole"
+                )
             sinks.close()
             came = outcome(source, report_on(job, sinks.totals, 0, time.perf_counter()))
-            sinks.complete({"counts": {"written": sinks.totals.frames}, "outcome": came})
+            counts = {"written": sinks.totals.frames}
+            sinks.complete({"counts": counts, "outcome": came, "sought": sought})
+
+
+def behind_damage(plan: RunPlan, pieces: Sequence[Piece]) -> list[Piece]:
+    """Return which pieces, of those that are done, have to be made again without a seek."""
+    records = [record_of(folder_of(plan, piece), PIECE) or {} for piece in pieces]
+    damaged = [bool(record.get("outcome", {}).get("damage")) for record in records]
+    return [
+        piece
+        for number, (piece, record) in enumerate(zip(pieces, records, strict=True))
+        if record.get("sought") and any(damaged[:number])
+    ]
+
+
+def _run_in(plan: RunPlan) -> int:
+    """Return for how many frames the memories last."""
+    s = plan.settings
+    return math.ceil((s.charge_max - s.charge_min) / s.charge_leak)
 
 
 def _results(
-    job: Job, piece: Piece, sinks: RunFolder, names: Sequence[str]
+    job: Job,
+    piece: Piece,
+    frames: Iterable[StereoFrame],
+    sinks: RunFolder,
+    names: Sequence[str],
 ) -> Iterator[tuple[FrameResult, tuple[Any, ...]]]:
     """Open the outputs at the first frame; yield each result and what is kept of its frame."""
     plan, s = job.plan, job.plan.settings
-    run_in = math.ceil((s.charge_max - s.charge_min) / s.charge_leak)
-    mapper, begin_pts, last_pts = _mapper(job), 0, None
-    frames = iter(job.source)
-    for frame in itertools.islice(frames, max(piece.first - run_in, 0)):
-        begin_pts = frame.pts if frame.index == 0 else begin_pts
-    stop = None if piece.stop is None else piece.stop - max(piece.first - run_in, 0)
-    part = itertools.islice(frames, stop)
-    for frame, right, left, seen in looked(part, _joints(job), State(), plan.jobs or 1):
-        begin_pts = frame.pts if frame.index == 0 else begin_pts
+    mapper, last_pts = _mapper(job), None
+    for frame, right, left, seen in looked(frames, _joints(job), State(), plan.jobs or 1):
         if frame.index < piece.first:
             last_pts = frame.pts
             continue
         if frame.index == piece.first:
-            begin = beginning(begin_pts, job.context.time_base)
+            begin = beginning(job.source.first_pts, job.context.time_base)
             last = None if last_pts is None else last_pts - begin
             for name in names:
                 mark = (((), last), begin) if OUTPUTS[name].is_video else None
@@ -168,9 +206,11 @@ def _results(
         pose = None if job.poses is None else job.poses.of(frame)
         result = result_of(frame, shown, seen, _UNKNOWN, pose=pose)
         points = None if mapper is None else mapper.points_of(result)
-        yield result, (frame.index, frame.pts, frame.time_s, seen.findings, points)
-    if not sinks.totals.frames and piece.first == 0:
-        raise InputError("the recordings have no frame in common: check that they are whole")
+        images = None
+        if _SHOWING.intersection(job.save):
+            kept = getattr(frame, s.reference), result.charge, result.disparity_px
+            images = isal_zlib.compress(pickle.dumps(kept), 1)
+        yield result, (frame.index, frame.pts, frame.time_s, seen.findings, points, images)
 
 
 def _at(mark: object, name: str, folder: Path, job: Job, _: object) -> Any:
@@ -183,6 +223,7 @@ def _joints(job: Job) -> Joints:
         job.context.rig,
         with_poses=job.poses is not None,
         with_objects="objects" in job.save or job.poses is not None,
+        extras={extra for name in job.save for extra in OUTPUTS[name].extras},
     )
 
 
@@ -234,7 +275,7 @@ def join_pieces(plan: RunPlan, pieces: Sequence[Piece], watcher: Watcher) -> Run
             if sinks.finished is not None:
                 return report_of(sinks.finished, plan)
             folders = [folder_of(plan, piece) for piece in pieces]
-            _follow(job, folders, sinks)
+            _follow(job, folders, sinks, watcher)
             for name in job.save:
                 if not OUTPUTS[name].in_order:
                     _put_together(OUTPUTS[name].path, folders, plan.folder)
@@ -249,15 +290,18 @@ def join_pieces(plan: RunPlan, pieces: Sequence[Piece], watcher: Watcher) -> Run
     return report
 
 
-def _follow(job: Job, folders: Sequence[Path], sinks: RunFolder) -> None:
+def _follow(job: Job, folders: Sequence[Path], sinks: RunFolder, watcher: Watcher) -> None:
     """Write the outputs that need all frames in order."""
+    plan = job.plan
+    add_table(sinks, job)
     for name in job.save:
         if OUTPUTS[name].in_order:
             sinks.add(name, partial(_at, None, name, sinks.path, job))
     joints, course = _joints(job), Course()
     for folder in folders:
-        for index, pts, time_s, findings, points in _kept(folder):
-            frame = StereoFrame(index, pts, time_s, _NOTHING, _NOTHING)
+        for index, pts, time_s, findings, points, images in _kept(folder):
+            view, charge, disparity = (_NOTHING,) * 3 if images is None else _images_of(images)
+            frame = StereoFrame(index, pts, time_s, view, view)
             pose = None if job.poses is None else job.poses.of(frame)
             course, steering, objects = follow(course, findings, frame, pose, joints)
             sinks.write(
@@ -265,11 +309,11 @@ def _follow(job: Job, folders: Sequence[Path], sinks: RunFolder) -> None:
                     frame=frame,
                     bands=_NOTHING,
                     motion=_NOTHING,
-                    charge=_NOTHING,
-                    age_frames=_NOTHING,
-                    disparity_px=_NOTHING,
-                    confidence=_NOTHING,
-                    depth_m=None,
+                    charge=charge,
+                    age_frames=None,
+                    disparity_px=disparity,
+                    confidence=None,
+                    depth_m=None if images is None else depth_of(disparity, joints.rig),
                     steering=steering,
                     charged=findings.charged,
                     matched=findings.matched,
@@ -278,6 +322,9 @@ def _follow(job: Job, folders: Sequence[Path], sinks: RunFolder) -> None:
                     moving_points=points,
                 )
             )
+            if (index + 1) % plan.output_settings.checkpoint_frames == 0:
+                sinks.end_segments()
+            watcher.progress()
 
 
 _NOTHING: NDArray[Any] = np.empty((0, 0))
@@ -294,6 +341,11 @@ def _kept(folder: Path) -> Iterator[Any]:
         raise OutputError(
             f"{path} cannot be used ({error}): give the same command again"
         ) from error
+
+
+def _images_of(images: bytes) -> Any:
+    """Return view, charge and disparity in px of a frame."""
+    return Reader(io.BytesIO(isal_zlib.decompress(images))).load()
 
 
 def _put_together(path: str, folders: Sequence[Path], out: Path) -> None:

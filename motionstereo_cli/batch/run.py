@@ -37,6 +37,8 @@ from motionstereo_cli.types import FrameResult, Rig, StereoFrame
 #: Time from frame to frame in the videos written, in s, where the source has no time.
 DEFAULT_TIME_BASE = Fraction(1, 25)
 
+NO_FRAMES = "the recordings have no frame in common: check that they are whole"
+
 #: The steering table that lies elsewhere, among the names of outputs.
 _TABLE = "table"
 
@@ -220,17 +222,21 @@ def _open(sinks: Sinks, job: Job, stdout: BinaryIO | None) -> None:
     if stdout is not None:
         stream = SteeringStream(stdout, "the steering table", table_format)
         sinks.add(_TABLE, lambda _: stream)
-    elif plan.table is not None:
-        sinks.add(_TABLE, partial(_table, plan, sinks.resumed, table_format))
+    else:
+        add_table(sinks, job)
     if plan.folder is not None:
         for name in job.save:
             sinks.add(name, partial(opened, name, plan.folder, job.context))
 
 
-def _table(plan: RunPlan, resumed: bool, table_format: str, since: Any) -> Sink:
-    """Open the steering table that a user named."""
-    path = plan.table
-    assert path is not None
+def add_table(sinks: Sinks, job: Job) -> None:
+    """Open the steering table that a user named, if one did."""
+    if (path := job.plan.table) is not None:
+        table_format = job.context.output.steering_format
+        sinks.add(_TABLE, partial(_table, path, job.plan, sinks.resumed, table_format))
+
+
+def _table(path: Path, plan: RunPlan, resumed: bool, table_format: str, since: Any) -> Sink:
     if is_stream(path):
         with reported(path):
             return SteeringStream(open_stream(path), path, table_format)
@@ -255,7 +261,7 @@ def _write(sinks: Sinks, job: Job, watcher: Watcher) -> None:
                 sinks.checkpoint()
         watcher.progress()
     if not sinks.totals.frames:
-        raise InputError("the recordings have no frame in common: check that they are whole")
+        raise InputError(NO_FRAMES)
     sinks.close()
 
 

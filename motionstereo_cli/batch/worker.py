@@ -36,7 +36,8 @@ def work(
         task: ``plan`` as :meth:`~motionstereo_cli.batch.plan.RunPlan.as_json` gives it, ``out``,
             ``name``, ``hash`` of the plan, and ``stop``: a file whose presence asks to leave a
             checkpoint and end. ``piece``: the first frame of a piece and the one after its last;
-            ``pieces``: all of them, to be joined; None for a whole recording.
+            ``pieces``: all of them, to be joined; None for a whole recording. ``seek``: whether
+            a piece may begin at a seek.
         tell: called now and then with the number of frames done.
     """
     out, stop = Path(task["out"]), Path(task["stop"])
@@ -54,9 +55,12 @@ def work(
 
         started_s = time.monotonic()
         try:
-            plan, watcher = RunPlan.of_json(task["plan"]), Watcher(say, progress=_Pulse(stop, tell))
+            plan = RunPlan.of_json(task["plan"])
+            # The frames that are joined were told when they were made.
+            pulse = _Pulse(stop, tell if pieces is None else lambda _: None)
+            watcher = Watcher(say, progress=pulse)
             if piece is not None:
-                run_piece(plan, Piece(*piece), watcher)
+                run_piece(plan, Piece(*piece), watcher, seek=task["seek"])
                 return
             joined = None if pieces is None else [Piece(*each) for each in pieces]
             report = _run(plan, joined, watcher)
