@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -12,10 +13,13 @@ import numpy as np
 import pytest
 
 from motionstereo_cli.__main__ import main
+from motionstereo_cli.analysis.advice import advised, as_toml
 from motionstereo_cli.analysis.check import WINDOW_FRAMES, check, watched
 from motionstereo_cli.analysis.findings import CheckReport, Finding, hardly_matched
+from motionstereo_cli.analysis.mounting import Mounting
 from motionstereo_cli.simulate.scenes import render_scene
 from motionstereo_cli.simulate.settings import SimulateSettings
+from motionstereo_cli.sources.settings import InputSettings
 from motionstereo_cli.types import Rig, StereoFrame
 
 SAMPLE = Path(__file__).parent.parent / "sample_data"
@@ -120,6 +124,9 @@ def square(views: Views) -> Views:
         (lambda le, ri: (le, ri[:, ::-1]), "give --mirror-right --rotate-right 180"),
         (lambda le, ri: (le, np.rot90(ri, 1, (1, 2))), "on its side .* give --rotate-right 90"),
         (lambda le, ri: (le, np.rot90(ri, -1, (1, 2))), "give --rotate-right 270"),
+        (lambda le, ri: (le[:, ::-1, ::-1], ri), "left view is upside .* give --rotate-left 180"),
+        (lambda le, ri: (le[:, :, ::-1], ri), "left view is mirrored .* give --mirror-left"),
+        (lambda le, ri: (np.rot90(le, 1, (1, 2)), ri), "left view is on .* give --rotate-left 90"),
         (
             lambda le, ri: (np.rot90(le, 1, (1, 2)), np.rot90(ri, 1, (1, 2))),
             "one above the other: give --rotate-left 90 --rotate-right 90",
@@ -354,3 +361,55 @@ def test_run_warns_and_goes_on(tmp_path: Path, capsys: pytest.CaptureFixture[str
     assert "swapped" not in capsys.readouterr().err
     tables = [(tmp_path / out / "steering.csv").read_bytes() for out in ("checked", "unchecked")]
     assert tables[0] == tables[1]
+
+
+def written(folder: Path, views: Views) -> list[str]:
+    for side, images in zip(("left", "right"), views, strict=True):
+        (folder / side).mkdir(parents=True)
+        for number, image in enumerate(images):
+            assert cv2.imwrite(str(folder / side / f"{number}.png"), image)
+    return [str(folder / side) for side in ("left", "right")]
+
+
+def test_what_is_advised_mends_the_run(corridor: Views, tmp_path: Path, capsys: Any) -> None:
+    left, right = corridor
+    deep = (left[2:, ::-1, ::-1].astype(np.uint16) * 16, right[:-2].astype(np.uint16) * 16)
+    recordings = written(tmp_path, deep)
+    config = str(tmp_path / "run.toml")
+    Path(config).touch()
+    for _ in range(4):  # what is upside down hides that they are out of step
+        code = main(["check", *recordings, "--config", config, "--write", f"{config}.next"])
+        assert f"give run --config {config}.next" in capsys.readouterr().err
+        Path(f"{config}.next").replace(config)
+        if not code:
+            break
+    assert code == 0
+    values = tomllib.loads(Path(config).read_text())
+    assert values == {
+        "white": 4095,
+        "rotate-left": 180,
+        "sync-offset": 2,
+        "max-disparity": 16,
+    }
+    assert "# disparities of" in Path(config).read_text()
+    out = tmp_path / "out"
+    assert main(["run", *recordings, "--config", config, "--save", "steering", "-o", str(out)]) == 0
+    assert "warning" not in capsys.readouterr().err
+    assert main(["check", *recordings, "--write", str(tmp_path / "left" / "0.png")]) == 1
+    assert "is an input" in capsys.readouterr().err.splitlines()[-1]
+
+
+def test_turns_follow_those_that_are_given() -> None:
+    given = InputSettings(rotate_right=90, mirror_left=True)
+    mounting = Mounting("", {"mirror_right": True, "rotate_right": 180, "rotate_left": 90})
+    found = advised(
+        CheckReport(64, frames=1, mounted=mounting, step_frames=3, ahead_frames=3), given
+    )
+    assert {each.name: each.value for each in found} == {
+        "mirror_right": True,  # and 180 - 90, as before
+        "rotate_left": 90,
+        "sync_offset": -3,
+        "max_disparity": "auto",
+    }
+    text = as_toml(["why"], given, [Path('a"\n\x7f.yaml')], "mm", found).decode()
+    assert tomllib.loads(text)["rig"] == ['a"\n\x7f.yaml']

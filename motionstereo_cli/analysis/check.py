@@ -19,7 +19,7 @@ import numpy as np
 
 from motionstereo_cli.analysis.features import NO_MATCHES, Matches, Window, joined
 from motionstereo_cli.analysis.findings import DARK_GREY, CheckReport, Finding
-from motionstereo_cli.analysis.mounting import mounted
+from motionstereo_cli.analysis.mounting import Mounting, mounted
 from motionstereo_cli.analysis.synchrony import Fit, fit_rows, step_or_drift
 from motionstereo_cli.types import StereoFrame
 
@@ -210,7 +210,7 @@ class _Checker:
             **_disparities(agreed, self._scale, max_disparity, rig.doffs if rig else 0.0),
         )
 
-    def _mounted(self) -> str:
+    def _mounted(self) -> Mounting | None:
         """Look at one pair of images of the first windows."""
         middles = [(each, len(each.left) // 2) for each in self._windows[:_MOUNTED_WINDOWS]]
         return mounted(

@@ -5,7 +5,10 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+if TYPE_CHECKING:
+    from motionstereo_cli.analysis.mounting import Mounting
 
 #: Median distance between the rows of the views, and that in a tenth of the image, in px.
 MAX_MISALIGNED_PX = 1.0
@@ -59,7 +62,7 @@ class CheckReport:
         grey_difference: median of left minus right grey level.
         brightest: grey level that a thousandth of the pixels exceed.
         alike: mean difference between the views, as a share of that to a view 1 px aside.
-        mounted: how the right view stands against the left one, and what mends it; empty if alike.
+        mounted: how the right view stands against the left one, and what mends it; None if alike.
         moving: share of the image, 0..1, that changes from a frame to the next.
         repeated_left, repeated_right: images that repeat the one before though objects move.
         first_repeated_left, first_repeated_right: the frames of the first of these.
@@ -86,7 +89,7 @@ class CheckReport:
     grey_difference: float | None = None
     brightest: int | None = None
     alike: float | None = None
-    mounted: str = ""
+    mounted: Mounting | None = None
     moving: float | None = None
     repeated_left: int = 0
     repeated_right: int = 0
@@ -118,6 +121,7 @@ class CheckReport:
         return {
             **dataclasses.asdict(self),
             "drift": drift,
+            "mounted": self.mounted.text if self.mounted else "",
             "findings": found,
             "ruined": self.ruined,
         }
@@ -238,7 +242,7 @@ RULES = (
         "always",
         lambda r: bool(r.mounted),
         _always,
-        lambda r: r.mounted,
+        lambda r: r.mounted.text if r.mounted else "",
     ),
     Rule(
         "dark",

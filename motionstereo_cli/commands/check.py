@@ -9,13 +9,20 @@ from typing import TYPE_CHECKING
 import click
 
 from motionstereo_cli.commands.grouped import GroupedCommand
-from motionstereo_cli.commands.messages import say
-from motionstereo_cli.commands.options import config_option, input_options, rig_options
+from motionstereo_cli.commands.messages import printable, say
+from motionstereo_cli.commands.options import (
+    config_files,
+    config_option,
+    input_options,
+    rig_options,
+)
+from motionstereo_cli.params import params
 from motionstereo_cli.settings import Settings
 from motionstereo_cli.sources.settings import InputSettings
 
 if TYPE_CHECKING:
     from motionstereo_cli.analysis.findings import CheckReport
+    from motionstereo_cli.sources import StereoSource
 
 
 @click.command(cls=GroupedCommand)
@@ -23,12 +30,19 @@ if TYPE_CHECKING:
 @rig_options
 @click.option(
     "--max-disparity",
-    type=click.IntRange(1, 2048),
+    type=next(item for item in params(Settings) if item.name == "max_disparity").parse,
+    metavar="INTEGER",
     default=Settings().max_disparity,
     show_default=True,
-    help="Maximum disparity that run is going to have, in px.",
+    help="Maximum disparity that run is going to have, in px, or auto.",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+@click.option(
+    "--write",
+    "advice",
+    type=click.Path(dir_okay=False, path_type=Path),
+    help="Write the options that are advised, for run --config. An older file is replaced.",
+)
 @config_option
 def check(
     *,
@@ -39,6 +53,7 @@ def check(
     baseline_unit: str | None,
     max_disparity: int,
     as_json: bool,
+    advice: Path | None,
 ) -> int:
     """Look for mistakes in a recording that would ruin a run.
 
@@ -49,6 +64,7 @@ def check(
     """
     from tqdm import tqdm
 
+    from motionstereo_cli.analysis.check import MAX_DISPARITY
     from motionstereo_cli.analysis.check import check as check_library
     from motionstereo_cli.errors import DAMAGED_EXIT_CODE, InputError
     from motionstereo_cli.rig.calibration import rectify_source
@@ -62,7 +78,7 @@ def check(
         calibration = rectify_source(source, rig, baseline_unit)
         report = check_library(
             source,
-            max_disparity,
+            max_disparity or MAX_DISPARITY,
             expected_frames=source.expected_frames,
             rig=adapted_rig(calibration.rig, input_settings) if calibration else None,
             progress=bar.update,
@@ -72,7 +88,27 @@ def check(
     if not report.frames:
         raise InputError("the recordings have no frame in common: check that they are whole")
     click.echo(json.dumps(report.as_json(), indent=2) if as_json else _table(report), nl=as_json)
+    if advice is not None:
+        _write(advice, report, source, rig, baseline_unit)
     return 1 if report.ruined else DAMAGED_EXIT_CODE if source.damage else 0
+
+
+def _write(
+    path: Path, report: CheckReport, source: StereoSource, rig: tuple[Path, ...], unit: str | None
+) -> None:
+    """Write what is advised, and say how to use it."""
+    from motionstereo_cli.analysis.advice import advised, as_toml
+    from motionstereo_cli.files.targets import write_output
+
+    names = [str(name) for name in source.paths]
+    head = [
+        f"What motionstereo check advises for {printable(', '.join(names))}:",
+        "motionstereo run LEFT RIGHT --config with the name of this file.",
+    ]
+    found = advised(report, source.settings, source.frame_rate, source.likely_white)
+    content = as_toml(head, source.settings, rig, unit, found)
+    write_output(path, content, (*source.paths, *rig, *config_files()))
+    say("note", f"the options advised are in {path}: give run --config {path}")
 
 
 def _table(report: CheckReport) -> str:

@@ -25,7 +25,7 @@ from motionstereo_cli.sources.bag_topics import (
     image_topics,
     opened_bag,
 )
-from motionstereo_cli.sources.recording import Image, Recording, dark, images
+from motionstereo_cli.sources.recording import Image, Recording, images
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -230,6 +230,6 @@ class BagRecording(Recording):
     def _scaled(self, pixels: NDArray[Any], name: str) -> Grey:
         """Return grey levels; of the first image note whether it leaves much of 16 bits unused."""
         if pixels.dtype == np.uint16 and not self._judged:
-            self.warnings += dark(name, int(pixels.max(initial=0)), 16)
+            self._judge_depth(name, int(pixels.max(initial=0)), 16)
         self._judged = True
         return grey_of(pixels, Path(name), self._white)

@@ -25,7 +25,7 @@ from motionstereo_cli.files.stills import (
     read_still,
     shown,
 )
-from motionstereo_cli.sources.recording import Image, Recording, dark, images
+from motionstereo_cli.sources.recording import Image, Recording, images
 from motionstereo_cli.sources.times import file_numbers, gaps, timeline
 
 
@@ -186,7 +186,7 @@ class FolderRecording(Recording):
         """Note what the first image tells of all."""
         self._pixel_format, self.stated = pixel_format(still.pixels), still.stated
         if still.pixels.dtype == np.uint16 and not self._white:
-            self.warnings += dark(self._path, int(still.pixels.max()), 16)
+            self._judge_depth(self._path, int(still.pixels.max()), 16)
         if still.pages > 1:
             self.warnings += (
                 f"{file} has {still.pages} pages, of which the first is used: split it",

@@ -55,6 +55,8 @@ class Recording(ABC):
             ``sensor_msgs/CameraInfo`` as JSON; None where there is none.
         rectified: that calibration is of images that are rectified already.
         holes: the one of these that says that images are missing, empty if none does.
+        likely_white: level that seems to be white, where deep images use a small part of their
+            range, as 12 bits in 16 do; 0 = that of their bits.
     """
 
     name: str
@@ -78,6 +80,7 @@ class Recording(ABC):
     camera_info: str | None = None
     rectified: bool = False
     holes: str = ""
+    likely_white: int = 0
 
     def __iter__(self) -> Iterator[Image]:
         return self._images
@@ -97,6 +100,17 @@ class Recording(ABC):
         self.begin_s = first.pts * (self.time_base or Fraction(0))
         self.begin_pts = first.pts
         self._images = itertools.chain([first], images)
+
+    def _judge_depth(self, name: object, brightest: int, bits: int) -> None:
+        """Note and say where the first image uses a small part of its range."""
+        used = max(brightest, 1).bit_length()
+        if used > bits - 2:
+            return
+        self.likely_white = 2 ** max(used, 8) - 1
+        self.warnings += (
+            f"{name} is dark: no level of its first image is over {brightest} of {2**bits - 1}: if "
+            f"the camera gives {max(used, 8)} bits, give --white {self.likely_white}",
+        )
 
     @property
     @abstractmethod
@@ -158,17 +172,6 @@ class Recording(ABC):
     @abstractmethod
     def close(self) -> None:
         """Give back what is open."""
-
-
-def dark(name: object, brightest: int, bits: int) -> tuple[str, ...]:
-    """Return a line where deep images use a small part of their range, as 12 bits in 16 do."""
-    used = max(brightest, 1).bit_length()
-    if used > bits - 2:
-        return ()
-    return (
-        f"{name} is dark: no level of its first image is over {brightest} of {2**bits - 1}: if the "
-        f"camera gives {max(used, 8)} bits, give --white {2 ** max(used, 8) - 1}",
-    )
 
 
 def images(count: int) -> str:

@@ -141,6 +141,11 @@ class StereoSource:
         """Whether another process can read the same again: not from standard input."""
         return all(stream.rereadable for stream in self._streams)
 
+    @property
+    def likely_white(self) -> int:
+        """Level that seems to be white, where deep images are dark; 0 = that of their bits."""
+        return max(stream.likely_white for stream in self._streams)
+
     def rectify(self, left: Callable[[Grey], Grey], right: Callable[[Grey], Grey]) -> None:
         """Have each whole view go through a function; to be called before the iteration.
 

@@ -21,7 +21,7 @@ from motionstereo_cli.sources.h264 import Heads
 from motionstereo_cli.sources.luma import bits_of, brightest, grey_levels, is_full_range
 from motionstereo_cli.sources.pace import Pace, rhythm
 from motionstereo_cli.sources.pipe import Pipe
-from motionstereo_cli.sources.recording import Image, Recording, dark, images
+from motionstereo_cli.sources.recording import Image, Recording, images
 from motionstereo_cli.sources.seeking import CodedImage, Entry, entry, numbered
 
 if TYPE_CHECKING:
@@ -295,7 +295,7 @@ class VideoRecording(Recording):
         if self.timeless and not self.frame_rate:
             self.warnings += (f"{self._path} has no times: give its rate to --frame-rate",)
         if bits_of(frame) > 8 and not self._white:
-            self.warnings += dark(self._path, brightest(frame), bits_of(frame))
+            self._judge_depth(self._path, brightest(frame), bits_of(frame))
 
     def _stated_by(self, frame: av.VideoFrame) -> Stated | None:
         """Return how Matroska, MP4 or the codec say that both views lie in an image.
