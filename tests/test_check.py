@@ -394,7 +394,7 @@ def test_what_is_advised_mends_the_run(corridor: Views, tmp_path: Path, capsys: 
     assert main(["run", *recordings, "--config", config, "--save", "steering", "-o", str(out)]) == 0
     assert "warning" not in capsys.readouterr().err
     assert main(["check", *recordings, "--write", str(tmp_path / "left" / "0.png")]) == 1
-    assert "is an input" in capsys.readouterr().err.splitlines()[-1]
+    assert "an input of this run" in capsys.readouterr().err.splitlines()[-1]
 
 
 def test_turns_follow_those_that_are_given() -> None:
