@@ -82,10 +82,14 @@ def _moved_and_charge(
     """Return :func:`motion` and :func:`permanency` in one pass."""
     s = settings
     moved, charge = np.empty(local.shape, np.bool_), np.empty(local.shape, np.uint8)
+    before = (memory.contrast, memory.bands, memory.charge)
+    grey_before, band_before, charge_before, grey, band = (
+        np.ravel(each) for each in (*before, local, banded)
+    )
     loops.permanency(
-        *(local, memory.contrast, banded, memory.bands, memory.charge),
+        *(grey, grey_before, band, band_before, charge_before),
         *(s.min_jump, s.charge_max, s.charge_min, s.charge_leak),
-        *(moved.view(np.uint8), charge),
+        *(moved.view(np.uint8).ravel(), charge.ravel()),
     )
     return moved, charge
 

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from motionstereo_cli.compiled import free_space as loops
 from motionstereo_cli.robot.free_space import (
     FreeSpace,
     Ground,
@@ -89,6 +90,26 @@ class TestGround:
         wall[120:] = NAN
         found = find_ground(wall, CY)
         assert found is None or found.slope * (HEIGHT - found.horizon) > 12
+
+    def test_the_fit_of_a_line_is_what_lies_on_it_less_twice_what_lies_below(self):
+        seen = np.random.default_rng(5).random((3, 8)) / 8
+        farther = np.pad(seen.cumsum(axis=1), ((0, 0), (1, 0)))
+        rows, horizons, bottoms = (
+            np.array([0.2, 0.5, 0.8]),
+            np.array([0.1, 0.4]),
+            np.array([3.0, 7]),
+        )
+        fits = np.empty((2, 2))
+        loops.fit_lines(farther, 0.9, rows, horizons, bottoms, 0.8, 1.2, 0.5, 2.0, fits)
+        for i, horizon in enumerate(horizons):
+            for j, bottom in enumerate(bottoms):
+                parts = []
+                for row, before in zip(rows, farther, strict=True):
+                    line = bottom * (row - horizon) / (1 - horizon)
+                    ends = np.array([line * 0.8 - 0.5, line * 1.2 + 0.5]) / 0.9
+                    low, high = np.interp(ends, np.arange(9), before)
+                    parts.append((high - low) - 2 * low if line > 1 else 0)
+                assert fits[i, j] == pytest.approx(np.mean(parts), abs=1e-6)
 
 
 class TestFreeSpace:

@@ -5,6 +5,7 @@ import numpy as np
 from cython.cimports.libc.math import isnan
 
 NAN = cython.declare(cython.float, np.nan)
+ZERO = cython.declare(cython.float, 0)
 PER_PX = cython.declare(cython.int, 16)  # sixteenths of a px, in which neighbours are compared
 NOTHING = cython.declare(cython.int, -16)
 
@@ -79,12 +80,14 @@ def without_speckles(
             here: cython.int = y & 1
             above: cython.int = 1 - here
             result[y, :] = NAN
-            before: cython.int = NOTHING
             for x in range(width):
-                value = NOTHING
-                if where[y, x] and disparity[y, x] >= 0:  # not NaN
-                    value = cython.cast(cython.int, disparity[y, x] * PER_PX)
-                sixteenths[here, x] = value
+                known: cython.bint = (where[y, x] != 0) & (disparity[y, x] >= 0)  # not NaN
+                step = cython.cast(cython.int, (disparity[y, x] if known else ZERO) * PER_PX)
+                sixteenths[here, x] = step if known else NOTHING
+            before: cython.int = NOTHING
+            joined: cython.int = -1  # the last run above that the present one was joined with
+            for x in range(width):
+                value = sixteenths[here, x]
                 if value < 0:
                     before = NOTHING
                     continue
@@ -93,15 +96,17 @@ def without_speckles(
                     place[runs, 1] = x
                     work.parent[runs] = runs
                     work.size[runs] = 0
+                    joined = -1
                     runs += 1
                 place[runs - 1, 2] = x + 1
                 run[here, x] = runs - 1
                 before = value
                 if y > 0:
                     step = sixteenths[above, x]
-                    if step >= 0 and abs(value - step) <= PER_PX:
+                    if step >= 0 and abs(value - step) <= PER_PX and run[above, x] != joined:
+                        joined = run[above, x]
                         a = root_of(runs - 1, work)
-                        b = root_of(run[above, x], work)
+                        b = root_of(joined, work)
                         if a != b:
                             work.parent[max(a, b)] = min(a, b)
         for k in range(runs):

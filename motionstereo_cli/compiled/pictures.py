@@ -37,34 +37,54 @@ def to_uint16(
                 result[y, x] = step if known else 0
 
 
+# Compilers make vectors of a loop that writes bytes only where arrays are arguments of a function
+# of its own: elsewhere such a byte might be part of what says where the arrays are.
+
+
 def sub_filtered_8(image: cython.const[cython.uchar][:, ::1], result: cython.uchar[:, ::1]) -> None:
     """Fill in PNG's rows of an 8-bit image by the filter Sub, (height, width + 1) uint8."""
+    with cython.nogil:
+        sub_8(image, result)
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def sub_8(image: cython.const[cython.uchar][:, ::1], result: cython.uchar[:, ::1]) -> cython.void:
+    """Do what :func:`sub_filtered_8` does."""
     x: cython.Py_ssize_t
     y: cython.Py_ssize_t
-    with cython.nogil:
-        for y in range(image.shape[0]):
-            result[y, 0] = 1
-            result[y, 1] = image[y, 0]
-            for x in range(1, image.shape[1]):
-                result[y, x + 1] = (image[y, x] - image[y, x - 1]) & 255
+    for y in range(image.shape[0]):
+        result[y, 0] = 1
+        result[y, 1] = image[y, 0]
+        for x in range(1, image.shape[1]):
+            result[y, x + 1] = (image[y, x] - image[y, x - 1]) & 255
 
 
 def sub_filtered_16(
     image: cython.const[cython.ushort][:, ::1], result: cython.uchar[:, ::1]
 ) -> None:
     """Fill in PNG's rows of a 16-bit image by the filter Sub, (height, 2 * width + 1) uint8."""
+    with cython.nogil:
+        sub_16(image, result)
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def sub_16(image: cython.const[cython.ushort][:, ::1], result: cython.uchar[:, ::1]) -> cython.void:
+    """Do what :func:`sub_filtered_16` does."""
     x: cython.Py_ssize_t
     y: cython.Py_ssize_t
-    with cython.nogil:
-        for y in range(image.shape[0]):
-            result[y, 0] = 1
-            high: cython.int = 0
-            low: cython.int = 0
-            for x in range(image.shape[1]):
-                here: cython.int = cython.cast(cython.int, image[y, x])
-                result[y, 2 * x + 1] = ((here >> 8) - high) & 255
-                result[y, 2 * x + 2] = ((here & 255) - low) & 255
-                high, low = here >> 8, here & 255
+    for y in range(image.shape[0]):
+        result[y, 0] = 1
+        result[y, 1] = image[y, 0] >> 8
+        result[y, 2] = image[y, 0] & 255
+        for x in range(1, image.shape[1]):
+            here: cython.int = cython.cast(cython.int, image[y, x])
+            left: cython.int = cython.cast(cython.int, image[y, x - 1])
+            result[y, 2 * x + 1] = ((here >> 8) - (left >> 8)) & 255
+            result[y, 2 * x + 2] = (here - left) & 255
 
 
 def planes(
@@ -82,16 +102,27 @@ def planes(
         luma: (height, width) uint8.
         blue, red: (height / 2, width / 2) uint8; each has the colour of the upper left of its four.
     """
+    with cython.nogil:
+        look_up(levels, table[0], 1, luma)
+        look_up(levels, table[1], 2, blue)
+        look_up(levels, table[2], 2, red)
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def look_up(
+    levels: cython.const[cython.uchar][:, ::1],
+    table: cython.const[cython.uchar][::1],
+    step: cython.Py_ssize_t,
+    result: cython.uchar[:, :],
+) -> cython.void:
+    """Fill in what a table has for the levels in every ``step``-th row and column."""
     x: cython.Py_ssize_t
     y: cython.Py_ssize_t
-    with cython.nogil:
-        for y in range(levels.shape[0]):
-            for x in range(levels.shape[1]):
-                luma[y, x] = table[0, levels[y, x]]
-        for y in range(levels.shape[0] // 2):
-            for x in range(levels.shape[1] // 2):
-                blue[y, x] = table[1, levels[2 * y, 2 * x]]
-                red[y, x] = table[2, levels[2 * y, 2 * x]]
+    for y in range(levels.shape[0] // step):
+        for x in range(levels.shape[1] // step):
+            result[y, x] = table[levels[step * y, step * x]]
 
 
 def levels_of(

@@ -35,6 +35,8 @@ _GROUND_SHARE, _GROUND_PX = 0.15, 0.5
 #: The horizon is looked for so far about the image's middle row, as a share of its height.
 _HORIZON_SHARE = 0.15
 _HORIZONS, _SLOPES, _BINS, _ROWS = 16, 32, 128, 32
+#: Of all that is known, the share that the bins reach beyond.
+_FULL_SCALE = 0.995
 #: Such a share of an image, as :func:`find_ground` counts it, has to lie on the ground: on a line
 #: through a mere wall lie 0.125, on the floor of a smooth corridor 0.14, on a road 0.3 to 0.4.
 _MIN_GROUND = 0.13
@@ -100,39 +102,28 @@ def find_ground(nearness_px: NDArray[np.float32], middle_row: float) -> Ground |
         middle_row: where the horizon would be if the camera were level.
     """
     height, width = nearness_px.shape
-    row, column = np.nonzero(~np.isnan(nearness_px))
-    if len(row) <= MIN_KNOWN_SHARE * nearness_px.size:
+    far_px = float(quantiles(nearness_px, 1, _FULL_SCALE, min_share=MIN_KNOWN_SHARE)[0])
+    if math.isnan(far_px):
         return None
-    near = nearness_px[row, column]
-    bin_px = max(float(np.quantile(near, 0.995)), 1.0) * 1.1 / _BINS
-    place = row * _ROWS // height * _BINS + (near / bin_px).clip(0, _BINS - 1).astype(np.intp)
-    counts = np.bincount(place, minlength=_ROWS * _BINS).reshape(_ROWS, _BINS)
+    bin_px = max(far_px, 1.0) * 1.1 / _BINS
+    counts = np.zeros((_ROWS, _BINS), np.int32)
+    loops.count_in_rows(np.ascontiguousarray(nearness_px), bin_px, counts)
     # Each row counts alike, but one with few known pixels less.
     few = 0.02 * width * height / _ROWS
-    share = counts / np.maximum(counts.sum(axis=1, keepdims=True), few)
-    farther = np.pad(share.cumsum(axis=1), ((0, 0), (1, 0)))
+    farther = np.zeros((_ROWS, _BINS + 1))
+    np.cumsum(counts / np.maximum(counts.sum(axis=1, keepdims=True), few), 1, out=farther[:, 1:])
 
     rows = (np.arange(_ROWS) + 0.5) / _ROWS
-    off = np.linspace(-_HORIZON_SHARE, _HORIZON_SHARE, _HORIZONS)
-    horizons = (middle_row + 0.5) / height + off[:, None, None]
-    bottom_px = np.linspace(0.04, 1, _SLOPES)[:, None] * _BINS * bin_px
-    line_px = bottom_px * (rows - horizons) / (1 - horizons)
-
-    def share_below(limit_px: NDArray[np.float64]) -> NDArray[np.float64]:
-        at = (limit_px / bin_px).clip(0, _BINS - 1e-6)
-        index = at.astype(np.intp)
-        low, high = (farther[np.arange(_ROWS), index + step] for step in (0, 1))
-        total: NDArray[np.float64] = low + (at - index) * (high - low)
-        return total
-
-    below = share_below(line_px * (1 - _GROUND_SHARE) - _GROUND_PX)
-    on = share_below(line_px * (1 + _GROUND_SHARE) + _GROUND_PX) - below
-    fits = np.where(line_px > max(1.0, bin_px), on - _BELOW_COST * below, 0).mean(axis=2)
+    horizons = (middle_row + 0.5) / height + np.linspace(-_HORIZON_SHARE, _HORIZON_SHARE, _HORIZONS)
+    bottom_px = np.linspace(0.04, 1, _SLOPES) * _BINS * bin_px
+    fits = np.empty((_HORIZONS, _SLOPES))
+    near_far = (1 - _GROUND_SHARE, 1 + _GROUND_SHARE, _GROUND_PX)
+    loops.fit_lines(farther, bin_px, rows, horizons, bottom_px, *near_far, _BELOW_COST, fits)
     best = np.unravel_index(int(fits.argmax()), fits.shape)
     if fits[best] < _MIN_GROUND:
         return None
-    horizon = float(horizons[best[0], 0, 0])
-    slope = float(bottom_px[best[1], 0]) / ((1 - horizon) * height)
+    horizon = float(horizons[best[0]])
+    slope = float(bottom_px[best[1]]) / ((1 - horizon) * height)
     return Ground(slope, horizon * height - 0.5)
 
 
@@ -159,19 +150,15 @@ def free_space(
     width = nearness_px.shape[1] * column_px
     nothing = np.full(strips, np.nan, np.float32)
     if ground is None:
-        standing = quantiles(nearness_px, strips, 1 - _NEARER_SHARE)[:-1]
+        standing = quantiles(nearness_px, strips, 1 - _NEARER_SHARE)
         return FreeSpace(standing, nothing, math.nan, width)
-    rows = np.arange(len(nearness_px), dtype=np.float32)[:, None]
-    near = np.maximum(nearness_px, np.float32(_GROUND_PX))
-    # Height over the ground in camera heights: it is the horizon's at the camera's own.
-    up = 1 - np.float32(ground.slope) * (rows - np.float32(ground.horizon)) / near
-    error = np.float32(_GROUND_PX) / near
-    stands = (up > _GROUND_UP + error) & (up < _OVERHEAD_UP)
-    lies = np.abs(up) < _GROUND_SHARE + error
-    unknown = np.float32(np.nan)
+    nearness_px = np.ascontiguousarray(nearness_px)
+    stands, lies = np.empty_like(nearness_px), np.empty_like(nearness_px)
+    heights = (_GROUND_SHARE, _GROUND_UP, _OVERHEAD_UP)
+    loops.split(nearness_px, ground.slope, ground.horizon, _GROUND_PX, *heights, stands, lies)
     return FreeSpace(
-        quantiles(np.where(stands, nearness_px, unknown), strips, 1 - _NEARER_SHARE)[:-1],
-        quantiles(np.where(lies, nearness_px, unknown), strips, _FARTHER_SHARE)[:-1],
+        quantiles(stands, strips, 1 - _NEARER_SHARE),
+        quantiles(lies, strips, _FARTHER_SHARE),
         ground.slope / row_px,
         width,
     )
@@ -269,28 +256,23 @@ def nearest(nearness_px: NDArray[np.float32]) -> float | None:
 
 
 def quantiles(
-    values: NDArray[np.float32],
-    strips: int,
-    share: float,
-    *,
-    whole_share: float = 0.5,
-    min_share: float = _MIN_STRIP_SHARE,
+    values: NDArray[np.float32], strips: int, share: float, *, min_share: float = _MIN_STRIP_SHARE
 ) -> NDArray[np.float32]:
-    """Return a quantile of each vertical strip of an image and one of all, (strips + 1,) float32.
+    """Return a quantile of each vertical strip of an image, (strips,) float32.
 
     Args:
         values: (height, width) float32, NaN = unknown.
         strips: number of strips, at most the width.
-        share, whole_share: which quantile of the known values, 0..1.
-        min_share: share of a strip, or of the image, that has to be known, else NaN.
+        share: which quantile of the known values, 0..1.
+        min_share: share of a strip that has to be known, else NaN.
     """
     values = np.ascontiguousarray(values)
     height, width = values.shape
     # As np.array_split has it: the first strips are wider by one.
     begin = np.array([i * (width // strips) + min(i, width % strips) for i in range(strips + 1)])
-    result = np.empty(strips + 1, np.float32)
-    work = reused(loops.Workspace, strips, height, width)
-    loops.quantiles(values, begin.astype(np.int32), share, whole_share, min_share, work, result)
+    result = np.empty(strips, np.float32)
+    work = reused(loops.Workspace, height, width)
+    loops.quantiles(values, begin.astype(np.int32), share, min_share, work, result)
     return result
 
 

@@ -21,5 +21,5 @@ def depth(
         doffs_px: x of the right principal point minus x of the left one, in px.
     """
     inverse = disparity_px + np.float32(doffs_px)
-    inverse[inverse <= 0] = np.nan
-    return np.float32(focal_px * baseline_m) / inverse
+    np.copyto(inverse, np.nan, where=inverse <= 0)
+    return np.divide(np.float32(focal_px * baseline_m), inverse, out=inverse)
