@@ -22,4 +22,5 @@ def depth(
     """
     inverse = disparity_px + np.float32(doffs_px)
     np.copyto(inverse, np.nan, where=inverse <= 0)
-    return np.divide(np.float32(focal_px * baseline_m), inverse, out=inverse)
+    np.divide(np.float32(focal_px * baseline_m), inverse, out=inverse)
+    return inverse
