@@ -16,6 +16,7 @@ from click.shell_completion import shell_complete
 
 from motionstereo_cli.commands import cli
 from motionstereo_cli.commands.messages import Tolerant, say
+from motionstereo_cli.commands.progress import end_lines
 from motionstereo_cli.errors import INTERRUPTED_EXIT_CODE, MotionStereoError
 
 
@@ -33,10 +34,13 @@ def main(args: Sequence[str] | None = None) -> int:
     """
     signal.signal(signal.SIGTERM, _interrupt)
     _fill_standard_descriptors()
-    if sys.stderr is None:
-        return _called(args)
-    with contextlib.redirect_stderr(cast("TextIO", Tolerant(sys.stderr))):
-        return _called(args)
+    with contextlib.ExitStack() as redirected:
+        if sys.stderr is not None:
+            tolerant = cast("TextIO", Tolerant(sys.stderr))
+            redirected.enter_context(contextlib.redirect_stderr(tolerant))
+        exit_code = _called(args)
+        end_lines(exit_code)
+        return exit_code
 
 
 def _fill_standard_descriptors() -> None:

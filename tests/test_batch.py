@@ -162,8 +162,13 @@ def test_a_status_is_read_as_it_was_written_and_a_broken_one_is_waiting(tmp_path
 
 def test_good_recordings_are_done_as_run_does_them_and_bad_ones_named(archive, tmp_path, capsys):
     out = tmp_path / "out"
-    assert batched(archive / "all.csv", "-o", out, "--json") == 1
-    lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert batched(archive / "all.csv", "-o", out, "--json", "--progress", "jsonl") == 1
+    said = capsys.readouterr()
+    *told, end = [json.loads(line) for line in said.err.splitlines()]
+    ended = [event["recording"]["name"] for event in told if event["kind"] == "recording"]
+    assert sorted(ended) == ["day/a", "day/b", "day/bad", "day/c"]
+    assert (end["kind"], end["status"]) == ("end", "failed")
+    lines = [json.loads(line) for line in said.out.splitlines()]
     assert {line["name"] for line in lines} == {"day/a", "day/b", "day/c", "day/bad"}
     rows = table(out)
     assert [rows[f"day/{name}"]["status"] for name in "abc"] == ["done"] * 3

@@ -13,6 +13,7 @@ import click
 from motionstereo_cli.batch.plan import RunPlan
 from motionstereo_cli.commands.grouped import GroupedCommand
 from motionstereo_cli.commands.messages import say
+from motionstereo_cli.commands.progress import lines, progress_options
 from motionstereo_cli.commands.run import run_options
 from motionstereo_cli.errors import DAMAGED_EXIT_CODE, INTERRUPTED_EXIT_CODE, SettingsError
 
@@ -46,6 +47,7 @@ def plan_of(arguments: Sequence[str]) -> RunPlan:
     context_settings={"ignore_unknown_options": True},
     options_metavar="MANIFEST [OPTIONS] [OPTIONS OF RUN]",
 )
+@progress_options
 @click.option(
     "-o",
     "--out",
@@ -185,12 +187,17 @@ def _bar(recordings: int) -> Any:
 
         def more(self, frames: int) -> str:
             self.frames += frames
+            if (told := lines()) is not None:
+                told.advance(frames)
             return f"{self.frames} frames"
 
-    return Bar(total=recordings, unit="recording", disable=None)
+    hidden = (told := lines()) is not None and not told.aside
+    return Bar(total=recordings, unit="recording", disable=hidden or None)
 
 
 def _say_ended(status: Status, *, as_json: bool, quiet: bool) -> None:
+    if (told := lines()) is not None:
+        told.tell("recording", recording=status.row())
     if as_json:
         click.echo(json.dumps(status.row()))
         sys.stdout.flush()

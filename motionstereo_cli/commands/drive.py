@@ -11,11 +11,13 @@ import click
 from motionstereo_cli.commands.grouped import GroupedCommand
 from motionstereo_cli.commands.messages import foretelling, say
 from motionstereo_cli.commands.options import processing_options, world_options
+from motionstereo_cli.commands.progress import Bar, progress_options
 from motionstereo_cli.settings import Settings
 from motionstereo_cli.simulate.settings import DriveSettings
 
 
 @click.command(cls=GroupedCommand)
+@progress_options
 @click.argument("out", type=click.Path(path_type=Path))
 @click.option("--view", is_flag=True, help="Write drive.mp4: right image, memory, depth, plan.")
 @click.option("--overwrite", is_flag=True, help="Replace an earlier drive in OUT.")
@@ -34,15 +36,13 @@ def drive(
     """
     world_settings = DriveSettings(**world)
 
-    from tqdm import tqdm
-
     from motionstereo_cli.simulate.drive import drive as library
     from motionstereo_cli.simulate.drive_world import DriveWorld
 
     started_s = time.perf_counter()
     driven = DriveWorld(world_settings)
     frames = driven.expected_frames
-    with tqdm(total=frames, unit="frame", disable=None) as bar:
+    with Bar(frames) as bar:
         progress = foretelling(frames, bar)
         record = library(out, driven, settings, view=view, overwrite=overwrite, progress=progress)
     wall_s = time.perf_counter() - started_s

@@ -6,12 +6,13 @@ import contextlib
 import os
 import time
 from collections.abc import Callable
+from contextvars import ContextVar
 from typing import TYPE_CHECKING, Any, TextIO
 
 import click
 
 if TYPE_CHECKING:
-    from tqdm import tqdm
+    from motionstereo_cli.commands.progress import Bar
 
 _WARM_UP_FRAMES = 4
 _WORTH_SAYING_S = 5
@@ -50,12 +51,19 @@ class Tolerant:
             os.close(nowhere)
 
 
+#: Takes each message too, and tells whether people are to read it; None: nothing does.
+listener: ContextVar[Callable[[str, str], bool] | None] = ContextVar("listener", default=None)
+
+
 def say(kind: str, text: str) -> None:
     """Say something in one line, after what it is: ``note``, ``warning`` or ``error``."""
-    click.echo(f"{kind}: {printable(' '.join(text.split()))}", err=True)
+    line = printable(" ".join(text.split()))
+    hear = listener.get()
+    if hear is None or hear(kind, line):
+        click.echo(f"{kind}: {line}", err=True)
 
 
-def foretelling(frames: int, bar: tqdm[Any]) -> Callable[[], None]:
+def foretelling(frames: int, bar: Bar) -> Callable[[], None]:
     """Return a function to call after each frame; soon after the first it says how long all take.
 
     It says nothing if that is less than some seconds.
@@ -74,9 +82,7 @@ def foretelling(frames: int, bar: tqdm[Any]) -> Callable[[], None]:
             frame_s = (times_s[-1] - times_s[_WARM_UP_FRAMES - 1]) / _WARM_UP_FRAMES
             rest_s = frame_s * (frames - len(times_s))
             if rest_s >= _WORTH_SAYING_S:
-                bar.clear()
-                say("note", f"about {frames} frames, which take {_duration(rest_s)}")
-                bar.refresh()
+                bar.say("note", f"about {frames} frames, which take {_duration(rest_s)}")
 
     return advance
 

@@ -20,6 +20,7 @@ from motionstereo_cli.commands.options import (
     processing_options,
     rig_options,
 )
+from motionstereo_cli.commands.progress import Bar, progress_options
 from motionstereo_cli.errors import DAMAGED_EXIT_CODE, INTERRUPTED_EXIT_CODE
 from motionstereo_cli.sinks import DEFAULT_OUTPUTS, OUTPUTS
 
@@ -100,6 +101,7 @@ def run_options(command: Callable[..., Any]) -> Callable[..., Any]:
 
 
 @click.command(cls=GroupedCommand)
+@progress_options
 @run_options
 def run(**given: Any) -> int:
     """Find depth and steering in the two videos of a stereo camera.
@@ -110,19 +112,11 @@ def run(**given: Any) -> int:
     """
     plan = RunPlan(**given, reads=config_files())
 
-    from tqdm import tqdm
-
     from motionstereo_cli.batch.run import Watcher
     from motionstereo_cli.batch.run import run as library
 
-    with tqdm(unit="frame", disable=_quiet(plan), delay=0.1) as bar:
-
-        def tell(kind: str, text: str) -> None:
-            bar.clear()
-            say(kind, text)
-            bar.refresh()
-
-        report = library(plan, Watcher(tell, bar.reset, bar.update))
+    with Bar(quiet=_shares_terminal(plan)) as bar:
+        report = library(plan, Watcher(bar.say, bar.begin, bar.update))
     return _say_what_came(plan, report)
 
 
@@ -154,8 +148,6 @@ def _say_what_came(plan: RunPlan, report: RunReport) -> int:
     return DAMAGED_EXIT_CODE if report.damage else 0
 
 
-def _quiet(plan: RunPlan) -> bool | None:
-    """Return what tqdm's ``disable`` should be: None shows the bar only on a terminal."""
-    if sys.stderr is None or (plan.to_stdout and sys.stdout is not None and sys.stdout.isatty()):
-        return True
-    return None
+def _shares_terminal(plan: RunPlan) -> bool:
+    """Return whether a bar would stand among the rows of the table."""
+    return plan.to_stdout and sys.stdout is not None and sys.stdout.isatty()

@@ -10,10 +10,12 @@ import click
 from motionstereo_cli.commands.grouped import GroupedCommand
 from motionstereo_cli.commands.messages import foretelling, say
 from motionstereo_cli.commands.options import config_files, settings_options
+from motionstereo_cli.commands.progress import Bar, progress_options
 from motionstereo_cli.simulate.settings import SimulateSettings
 
 
 @click.command(cls=GroupedCommand)
+@progress_options
 @click.argument("out", type=click.Path(path_type=Path))
 @click.option("--overwrite", is_flag=True, help="Replace an earlier simulation in OUT.")
 @settings_options(SimulateSettings, "Scene")
@@ -25,12 +27,10 @@ def simulate(out: Path, overwrite: bool, chosen: dict[str, Any]) -> None:
     """
     settings = SimulateSettings(**chosen)
 
-    from tqdm import tqdm
-
     from motionstereo_cli.simulate.write import simulate as write
 
     frames = len(settings.frame_range)
-    with tqdm(total=frames, unit="frame", disable=None) as bar:
+    with Bar(frames) as bar:
         write(
             out,
             settings,

@@ -1,0 +1,200 @@
+"""How far a command is: a bar for people, or lines of JSON for programs."""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import io
+import json
+import sys
+import time
+from collections.abc import Callable
+from contextvars import ContextVar
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Self, TextIO
+
+import click
+
+from motionstereo_cli.commands.messages import listener, say
+from motionstereo_cli.errors import DAMAGED_EXIT_CODE, INTERRUPTED_EXIT_CODE, OutputError
+from motionstereo_cli.files.targets import is_stream, open_stream
+
+if TYPE_CHECKING:
+    from types import TracebackType
+
+#: Time between two lines on how far it is, at least, in s.
+_PAUSE_S = 0.2
+#: How each line of ours begins, by which an older file is known.
+_BEGINNING = b'{"kind": "'
+
+_STATUS = {
+    0: "done",
+    1: "failed",
+    2: "usage",
+    DAMAGED_EXIT_CODE: "damaged",
+    INTERRUPTED_EXIT_CODE: "interrupted",
+}
+_LINES: ContextVar[JsonLines | None] = ContextVar("lines", default=None)
+
+
+class JsonLines:
+    """Tells a program how far it is, a JSON object a line.
+
+    Args:
+        stream: where to.
+        aside: it is not standard error, so that people read their words there.
+    """
+
+    def __init__(self, stream: TextIO, *, aside: bool) -> None:
+        self._stream, self.aside = stream, aside
+        self._begun_s = self._first_s = time.monotonic()
+        self._next_s = 0.0
+        self._frame = 0
+        self._frames: int | None = None
+
+    def tell(self, kind: str, **more: Any) -> None:
+        """Write a line; a reader that has gone ends nothing."""
+        now_s = time.monotonic()
+        eta = None
+        if self._frame and self._frames:
+            frame_s = (now_s - self._first_s) / self._frame
+            eta = round(max(self._frames - self._frame, 0) * frame_s, 3)
+        facts = {
+            "kind": kind,
+            "frame": self._frame,
+            "frames": self._frames,
+            "seconds": round(now_s - self._begun_s, 3),
+            "eta": eta,
+        }
+        with contextlib.suppress(OSError, ValueError):
+            self._stream.write(json.dumps(facts | more) + "\n")
+            self._stream.flush()
+
+    def hear(self, kind: str, text: str) -> bool:
+        """Take a message; return whether people are to read it too."""
+        self.tell(kind, text=text)
+        return self.aside
+
+    def begin(self, frames: int | None) -> None:
+        """Say that frames are about to come, and how many; None if unknown."""
+        self._frames, self._first_s = frames, time.monotonic()
+        self.tell("begin")
+
+    def advance(self, frames: int = 1) -> None:
+        """Count frames, and say so now and then."""
+        self._frame += frames
+        if time.monotonic() >= self._next_s:
+            self._next_s = time.monotonic() + _PAUSE_S
+            self.tell("progress")
+
+    def end(self, exit_code: int) -> None:
+        """Say how it ended."""
+        status = _STATUS.get(exit_code, "failed")
+        self.tell("end", status=status, exit_code=exit_code)
+        if self.aside:
+            with contextlib.suppress(OSError, ValueError):
+                self._stream.close()
+
+
+class Bar:
+    """Shows how far a command is, on a terminal or as JSON lines.
+
+    Args:
+        frames: how many there will be; None if unknown.
+        quiet: no bar, even on a terminal.
+    """
+
+    def __init__(self, frames: int | None = None, *, quiet: bool = False) -> None:
+        from tqdm import tqdm
+
+        self._lines = _LINES.get()
+        hidden = quiet or (self._lines is not None and not self._lines.aside)
+        self._bar = tqdm(total=frames, unit="frame", disable=hidden or None, delay=0.1)
+        if frames is not None and self._lines is not None:
+            self._lines.begin(frames)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self._bar.close()
+
+    def begin(self, frames: int | None) -> None:
+        """Begin with the first of so many frames."""
+        self._bar.reset(frames)
+        if self._lines is not None:
+            self._lines.begin(frames)
+
+    def update(self) -> None:
+        """Count a frame."""
+        self._bar.update()
+        if self._lines is not None:
+            self._lines.advance()
+
+    def say(self, kind: str, text: str) -> None:
+        """Say something beside the bar."""
+        self._bar.clear()
+        say(kind, text)
+        self._bar.refresh()
+
+
+def lines() -> JsonLines | None:
+    """Return where programs are told of progress; None if they are not."""
+    return _LINES.get()
+
+
+def end_lines(exit_code: int) -> None:
+    """Say how the command ended, where lines were asked for; the next one begins without."""
+    if (told := _LINES.get()) is not None:
+        _LINES.set(None)
+        listener.set(None)
+        told.end(exit_code)
+
+
+def progress_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Give a command ``--progress`` and ``--progress-file``; it receives neither."""
+
+    def watched(*, progress: str, progress_file: Path | None, **values: Any) -> Any:
+        if progress_file is not None and progress != "jsonl":
+            raise click.UsageError("--progress-file is for --progress jsonl: give both")
+        if progress == "jsonl":
+            told = _opened(progress_file)
+            _LINES.set(told)
+            listener.set(told.hear)
+        return command(**values)
+
+    wrapped: Callable[..., Any] = functools.update_wrapper(watched, command)
+    wrapped = click.option(
+        "--progress-file",
+        type=click.Path(dir_okay=False, path_type=Path),
+        help="File or FIFO for the lines of --progress jsonl.  [default: standard error]",
+    )(wrapped)
+    return click.option(
+        "--progress",
+        type=click.Choice(["bar", "jsonl"]),
+        default="bar",
+        show_default=True,
+        help="How to tell how far it is. bar: for people, on a terminal; jsonl: for programs, a "
+        "JSON object a line, messages too.",
+    )(wrapped)
+
+
+def _opened(path: Path | None) -> JsonLines:
+    """Open where the lines go; of files only one of an earlier command is replaced."""
+    if path is None:
+        return JsonLines(sys.stderr, aside=False)
+    try:
+        if is_stream(path):
+            return JsonLines(io.TextIOWrapper(open_stream(path), "utf-8"), aside=True)
+        if path.exists():
+            with path.open("rb") as file:
+                if file.read(len(_BEGINNING)) not in (b"", _BEGINNING):
+                    raise OutputError(f"{path} is no file of --progress jsonl: give another name")
+        return JsonLines(path.open("w", encoding="utf-8"), aside=True)
+    except OSError as error:
+        raise OutputError(f"cannot write {path}: {error.strerror or error}") from error
