@@ -639,3 +639,25 @@ def test_images_that_cannot_be_decoded_keep_their_numbers(tmp_path: Path, mjpeg:
         found = [(image.number, image.pts) for image in recording]
         assert found == [each for each in through if each[0] >= number]
         recording.close()
+
+
+@pytest.mark.parametrize(
+    ("codec", "options", "silent"),
+    [
+        ("mpeg4", {"g": "100"}, True),
+        ("libvpx-vp9", {"g": "100", "deadline": "realtime"}, True),
+        ("libx264", {"g": "100", "bf": "0"}, False),
+        ("mjpeg", {}, False),
+    ],
+)
+def test_behind_a_hole_it_is_said_where_nothing_tells_what_is_wrong(
+    tmp_path: Path, codec: str, options: dict[str, str], silent: bool
+) -> None:
+    pixels = "yuvj420p" if codec == "mjpeg" else "yuv420p"
+    whole = encode(tmp_path / "whole.mkv", scene(), codec, pixels, options=options)
+    torn = remux(whole, tmp_path / "torn.mkv", lambda index, packet: packet if index != 5 else None)
+    stream, shown = read_all(torn)
+    assert len(shown) == COUNT - 1
+    assert stream.lost == 1
+    assert ("next key frame may be wrong" in " ".join(stream.damage)) == silent
+    assert (stream.flawed > 0) == (codec == "libx264")

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, Self, TextIO
 
 import click
 
+from motionstereo_cli.commands.grouped import GroupedOption
 from motionstereo_cli.commands.messages import listener, say
 from motionstereo_cli.errors import DAMAGED_EXIT_CODE, INTERRUPTED_EXIT_CODE, OutputError
 from motionstereo_cli.files.targets import is_stream, open_stream
@@ -171,11 +172,15 @@ def progress_options(command: Callable[..., Any]) -> Callable[..., Any]:
     wrapped: Callable[..., Any] = functools.update_wrapper(watched, command)
     wrapped = click.option(
         "--progress-file",
+        cls=GroupedOption,
+        group="Output",
         type=click.Path(dir_okay=False, path_type=Path),
         help="File or FIFO for the lines of --progress jsonl.  [default: standard error]",
     )(wrapped)
     return click.option(
         "--progress",
+        cls=GroupedOption,
+        group="Output",
         type=click.Choice(["bar", "jsonl"]),
         default="bar",
         show_default=True,

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 import itertools
-import struct
 from collections.abc import Iterator, Sequence
 from fractions import Fraction
 from pathlib import Path
@@ -15,7 +14,6 @@ import av.logging
 import numpy as np
 
 from motionstereo_cli.files.reading import MAX_PIXELS
-from motionstereo_cli.files.stills import Stated
 from motionstereo_cli.sources.container import Container
 from motionstereo_cli.sources.h264 import Heads
 from motionstereo_cli.sources.luma import bits_of, brightest, grey_levels, is_full_range
@@ -23,18 +21,21 @@ from motionstereo_cli.sources.pace import Pace, rhythm
 from motionstereo_cli.sources.pipe import Pipe
 from motionstereo_cli.sources.recording import Image, Recording, images
 from motionstereo_cli.sources.seeking import CodedImage, Entry, entry, numbered
+from motionstereo_cli.sources.stereo3d import stated_by
 
 if TYPE_CHECKING:
     from motionstereo_cli.types import Grey
 
     _Packet = av.Packet[av.VideoStream]
 
-#: Kinds of FFmpeg's AVStereo3D, and the shape of a pixel from which on views are squeezed.
-_STEREO3D = {1: "side-by-side", 2: "top-bottom"}
-_SQUEEZED = 1.5
-
 #: The decoder of this codec tells of wrong checksums in FFmpeg's log and nowhere else.
 _TELLS_THE_LOG = "ffv1"
+
+#: Decoders that build images on one that is missing, and do not tell.
+_SILENT = {
+    *("mpeg1video", "mpeg2video", "mpeg4", "msmpeg4v2", "msmpeg4", "wmv1", "wmv2", "flv", "h263"),
+    *("vp8", "vp9", "libvpx", "libvpx-vp9", "av1", "libdav1d", "libaom-av1", "theora", "vc1"),
+}
 
 
 class VideoRecording(Recording):
@@ -191,7 +192,7 @@ class VideoRecording(Recording):
         found = {
             "decoded with errors, or after errors and before a key frame": self._corrupt,
             "could not be decoded": self._undecodable,
-            "missing within the video": self._pace.missing,
+            f"missing within the video{self._behind_holes}": self._pace.missing,
             "missing at its end": self._cut_off,
         }
         lines = [f"{self._path}: {images(n)} {what}" for what, n in found.items() if n]
@@ -205,6 +206,17 @@ class VideoRecording(Recording):
         if self._changed:
             lines.append(f"{self._path} was written to while the run went on")
         return lines
+
+    @property
+    def _behind_holes(self) -> str:
+        """What may be wrong with images behind missing ones, where nothing tells."""
+        name = self._stream.codec_context.name
+        if name not in _SILENT:
+            return ""
+        return (
+            f" (if the file lost them, those up to the next key frame may be wrong: {name} does "
+            "not tell)"
+        )
 
     def describe(self) -> dict[str, Any]:
         """Return what the video is, as JSON-able values."""
@@ -288,7 +300,8 @@ class VideoRecording(Recording):
         """Note what the first image tells of all."""
         self._quarters = round(frame.rotation / 90) % 4
         self._pixel_format, self._full_range = frame.format.name, is_full_range(frame)
-        self.stated = self._stated_by(frame)
+        self.stated, notes = stated_by(frame, self._stream.sample_aspect_ratio)
+        self.warnings += tuple(f"{self._path} {note}" for note in notes)
         if self.timeless and self.frame_rate is None:
             self.frame_rate = self._file.stated_rate
             self.time_base = 1 / self.frame_rate if self.frame_rate else None
@@ -296,26 +309,6 @@ class VideoRecording(Recording):
             self.warnings += (f"{self._path} has no times: give its rate to --frame-rate",)
         if bits_of(frame) > 8 and not self._white:
             self._judge_depth(self._path, brightest(frame), bits_of(frame))
-
-    def _stated_by(self, frame: av.VideoFrame) -> Stated | None:
-        """Return how Matroska, MP4 or the codec say that both views lie in an image.
-
-        Squeezed views show in pixels twice as wide or high as others.
-        """
-        said: Any = frame.side_data.get("STEREO3D")
-        if said is None:
-            return None
-        kind, flags = struct.unpack("=ii", bytes(said)[:8])
-        if kind not in _STEREO3D:
-            if kind:
-                self.warnings += (
-                    f"{self._path} says that it holds two views in a way that is not read: convert "
-                    "it to views side by side",
-                )
-            return None
-        aspect = self._stream.sample_aspect_ratio or 1
-        squeezed = aspect > _SQUEEZED if kind == 1 else aspect < 1 / _SQUEEZED
-        return Stated(_STEREO3D[kind] + "-half" * squeezed, swapped=bool(flags & 1))
 
     def _decode(self, packets: Iterator[_Packet]) -> Iterator[tuple[av.VideoFrame, bool]]:
         """Yield the images, and whether the decoder complained about them only in its log."""
