@@ -12,10 +12,10 @@ import pytest
 from recordings import COUNT, encode, number_in, remux, scene
 
 from motionstereo_cli.sources import open_stereo
+from motionstereo_cli.sources.names import stamps_in
 from motionstereo_cli.sources.pairing import _Step, pair
 from motionstereo_cli.sources.settings import InputSettings
 from motionstereo_cli.sources.sides import Loss, Shot
-from motionstereo_cli.sources.times import stamps_in
 
 ALL = range(COUNT)
 
@@ -63,6 +63,70 @@ def test_times_in_names_need_not_be_equal(tmp_path: Path) -> None:
         assert next(iter(source)).time_s == pytest.approx(1305031102.105)
 
 
+#: Names of an image by its time in us, and whether it is of the right camera: they never agree.
+FORMS = {
+    "us and ns": lambda us, right: f"{1700000000_000000 + us}{'000' if right else ''}",
+    "cameras in the prefix": lambda us, right: f"cam{right:d}_{1700000000 + us / 1e6:.6f}",
+    "a counter before it": lambda us, right: (
+        f"{us // 33000:04d}_{1700000000_000000000 + us * 1000}"
+    ),
+    "seconds since the start": lambda us, right: f"img{us / 1e6:.6f}",
+    "ms since the start": lambda us, right: f"{us // 1000 + 812345}",
+    "seconds and ns": lambda us, right: f"{us // 10**6 + 99}_{us % 10**6 * 1000:09d}",
+    "dates": lambda us, right: (
+        f"2023-11-14_22-13-{59 + us / 1e6:09.6f}"
+        if us < 1_000_000
+        else f"2023-11-14_22-14-{us / 1e6 - 1:09.6f}"
+    ),
+    "dates in one": lambda us, right: f"L_20231114T221320.{us // 1000:06d}",
+}
+
+
+@pytest.mark.parametrize("form", FORMS.values(), ids=FORMS)
+@pytest.mark.parametrize("period_us", [33_333, 400_000])
+def test_times_of_any_form_that_jitter_decide(tmp_path: Path, form: Any, period_us: int) -> None:
+    # Each side lost one image: by place, all between would be of different moments.
+    rng = np.random.default_rng(1)
+    sides = []
+    for right, lost in ((False, 2), (True, 8)):
+        late_us = rng.integers(0, 3000, COUNT) + 2500 * right
+        names = {n: form(int(period_us * n + late_us[n]), right) for n in ALL if n != lost}
+        sides.append(named(tmp_path / str(right), names))
+    assert pairs_of(sides[0], sides[1]) == [(n, n) for n in ALL if n not in (2, 8)]
+
+
+def stamped(path: Path, shift_ms: int, kept: list[int]) -> Path:
+    return named(path, {n: f"{1305031102000 + shift_ms + 33 * n}" for n in kept})
+
+
+def test_clocks_that_differ_are_named_and_can_be_told(tmp_path: Path) -> None:
+    kept = [n for n in ALL if n != 3]
+    left = stamped(tmp_path / "left", 0, list(ALL))
+    for number, (shift_ms, warned) in enumerate(((5, False), (20, True), (3_600_000, True))):
+        right = stamped(tmp_path / f"right{number}", shift_ms, kept)
+        with open_stereo(left, right) as source:
+            said = [line for line in source.warnings if "--sync-shift" in line]
+        assert len(said) == warned
+        assert not warned or f"together, {shift_ms / 1000:.6f}" in said[0]
+        settings = InputSettings(sync_shift=shift_ms / 1000)
+        with open_stereo(left, right, settings) as source:
+            assert [number_in(frame.left) for frame in source] == kept
+            assert not source.warnings
+
+
+def test_numbers_of_different_beginnings_are_named(tmp_path: Path) -> None:
+    left = named(tmp_path / "left", {n: f"f{n}" for n in ALL})
+    right = named(tmp_path / "right", {n: f"f{n + 100}" for n in ALL})
+    with open_stereo(left, right) as source:
+        assert source.warnings[0].endswith("give --sync-offset 100")
+    clocks = [
+        named(tmp_path / str(side), {n: f"{begin + 33 * n + n % 3}" for n in ALL if n != lost})
+        for side, begin, lost in ((0, 100, 2), (1, 90_000, 8))
+    ]
+    with open_stereo(clocks[0], clocks[1]) as source:
+        assert "of different clocks, and their steps differ after image 1" in source.warnings[0]
+
+
 @pytest.mark.parametrize(
     ("stems", "ns"),
     [
@@ -74,6 +138,8 @@ def test_times_in_names_need_not_be_equal(tmp_path: Path) -> None:
         (["a1305031102175", "b1305031102275"], None),
         (["000001", "000002"], None),
         (["1305031102175"], None),
+        (["2023-02-29_10-00-00.000", "2023-02-29_10-00-00.100"], None),
+        (["x20231114T221320Z", "x20231114T221321Z"], [1700000000 * 10**9, 1700000001 * 10**9]),
     ],
 )
 def test_times_in_names(stems: list[str], ns: list[int] | None) -> None:

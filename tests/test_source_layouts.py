@@ -25,10 +25,10 @@ from recordings import COUNT, FULL, Images, cut, encode, folder, number_in, remu
 from motionstereo_cli.__main__ import main
 from motionstereo_cli.errors import InputError, SettingsError
 from motionstereo_cli.sources import StereoSource, open_stereo
+from motionstereo_cli.sources.names import file_numbers
 from motionstereo_cli.sources.pairing import pair
 from motionstereo_cli.sources.recording import Image, Recording
 from motionstereo_cli.sources.settings import InputSettings, adapted_rig
-from motionstereo_cli.sources.times import file_numbers
 from motionstereo_cli.types import Rig
 
 RIG = Rig(width=64, height=48, focal_px=50, baseline_m=0.1, cx=31.5, cy=23.5, doffs=2)

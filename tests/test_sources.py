@@ -23,9 +23,9 @@ from recordings import COUNT, FULL, LIMITED, Images, cut, encode, folder, number
 from motionstereo_cli.errors import InputError
 from motionstereo_cli.sources import open_stereo
 from motionstereo_cli.sources.folder import FolderRecording
+from motionstereo_cli.sources.names import natural_key
 from motionstereo_cli.sources.prefetch import prefetch
 from motionstereo_cli.sources.recording import Image, Recording
-from motionstereo_cli.sources.times import natural_key
 from motionstereo_cli.sources.video import VideoRecording
 
 

@@ -25,8 +25,9 @@ from motionstereo_cli.files.stills import (
     read_still,
     shown,
 )
+from motionstereo_cli.sources.names import file_numbers, gaps
 from motionstereo_cli.sources.recording import Image, Recording, images
-from motionstereo_cli.sources.times import file_numbers, gaps, timeline
+from motionstereo_cli.sources.times import timeline
 
 
 class FolderRecording(Recording):

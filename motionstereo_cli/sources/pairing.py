@@ -7,8 +7,10 @@ from dataclasses import dataclass
 from fractions import Fraction
 from typing import TYPE_CHECKING, TypeVar
 
+import numpy as np
+
 from motionstereo_cli.errors import SettingsError
-from motionstereo_cli.sources.times import natural_key
+from motionstereo_cli.sources.names import joint_marks, natural_key
 
 if TYPE_CHECKING:
     from motionstereo_cli.sources.recording import Recording
@@ -23,6 +25,9 @@ _RATES_APART = 0.1
 
 #: Recordings that begin further apart, in s, have clocks of their own.
 _CLOCKS_APART_S = 1.0
+
+#: Fewer images tell nothing of clocks.
+_FEW = 3
 
 #: How fast the difference of two clocks is followed: share of a new difference.
 _FOLLOWING = 0.2
@@ -56,21 +61,58 @@ def pairing(left: Recording, right: Recording, settings: InputSettings) -> Pairi
     Raises:
         SettingsError: the settings need times that a recording does not have.
     """
-    tolerance, offset = Fraction(str(settings.sync_tolerance)), settings.sync_offset
-    if tolerance:
-        need_time("--sync-tolerance", left)
-        need_time("--sync-tolerance", right)
-        return Pairing(_time_lead, tolerance, by_time=True)
+    how = _by_time(left, right, settings) if not settings.sync_offset else None
+    return how or _by_names(left, right, settings.sync_offset)
+
+
+def _by_time(left: Recording, right: Recording, settings: InputSettings) -> Pairing | None:
+    """Return how times pair that were asked for, or that cameras or containers tell best."""
+    tolerance = Fraction(str(settings.sync_tolerance))
+    shift = Fraction(str(settings.sync_shift))
+    for flag, given in (("--sync-tolerance", tolerance), ("--sync-shift", shift)):
+        if given:
+            need_time(flag, left)
+            need_time(flag, right)
     half_period = _half_period(left, right)
-    if left.stamped and right.stamped and not offset and half_period:
-        return Pairing(_time_lead, half_period, by_time=True)
+    stamped = left.stamped and right.stamped
+    reach = tolerance or (half_period if stamped or shift else None)
+    if reach:
+        apart = _apart(left, right, shift, reach) if stamped and not tolerance else ""
+        return Pairing(
+            lambda one, other: _time_lead(one, other) - shift, reach, True, warning=apart
+        )
+    told = (left.numbered and right.numbered) or _share_names(left.names, right.names)
+    if half_period and left is not right and left.timed and right.timed and not told:
+        return _by_containers(left, right, half_period)
+    return None
+
+
+def _by_names(left: Recording, right: Recording, offset: int) -> Pairing:
+    """Return how numbers in names pair, or names, or places."""
     if left.numbered and right.numbered:
-        return Pairing(lambda one, other: Fraction(other.pts - offset - one.pts))
+        return Pairing(
+            lambda one, other: Fraction(other.pts - offset - one.pts),
+            warning=_strangers(left, right, offset),
+        )
     if not offset and _share_names(left.names, right.names):
         return Pairing(_NameLead(left.names, right.names))
-    if left is not right and not offset and half_period and left.timed and right.timed:
-        return _by_containers(left, right, half_period)
+    if not offset and (marks := joint_marks(left.names, right.names)):
+        return _by_marks(*marks)
     return Pairing(lambda one, other: Fraction(other.number - offset - one.number))
+
+
+def _strangers(left: Recording, right: Recording, offset: int) -> str:
+    """Return a line where no number in the names of one side can be one of the other."""
+    (first, last), (begin, end) = (
+        (side.begin_pts, side.outline()[-1][1]) if side.outline() else (0, 0)
+        for side in (left, right)
+    )
+    if begin - offset <= last and first <= end - offset:
+        return ""
+    return (
+        f"the images of {left.name} have the numbers {first} to {last} and those of {right.name} "
+        f"{begin} to {end}: if the first ones belong together, give --sync-offset {begin - first}"
+    )
 
 
 def _half_period(left: Recording, right: Recording) -> Fraction | None:
@@ -110,6 +152,53 @@ class _NameLead:
     def __call__(self, one: Shot, other: Shot) -> Fraction:
         left, right = self._left[one.number], self._right[other.number]
         return Fraction(self._places[right] - self._places[left])
+
+
+def _by_marks(left: Sequence[int], right: Sequence[int]) -> Pairing:
+    """Pair by what differs in the names, where both count from one beginning; else by places.
+
+    Steps of one side that the other does not have show that images are lost.
+    """
+    steps = [np.diff(np.array(side, np.float64)) for side in (left, right)]
+    step = Fraction(min((float(np.median(each)) for each in steps if len(each)), default=1.0))
+    if min(left[-1], right[-1]) + step >= max(left[0], right[0]):
+        return Pairing(
+            lambda one, other: Fraction(right[other.number] - left[one.number]), step / 2
+        )
+    common = min(map(len, steps))
+    differing = np.flatnonzero(np.abs(steps[0][:common] - steps[1][:common]) > step / 2)
+    warning = ""
+    if len(differing):
+        warning = (
+            "the numbers in the names of the images are of different clocks, and their steps "
+            f"differ after image {differing[0]}: images are paired by place, and where one is lost "
+            "on one side, all after it are of different moments"
+        )
+    return Pairing(lambda one, other: Fraction(other.number - one.number), warning=warning)
+
+
+def _apart(left: Recording, right: Recording, shift: Fraction, reach: Fraction) -> str:
+    """Return a line where the nearest time stamps are far apart all along, or nothing."""
+    times = []
+    for side in (left, right):
+        if len(outline := side.outline()) < _FEW or side.time_base is None:
+            return ""
+        # Differences in whole ticks: stamps since 1970 in ns are more than a float can hold.
+        ticks = np.array([pts for _, pts in outline], np.int64) - left.begin_pts
+        times.append(ticks * float(side.time_base))
+    one, other = times[0], times[1] - float(shift)
+    after = np.searchsorted(other, one)
+    near = np.stack([other[np.clip(after - back, 0, len(other) - 1)] - one for back in (0, 1)])
+    nearest = np.where(np.abs(near[0]) < np.abs(near[1]), *near)
+    apart_s = float(np.median(nearest))
+    if abs(apart_s) < float(reach) / 2:
+        return ""
+    begin_s = float(other[0] - one[0] + shift)
+    return (
+        f"the time stamps of {right.name} are {apart_s:+.6g} s from the nearest ones of "
+        f"{left.name}: if their clocks differ, say by how much with --sync-shift (if both begin "
+        f"together, {begin_s:.6f})"
+    )
 
 
 def _by_containers(left: Recording, right: Recording, half_period: Fraction) -> Pairing:

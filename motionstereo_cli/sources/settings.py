@@ -92,6 +92,14 @@ class InputSettings:
         low=0,
         high=3600,
     )
+    sync_shift: float = param(
+        0.0,
+        "How much later the clock of the right recording is than that of the left one. Images are "
+        "then paired by time.",
+        unit="s",
+        low=-1e10,
+        high=1e10,
+    )
     frame_rate: float = param(
         0.0,
         "Frame rate of what has no times, such as image folders and bare H.264 (0 = unknown).",
@@ -164,10 +172,14 @@ class InputSettings:
         ):
             if degrees % 90:
                 raise SettingsError(f"{flag} cannot be {degrees}: give 90, 180 or 270 degrees")
-        if self.sync_offset and self.sync_tolerance:
-            raise SettingsError(
-                "--sync-offset pairs by number and --sync-tolerance by time: give one of them"
-            )
+        for flag, given in (
+            ("--sync-tolerance", self.sync_tolerance),
+            ("--sync-shift", self.sync_shift),
+        ):
+            if self.sync_offset and given:
+                raise SettingsError(
+                    f"--sync-offset pairs by number and {flag} by time: give one of them"
+                )
 
     @property
     def rate(self) -> Fraction | None:

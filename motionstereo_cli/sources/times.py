@@ -1,10 +1,9 @@
-"""What file names, and tables beside a folder, tell of the images' order, numbers and times."""
+"""What tables beside a folder tell of the images' times."""
 
 from __future__ import annotations
 
 import hashlib
 import itertools
-import operator
 import re
 from collections.abc import Callable, Iterable, Sequence
 from datetime import UTC, datetime
@@ -13,6 +12,7 @@ from typing import NamedTuple
 
 from motionstereo_cli.errors import InputError
 from motionstereo_cli.files.reading import MAX_TABLE_BYTES, as_text, read_bytes
+from motionstereo_cli.sources.names import MAX_STAMP, natural_key, stamps_in
 
 #: Beside a folder ``data``: the images' time stamps in ns and names, as EuRoC lays them.
 _EUROC = "data.csv"
@@ -21,15 +21,7 @@ _EUROC = "data.csv"
 #: beside the folders ``data`` of its raw recordings, and ``data_rect`` of KITTI-360, a date each.
 _KITTI, _KITTI_RAW = "times.txt", "timestamps.txt"
 
-#: The largest time stamp and number: FFmpeg and NumPy hold 64 bits with a sign.
-_MAX_STAMP = 2**63 - 1
-
 _NS = 1_000_000_000
-
-#: A name that is a time since 1970, from 2001 to 2100: in s with decimals; in ms, us or ns.
-_NAME_STAMP = re.compile(
-    r"(\D*)(?:([1-3]\d{9})[._](\d{3}|\d{6}|\d{9})|([1-3](?:\d{12}|\d{15}|\d{18})))(\D*)", re.ASCII
-)
 
 
 class Timeline(NamedTuple):
@@ -73,66 +65,6 @@ def timeline(path: Path, images: Iterable[Path], *, whole: bool) -> Timeline:
     return named
 
 
-def natural_key(name: str) -> list[tuple[int, str]]:
-    """Return a sort key that counts digits as numbers: frame2 comes before frame10."""
-    parts = re.split(r"([0-9]+)", name)
-    return [(int(part), "") if i % 2 else (0, part) for i, part in enumerate(parts)]
-
-
-def file_numbers(stems: list[str]) -> list[int] | None:
-    """Return the number in each of a folder's file names without suffix, given in order.
-
-    None unless the names differ only in that number and count in steps of one size, gaps
-    allowed: time stamps, several numbers and words tell nothing.
-    """
-    split = [re.split(r"([0-9]+)", stem) for stem in stems]
-    if len({len(parts) for parts in split}) > 1:
-        return None
-    columns = [
-        [parts[i] if i % 2 == 0 else int(parts[i]) for parts in split] for i in range(len(split[0]))
-    ]
-    varying = [(i, column) for i, column in enumerate(columns) if len(set(column)) > 1]
-    if len(varying) != 1 or varying[0][0] % 2 == 0:
-        return None
-    numbers = [int(number) for number in varying[0][1]]
-    if max(numbers) > _MAX_STAMP:
-        return None
-    steps = list(map(operator.sub, numbers[1:], numbers[:-1]))
-    least = min(steps)
-    return numbers if least > 0 and not any(step % least for step in steps) else None
-
-
-def stamps_in(stems: list[str]) -> list[int]:
-    """Return the time stamps in ns that names without suffix are, as cameras' drivers name images.
-
-    Those are seconds since 1970 with a decimal point, or whole ms, us or ns since then, in what
-    is but for that the same in all names. None where one is not, or they do not rise.
-    """
-    found = [_NAME_STAMP.fullmatch(stem) for stem in stems]
-    if not all(found) or len({(each[1], each[5]) for each in found if each}) != 1:
-        return []
-    stamps = [_stamp_of(each) for each in found if each]
-    rising = all(before < after for before, after in itertools.pairwise(stamps))
-    return stamps if rising and len(stamps) > 1 else []
-
-
-def _stamp_of(found: re.Match[str]) -> int:
-    if found[3]:
-        return int(found[2]) * _NS + int(f"{found[3]:0<9.9}")
-    return int(found[4].ljust(19, "0"))
-
-
-def gaps(numbers: list[int]) -> list[str]:
-    """Return a line that names the gaps in a numbering, if there are any."""
-    steps = list(map(operator.sub, numbers[1:], numbers[:-1]))
-    pairs = zip(itertools.pairwise(numbers), steps, strict=True)
-    gaps = [f"{before} and {after}" for (before, after), step in pairs if step > min(steps)]
-    if not gaps:
-        return []
-    more = f" and in {len(gaps) - 1} other places" if len(gaps) > 1 else ""
-    return [f"numbers are missing between {gaps[0]}{more}: check that no images are lost"]
-
-
 def _euroc(table: Path, folder: Path) -> Timeline:
     """Return the images that a EuRoC camera's table lists, in the order of time."""
     content = read_bytes(table, "the time stamps", MAX_TABLE_BYTES)
@@ -142,7 +74,7 @@ def _euroc(table: Path, folder: Path) -> Timeline:
         if not line.strip() or stamp.startswith("#"):
             continue
         named = comma and Path(name).name == name
-        if not (named and re.fullmatch("[0-9]{1,19}", stamp) and int(stamp) <= _MAX_STAMP):
+        if not (named and re.fullmatch("[0-9]{1,19}", stamp) and int(stamp) <= MAX_STAMP):
             raise InputError(f"{table}, line {number}: give 'time stamp in ns,file name'")
         rows.append((int(stamp), folder / name))
     rows.sort()
@@ -181,7 +113,7 @@ def _date(line: str) -> int:
 
 
 def _stamp(stamp_ns: int) -> int:
-    if not 0 <= stamp_ns <= _MAX_STAMP:
+    if not 0 <= stamp_ns <= MAX_STAMP:
         raise ValueError
     return stamp_ns
 
