@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 def _trails(right: Memory, left: Memory, settings: Settings) -> Found:
-    from motionstereo_cli.memory import age_of, keys_of
+    from motionstereo_cli.memory import age_of, blurred, keys_of
     from motionstereo_cli.stages.cleaning import filled, without_speckles
     from motionstereo_cli.stages.confidence import confidence
     from motionstereo_cli.stages.residual import residual
@@ -34,7 +34,7 @@ def _trails(right: Memory, left: Memory, settings: Settings) -> Found:
         max_ratio=s.max_ratio,
         min_votes=s.min_votes,
     )
-    differs = residual(disparity, right.grey, left.grey)
+    differs = residual(disparity, blurred(right, s), blurred(left, s))
     matched = without_speckles(disparity, differs <= s.max_residual, s.speckle_px)
     disparity = filled(matched, wanted > 0, s.gap_px)
     return disparity, lambda: confidence(disparity, matched, votes, differs, age_of(right, s))
@@ -45,9 +45,10 @@ def _dense(right: Memory, left: Memory, settings: Settings) -> Found:
 
     from motionstereo_cli.memory import age_of, keys_of
     from motionstereo_cli.stages.balance import balanced
+    from motionstereo_cli.stages.borders import hidden_filled, trimmed
     from motionstereo_cli.stages.cleaning import filled, without_speckles
     from motionstereo_cli.stages.confidence import confidence_by_margin
-    from motionstereo_cli.stages.dense import ROWS, match_dense
+    from motionstereo_cli.stages.dense import ROWS, match_dense, smoothed, weights_of
     from motionstereo_cli.stages.trails import match_trails
 
     s, wanted = settings, keys_of(right, settings)
@@ -60,16 +61,16 @@ def _dense(right: Memory, left: Memory, settings: Settings) -> Found:
         max_ratio=s.max_ratio,
         min_votes=max(s.min_votes // ROWS, 1),
     )
+    right_grey = smoothed(right.grey)
+    left_grey = balanced(right_grey, smoothed(left.grey), s.max_disparity)
     disparity, margin = match_dense(
-        right.grey,
-        balanced(right.grey, left.grey, s.max_disparity),
-        charged,
-        proposed,
-        age_of(right, s)[::ROWS] == 0,
+        *(right_grey, left_grey, charged, proposed),
+        weights_of(proposed, wanted[::ROWS], age_of(right, s)[::ROWS] == 0),
         s.max_disparity,
     )
+    disparity = trimmed(disparity, right_grey, left_grey)
     matched = without_speckles(disparity, ~np.isnan(disparity), s.speckle_px)
-    disparity = filled(matched, charged, s.gap_px)
+    disparity = hidden_filled(filled(matched, charged, s.gap_px), charged)
     disparity[~charged] = np.nan
     return disparity, lambda: confidence_by_margin(disparity, matched, margin)
 

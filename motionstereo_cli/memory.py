@@ -31,8 +31,8 @@ class Memory:
     """What one camera knows after an image.
 
     Attributes:
-        grey: the image, blurred, (height, width) uint8.
-        contrast: what bands are taken from: the local contrast of the image, blurred, or its grey.
+        grey: the image, (height, width) uint8.
+        contrast: what bands are taken from: the image or its local contrast, blurred.
         bands: its grey-level bands 1..n, (height, width) uint8, or uint16 for 256 bands.
         moved: where the band has just changed, (height, width) bool.
         charge: charge of each pixel, (height, width) uint8.
@@ -56,16 +56,13 @@ def see(memory: Memory | None, image: Grey, settings: Settings) -> Memory:
         settings: parameters of bands, motion and charge.
     """
     s = settings
-    grey = blur(image, s.blur_px)
-    local = grey
-    if s.contrast_px > 0:
-        local = blur(contrast(image, s.contrast_px, s.contrast_floor), s.blur_px)
+    local = blur(contrast(image, s.contrast_px, s.contrast_floor), s.blur_px)
     banded = bands(local, _band_table(s.bands, s.grey_min, s.grey_max))
     if memory is None:
-        at_rest = np.full_like(grey, s.charge_min)
-        return Memory(grey, local, banded, np.zeros(grey.shape, np.bool_), at_rest)
+        at_rest = np.full_like(image, s.charge_min)
+        return Memory(image, local, banded, np.zeros(image.shape, np.bool_), at_rest)
     if s.charge_mode == "permanency" and banded.dtype == np.uint8:
-        return Memory(grey, local, banded, *_moved_and_charge(memory, local, banded, s))
+        return Memory(image, local, banded, *_moved_and_charge(memory, local, banded, s))
     moved = motion(banded, memory.bands, local, memory.contrast, s.min_jump)
     limits = {"charge_max": s.charge_max, "charge_min": s.charge_min}
     if s.charge_mode == "permanency":
@@ -73,7 +70,7 @@ def see(memory: Memory | None, image: Grey, settings: Settings) -> Memory:
     else:
         gains = {"gain": s.charge_gain, "leak": s.charge_leak}
         charge = accumulate(memory.charge, moved, **gains, **limits)
-    return Memory(grey, local, banded, moved, charge)
+    return Memory(image, local, banded, moved, charge)
 
 
 def _moved_and_charge(
@@ -110,6 +107,13 @@ def keys_of(memory: Memory, settings: Settings) -> MatchKeys:
     """Return what has to be equal for pixels to correspond, (height, width) uint16; 0 = rest."""
     by_band = settings.match_on == "charge-band"
     return match_keys(memory.charge, settings.charge_min, memory.bands if by_band else None)
+
+
+def blurred(memory: Memory, settings: Settings) -> Grey:
+    """Return the image, blurred, (height, width) uint8."""
+    if settings.contrast_px == 0:
+        return memory.contrast
+    return blur(memory.grey, settings.blur_px)
 
 
 def in_mirror(memory: Memory) -> Memory:

@@ -130,7 +130,7 @@ class Settings:
         old="least_votes",
     )
     max_residual: float = param(
-        15.0,
+        8.0,
         "Maximum grey-level difference between corresponding pixels (255 = any). A constant "
         "difference in brightness between the cameras does not count.",
         unit="grey levels",

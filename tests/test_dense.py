@@ -9,12 +9,13 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from motionstereo_cli.stages.balance import balanced
+from motionstereo_cli.stages.borders import hidden_filled, trimmed
 from motionstereo_cli.stages.contrast import contrast, noise_of
-from motionstereo_cli.stages.dense import match_dense, semi_global
+from motionstereo_cli.stages.dense import match_dense, semi_global, weights_of
 
 everywhere = np.ones((48, 96), np.bool_)
-fresh = everywhere[::2]
-nothing_proposed = np.full(fresh.shape, np.nan, np.float32)
+nothing_proposed = np.full((24, 96), np.nan, np.float32)
+no_weights = np.zeros((24, 96), np.int16)
 
 
 def textured(height=48, width=96, grain_px=1.5, seed=0):
@@ -114,7 +115,7 @@ class TestDense:
     @pytest.mark.parametrize("disparity", [0, 7, 30])
     def test_a_wall_has_its_disparity(self, disparity):
         right, left = views(disparity)
-        found, margin = match_dense(right, left, everywhere, nothing_proposed, fresh, 32)
+        found, margin = match_dense(right, left, everywhere, nothing_proposed, no_weights, 32)
         inside = np.s_[:, : 96 - disparity]
         assert (np.abs(found[inside] - disparity) < 0.5).mean() > 0.97
         assert (margin[~np.isnan(found)] >= 60).all()
@@ -124,23 +125,23 @@ class TestDense:
         where = np.zeros(right.shape, np.bool_)
         where[:, :20] = True
         nothing = np.full((24, 200), np.nan, np.float32)
-        found, _ = match_dense(right, left, where, nothing, where[::2], 16)
+        found, _ = match_dense(right, left, where, nothing, np.zeros((24, 200), np.int16), 16)
         assert found.shape == right.shape
         assert (np.abs(found[where] - 5) < 0.5).mean() > 0.95
         assert np.isnan(found[:, 60:]).all()
 
     def test_where_grey_tells_nothing_proposals_decide(self):
         flat = np.full((48, 96), 120, np.uint8)
-        proposed = np.full(fresh.shape, 9, np.float32)
-        known, _ = match_dense(flat, flat, everywhere, proposed, fresh, 32)
-        unknown, _ = match_dense(flat, flat, everywhere, nothing_proposed, fresh, 32)
+        proposed = np.full((24, 96), 9, np.float32)
+        known, _ = match_dense(flat, flat, everywhere, proposed, no_weights + 15, 32)
+        unknown, _ = match_dense(flat, flat, everywhere, nothing_proposed, no_weights, 32)
         assert np.nanmedian(known) == pytest.approx(9, abs=0.5)
         assert np.isnan(unknown).all()
 
     def test_where_grey_tells_proposals_do_not_decide(self):
         right, left = views(12)
-        stale = np.full(fresh.shape, 25, np.float32)
-        found, _ = match_dense(right, left, everywhere, stale, ~fresh, 32)
+        stale = np.full((24, 96), 25, np.float32)
+        found, _ = match_dense(right, left, everywhere, stale, no_weights + 5, 32)
         assert (np.abs(found[:, :80] - 12) < 0.5).mean() > 0.97
 
     def test_a_card_before_a_wall_ends_where_it_ends(self):
@@ -148,7 +149,7 @@ class TestDense:
         card = textured(24, 30, seed=3)[:, :30] // 2
         right[12:36, 40:70] = card
         left[12:36, 58:88] = card
-        found, _ = match_dense(right, left, everywhere, nothing_proposed, fresh, 32)
+        found, _ = match_dense(right, left, everywhere, nothing_proposed, no_weights, 32)
         truth = np.full((48, 96), 4.0)
         truth[12:36, 40:70] = 18
         hidden = np.zeros((48, 96), np.bool_)
@@ -156,3 +157,68 @@ class TestDense:
         known = ~np.isnan(found) & ~hidden
         assert (np.abs(found - truth)[known] > 1).mean() < 0.04
         assert known.mean() > 0.8
+
+    def test_trails_propose_near_their_ends_only(self):
+        keys = np.repeat(np.array([[1, 2, 3]], np.uint16), [30, 3, 7], axis=1)
+        proposed = np.full(keys.shape, 5, np.float32)
+        proposed[0, 28] = np.nan
+        weights = weights_of(proposed, keys, keys == 2)[0]
+        assert (np.flatnonzero(weights == 0) == [*range(24), 28, *range(39, 40)]).all()
+        assert (weights[30:33] > weights[33]).all()
+
+
+class TestBorders:
+    def scene(self, disparity_px=20):
+        """A card of 30 px before a wall: views, truth, and what the left camera does not see."""
+        right, left = (view.copy() for view in views(4))
+        card = textured(24, 30, seed=3)[:, :30] // 2
+        right[12:36, 40:70] = card
+        left[12:36, 40 + disparity_px : 70 + disparity_px] = card
+        truth = np.full((48, 96), 4, np.float32)
+        truth[12:36, 40:70] = disparity_px
+        hidden = np.zeros((48, 96), np.bool_)
+        hidden[12:36, 70 : 70 + disparity_px - 4] = True
+        return right, left, truth, hidden
+
+    def test_an_object_made_too_large_is_trimmed_and_what_it_hides_is_filled(self):
+        right, left, truth, hidden = self.scene()
+        large = cv2.dilate(truth, np.ones((5, 7), np.uint8))
+        large[hidden & (large == 4)] = np.nan
+        found = trimmed(large, right, left)
+        assert (np.abs(large - truth) > 1).sum() > 200
+        assert (np.abs(found - truth) > 1).sum() < 20
+        assert np.isnan(found[hidden]).mean() > 0.9
+        filled = hidden_filled(found, everywhere)
+        assert (np.abs(filled - truth) > 1).sum() < 20
+        assert np.isnan(filled).mean() < 0.01
+
+    def test_borders_that_are_right_stay(self):
+        right, left, truth, hidden = self.scene()
+        truth[hidden] = np.nan
+        found = trimmed(truth, right, left)
+        assert (np.isnan(found) != np.isnan(truth)).sum() + (np.abs(found - truth) > 1).sum() < 12
+
+    @settings(max_examples=40, deadline=None)
+    @given(
+        arrays(np.float32, (4, 12), elements=st.sampled_from([np.nan, 0, 1.25, 6, 6.5, 14])),
+        arrays(np.uint8, (2, 4, 12), elements=st.integers(0, 255)),
+    )
+    def test_pixels_far_from_borders_stay_and_others_go_to_what_is_beside(self, disparity, greys):
+        found = trimmed(disparity, *greys)
+        leaps = np.zeros((4, 12), np.uint8)
+        unknown = np.nan_to_num(disparity, nan=-9)
+        leaps[:, 1:] = np.abs(np.diff(unknown, axis=1)) > 1.5
+        leaps[1:] |= np.abs(np.diff(unknown, axis=0)) > 1.5
+        near = cv2.dilate(leaps, np.ones((9, 9), np.uint8)) > 0
+        np.testing.assert_array_equal(found[~near], disparity[~near])
+        assert np.isnan(found)[np.isnan(disparity)].all()
+        assert (found <= disparity)[~np.isnan(found)].all()
+
+    def test_only_what_a_nearer_object_on_the_left_can_hide_is_filled(self):
+        nan = np.nan
+        row = [9, nan, nan, nan, 3, 2.5, 3, nan, nan, 12, nan, 3, *[nan] * 16, 3]
+        disparity = np.array([row], np.float32)
+        where = ~np.zeros(disparity.shape, np.bool_)
+        where[0, 2] = False
+        wanted = [9, 2.5, nan, 2.5, 3, 2.5, 3, nan, nan, 12, 3, 3, *[nan] * 16, 3]
+        np.testing.assert_array_equal(hidden_filled(disparity, where), [wanted])

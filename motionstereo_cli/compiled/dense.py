@@ -31,12 +31,11 @@ class Workspace:
     cost: cython.short[:, ::1]
     total: cython.short[:, ::1]  # of all paths
     across: cython.short[:, ::1]  # paths: from the left and from the right, old and new
-    down: cython.short[:, :, ::1]  # from above, old and new
+    down: cython.short[:, ::1]  # from above, to all columns, old and new
     min_down: cython.short[::1]  # below 0 where no path comes from above
     best: cython.int[::1]
     partner: cython.int[::1]  # of each left pixel: its disparity
     partner_cost: cython.int[::1]
-    kept: cython.short[::1]  # costs beside the least one
 
     def __init__(self, width: cython.Py_ssize_t, count: cython.Py_ssize_t):
         self.low = np.zeros(width + count, np.int16)
@@ -48,15 +47,15 @@ class Workspace:
         self.cost = np.zeros((width, count), np.int16)
         self.total = np.zeros((width, count), np.int16)
         self.across = np.full((4, count + 2), OUTSIDE, np.int16)
-        self.down = np.full((2, width, count + 2), OUTSIDE, np.int16)
+        self.down = np.full((2 * width, count + 2), OUTSIDE, np.int16)
         self.min_down = np.zeros(width, np.int16)
         self.best = np.zeros(width, np.int32)
         self.partner = np.zeros(width + count, np.int32)
         self.partner_cost = np.zeros(width + count, np.int32)
-        self.kept = np.zeros(3, np.int16)
 
 
 @cython.cclass
+@cython.dataclasses.dataclass
 class Weights:
     """What the costs are made of; see :mod:`motionstereo_cli.stages.dense`."""
 
@@ -69,53 +68,38 @@ class Weights:
     min_margin: cython.float
     min_share: cython.float
 
-    def __init__(
-        self,
-        max_grey: cython.short,
-        max_slope: cython.short,
-        step: cython.short,
-        leap: cython.short,
-        min_leap: cython.short,
-        per_grey_level: cython.short,
-        min_margin: cython.float,
-        min_share: cython.float,
-    ):
-        self.max_grey = max_grey
-        self.max_slope = max_slope
-        self.step = step
-        self.leap = leap
-        self.min_leap = min_leap
-        self.per_grey_level = per_grey_level
-        self.min_margin = min_margin
-        self.min_share = min_share
+
+@cython.cclass
+@cython.dataclasses.dataclass(eq=False)
+class Frame:
+    """What is matched: two views, and what is known before. All are (rows, width).
+
+    Attributes:
+        right, left: grey.
+        right_slope, left_slope: slopes of grey, of the same kind.
+        where: pixels to match, 0 or 1.
+        proposed: preferred disparities in px.
+        weight: what speaks against all others, 0 where none is preferred.
+    """
+
+    right: cython.const[cython.short][:, ::1]
+    left: cython.const[cython.short][:, ::1]
+    right_slope: cython.const[cython.short][:, ::1]
+    left_slope: cython.const[cython.short][:, ::1]
+    where: cython.const[cython.uchar][:, ::1]
+    proposed: cython.const[cython.float][:, ::1]
+    weight: cython.const[cython.short][:, ::1]
 
 
 def semi_global(
-    right: cython.const[cython.short][:, ::1],
-    left: cython.const[cython.short][:, ::1],
-    right_slope: cython.const[cython.short][:, ::1],
-    left_slope: cython.const[cython.short][:, ::1],
-    where: cython.const[cython.uchar][:, ::1],
-    proposed: cython.const[cython.float][:, ::1],
-    weight: cython.const[cython.short][:, ::1],
+    frame: Frame,
     weights: Weights,
     work: Workspace,
     disparity: cython.float[:, ::1],
     margin: cython.float[:, ::1],
 ) -> None:
-    """Fill in disparity and margin, NaN = unknown.
-
-    Args:
-        right, left: grey of both views, (rows, width) int16.
-        right_slope, left_slope: slopes of grey, of the same kind.
-        where: pixels to match, 0 or 1.
-        proposed: preferred disparities in px.
-        weight: what speaks against all others, 0 where none is preferred.
-        weights: what the costs are made of.
-        work: workspace for this width and number of disparities.
-        disparity, margin: get the results, (rows, width) float32.
-    """
-    rows: cython.int = cython.cast(cython.int, right.shape[0])
+    """Fill in disparity and margin, (rows, width); ``work`` is for this width and range."""
+    rows: cython.int = cython.cast(cython.int, disparity.shape[0])
     last: cython.int
     with cython.nogil:
         work.window[:, :] = 0
@@ -123,50 +107,39 @@ def semi_global(
         work.min_down[:] = -1
         for last in range(-1, rows + 1):  # row of the window
             source: cython.int = min(max(last, 0), rows - 1)
-            extend(left, left_slope, source, work)
-            differences(right, right_slope, source, weights, work)
+            extend(frame, source, work)
+            differences(frame, source, weights, work)
             add_up((last + 1) % 3, work)
             y: cython.int = last - 1
             if y < 0:
                 continue
-            propose(where, proposed, weight, y, work)
-            go_across(right, where, y, weights, work)
-            go_down(right, where, y, weights, work)
-            choose(where, y, weights, work, margin)
+            propose(frame, y, work)
+            go_across(frame, y, weights, work)
+            go_down(frame, y, weights, work)
+            choose(frame, y, weights, work, margin)
             paint(y, work, disparity, margin)
 
 
 @cython.cfunc
 @cython.nogil
 @cython.exceptval(check=False)
-def extend(
-    left: cython.const[cython.short][:, ::1],
-    left_slope: cython.const[cython.short][:, ::1],
-    y: cython.int,
-    work: Workspace,
-) -> cython.void:
+def extend(frame: Frame, y: cython.int, work: Workspace) -> cython.void:
     """Fill in slopes, and the least and largest grey within half a pixel, of a left row."""
     x: cython.int
-    last: cython.int = cython.cast(cython.int, left.shape[1]) - 1
+    last: cython.int = cython.cast(cython.int, frame.left.shape[1]) - 1
     for x in range(cython.cast(cython.int, work.low.shape[0])):
-        here: cython.int = left[y, min(x, last)]
-        before: cython.int = (here + left[y, min(max(x - 1, 0), last)]) // 2
-        after: cython.int = (here + left[y, min(x + 1, last)]) // 2
+        here: cython.int = frame.left[y, min(x, last)]
+        before: cython.int = (here + frame.left[y, min(max(x - 1, 0), last)]) // 2
+        after: cython.int = (here + frame.left[y, min(x + 1, last)]) // 2
         work.low[x] = cython.cast(cython.short, min(here, before, after))
         work.high[x] = cython.cast(cython.short, max(here, before, after))
-        work.slope[x] = left_slope[y, min(x, last)]
+        work.slope[x] = frame.left_slope[y, min(x, last)]
 
 
 @cython.cfunc
 @cython.nogil
 @cython.exceptval(check=False)
-def differences(
-    right: cython.const[cython.short][:, ::1],
-    right_slope: cython.const[cython.short][:, ::1],
-    y: cython.int,
-    weights: Weights,
-    work: Workspace,
-) -> cython.void:
+def differences(frame: Frame, y: cython.int, weights: Weights, work: Workspace) -> cython.void:
     """Fill in how much each right pixel of a row differs from the left one of each disparity."""
     x: cython.Py_ssize_t
     d: cython.Py_ssize_t
@@ -177,8 +150,8 @@ def differences(
     max_grey: cython.short = weights.max_grey
     max_slope: cython.short = weights.max_slope
     for x in range(cost.shape[0]):
-        grey: cython.short = right[y, x]
-        slope: cython.short = right_slope[y, x]
+        grey: cython.short = frame.right[y, x]
+        slope: cython.short = frame.right_slope[y, x]
         for d in range(cost.shape[1]):
             below: cython.short = low[x + d] - grey
             above: cython.short = grey - high[x + d]
@@ -215,13 +188,7 @@ def add_up(slot: cython.int, work: Workspace) -> cython.void:
 @cython.cfunc
 @cython.nogil
 @cython.exceptval(check=False)
-def propose(
-    where: cython.const[cython.uchar][:, ::1],
-    proposed: cython.const[cython.float][:, ::1],
-    weight: cython.const[cython.short][:, ::1],
-    y: cython.int,
-    work: Workspace,
-) -> cython.void:
+def propose(frame: Frame, y: cython.int, work: Workspace) -> cython.void:
     """Fill in the costs of a row: those of the windows, and more where another is proposed."""
     x: cython.Py_ssize_t
     d: cython.Py_ssize_t
@@ -231,14 +198,14 @@ def propose(
     total: cython.short[:, ::1] = work.total
     count: cython.int = cython.cast(cython.int, cost.shape[1])
     for x in range(cost.shape[0]):
-        if not where[y, x]:
+        if not frame.where[y, x]:
             continue
-        w: cython.short = weight[y, x]
+        w: cython.short = frame.weight[y, x]
         for d in range(cost.shape[1]):
             cost[x, d] = window[x, d] + w
             total[x, d] = 0
         if w > 0:
-            wanted: cython.float = proposed[y, x]
+            wanted: cython.float = frame.proposed[y, x]
             near: cython.int = cython.cast(cython.int, wanted + 0.5)
             for k in range(max(near - 2, 0), min(near + 3, count)):
                 away: cython.float = abs(k - wanted)
@@ -250,34 +217,62 @@ def propose(
 @cython.nogil
 @cython.inline
 @cython.exceptval(check=False)
-def leap_between(a: cython.short, b: cython.short, weights: Weights) -> cython.short:
-    """Return the penalty of a larger change of disparity between two neighbours."""
-    leap: cython.int = weights.leap - weights.per_grey_level * abs(a - b)
-    return cython.cast(cython.short, max(leap, weights.min_leap))
+def go_on(
+    path: cython.short[:, ::1],
+    now: cython.Py_ssize_t,
+    after: cython.Py_ssize_t,
+    least: cython.short,
+    edge: cython.int,
+    cost: cython.short[:, ::1],
+    total: cython.short[:, ::1],
+    x: cython.Py_ssize_t,
+    weights: Weights,
+) -> cython.short:
+    """Take a path to the pixel ``x``, add its costs to the total, and return the least of them.
+
+    Row ``now`` of ``path`` has the costs so far, of which ``least`` is the least, below 0 where the
+    path begins; row ``after`` gets those at ``x``. ``edge`` is by how much grey changes on the way.
+    """
+    d: cython.Py_ssize_t
+    count: cython.Py_ssize_t = cost.shape[1]
+    step: cython.short = weights.step
+    leap: cython.short = cython.cast(
+        cython.short, max(weights.leap - weights.per_grey_level * edge, weights.min_leap)
+    )
+    if least < 0:
+        least = leap = 0
+        for d in range(1, count + 1):
+            path[now, d] = 0
+    limit: cython.short = least + leap
+    for d in range(count):
+        here: cython.short = path[now, d + 1]
+        up: cython.short = path[now, d] + step
+        more: cython.short = path[now, d + 2] + step
+        here = here if here < up else up
+        here = here if here < more else more
+        here = here if here < limit else limit
+        here = here - least + cost[x, d]
+        path[after, d + 1] = here
+        total[x, d] = total[x, d] + here
+    least = OUTSIDE
+    for d in range(1, count + 1):
+        least = path[after, d] if path[after, d] < least else least
+    return least
 
 
 @cython.cfunc
 @cython.nogil
 @cython.exceptval(check=False)
-def go_across(
-    right: cython.const[cython.short][:, ::1],
-    where: cython.const[cython.uchar][:, ::1],
-    y: cython.int,
-    weights: Weights,
-    work: Workspace,
-) -> cython.void:
+def go_across(frame: Frame, y: cython.int, weights: Weights, work: Workspace) -> cython.void:
     """Go along a row from both ends in turn, and add the paths' costs to the total.
 
     A step has to wait for the one before it; two ways in turn leave the processor something to do.
     """
     i: cython.Py_ssize_t
-    d: cython.Py_ssize_t
     cost: cython.short[:, ::1] = work.cost
     total: cython.short[:, ::1] = work.total
     path: cython.short[:, ::1] = work.across
     width: cython.Py_ssize_t = cost.shape[0]
-    count: cython.Py_ssize_t = cost.shape[1]
-    step: cython.short = weights.step
     min_left: cython.short = -1  # below 0 where no path comes from before
     min_right: cython.short = -1
     for i in range(2 * width):
@@ -286,29 +281,11 @@ def go_across(
         now: cython.Py_ssize_t = (i & 2) + from_right
         after: cython.Py_ssize_t = 2 - (i & 2) + from_right
         least: cython.short = -1
-        if where[y, x]:
+        if frame.where[y, x]:
             least = min_right if from_right else min_left
-            leap: cython.short = 0
-            if least < 0:
-                least = 0
-                for d in range(1, count + 1):
-                    path[now, d] = 0
-            else:
-                leap = leap_between(right[y, x], right[y, x + 1 if from_right else x - 1], weights)
-            limit: cython.short = least + leap
-            for d in range(count):
-                here: cython.short = path[now, d + 1]
-                up: cython.short = path[now, d] + step
-                more: cython.short = path[now, d + 2] + step
-                here = here if here < up else up
-                here = here if here < more else more
-                here = here if here < limit else limit
-                here = here - least + cost[x, d]
-                path[after, d + 1] = here
-                total[x, d] = total[x, d] + here
-            least = OUTSIDE
-            for d in range(1, count + 1):
-                least = path[after, d] if path[after, d] < least else least
+            beside: cython.Py_ssize_t = min(x + 1, width - 1) if from_right else max(x - 1, 0)
+            edge: cython.int = abs(frame.right[y, x] - frame.right[y, beside])
+            least = go_on(path, now, after, least, edge, cost, total, x, weights)
         if from_right:
             min_right = least
         else:
@@ -318,49 +295,21 @@ def go_across(
 @cython.cfunc
 @cython.nogil
 @cython.exceptval(check=False)
-def go_down(
-    right: cython.const[cython.short][:, ::1],
-    where: cython.const[cython.uchar][:, ::1],
-    y: cython.int,
-    weights: Weights,
-    work: Workspace,
-) -> cython.void:
+def go_down(frame: Frame, y: cython.int, weights: Weights, work: Workspace) -> cython.void:
     """Go a row down in all columns, and add the paths' costs to the total."""
     x: cython.Py_ssize_t
-    d: cython.Py_ssize_t
     cost: cython.short[:, ::1] = work.cost
     total: cython.short[:, ::1] = work.total
-    path: cython.short[:, :, ::1] = work.down
-    count: cython.Py_ssize_t = cost.shape[1]
-    step: cython.short = weights.step
-    now: cython.Py_ssize_t = y & 1
-    after: cython.Py_ssize_t = 1 - now
-    for x in range(cost.shape[0]):
-        if not where[y, x]:
-            work.min_down[x] = -1
-            continue
-        least: cython.short = work.min_down[x]
-        leap: cython.short = 0
-        if least < 0:
-            least = 0
-            for d in range(1, count + 1):
-                path[now, x, d] = 0
-        else:
-            leap = leap_between(right[y, x], right[y - 1, x], weights)
-        limit: cython.short = least + leap
-        for d in range(count):
-            here: cython.short = path[now, x, d + 1]
-            up: cython.short = path[now, x, d] + step
-            more: cython.short = path[now, x, d + 2] + step
-            here = here if here < up else up
-            here = here if here < more else more
-            here = here if here < limit else limit
-            here = here - least + cost[x, d]
-            path[after, x, d + 1] = here
-            total[x, d] = total[x, d] + here
-        least = OUTSIDE
-        for d in range(1, count + 1):
-            least = path[after, x, d] if path[after, x, d] < least else least
+    path: cython.short[:, ::1] = work.down
+    width: cython.Py_ssize_t = cost.shape[0]
+    now: cython.Py_ssize_t = (y & 1) * width
+    after: cython.Py_ssize_t = width - now
+    for x in range(width):
+        least: cython.short = -1
+        if frame.where[y, x]:
+            least = work.min_down[x]
+            edge: cython.int = abs(frame.right[y, x] - frame.right[max(y - 1, 0), x])
+            least = go_on(path, now + x, after + x, least, edge, cost, total, x, weights)
         work.min_down[x] = least
 
 
@@ -368,11 +317,16 @@ def go_down(
 @cython.nogil
 @cython.inline
 @cython.exceptval(check=False)
-def min_of(total: cython.short[:, ::1], x: cython.Py_ssize_t) -> cython.short:
-    """Return the least of a row."""
+def min_of(
+    total: cython.short[:, ::1],
+    x: cython.Py_ssize_t,
+    begin: cython.Py_ssize_t,
+    end: cython.Py_ssize_t,
+) -> cython.short:
+    """Return the least of a pixel's costs for some disparities."""
     d: cython.Py_ssize_t
     least: cython.short = MAX_COST
-    for d in range(total.shape[1]):
+    for d in range(begin, end):
         least = total[x, d] if total[x, d] < least else least
     return least
 
@@ -381,36 +335,25 @@ def min_of(total: cython.short[:, ::1], x: cython.Py_ssize_t) -> cython.short:
 @cython.nogil
 @cython.exceptval(check=False)
 def choose(
-    where: cython.const[cython.uchar][:, ::1],
-    y: cython.int,
-    weights: Weights,
-    work: Workspace,
-    margin: cython.float[:, ::1],
+    frame: Frame, y: cython.int, weights: Weights, work: Workspace, margin: cython.float[:, ::1]
 ) -> cython.void:
     """Fill in the disparity of least cost, -1 = unknown, and its margin."""
     x: cython.Py_ssize_t
-    d: cython.Py_ssize_t
     total: cython.short[:, ::1] = work.total
     count: cython.Py_ssize_t = total.shape[1]
-    kept: cython.short[::1] = work.kept
     work.partner[:] = -2
     for x in range(total.shape[0]):
         work.best[x] = -1
-        if not where[y, x]:
+        if not frame.where[y, x]:
             continue
-        least: cython.short = min_of(total, x)
+        least: cython.short = min_of(total, x, 0, count)
         found: cython.Py_ssize_t = 0
         while total[x, found] != least:
             found += 1
-        # The least but for the neighbours, which are put aside meanwhile.
-        first: cython.Py_ssize_t = max(found - 1, 0)
-        last: cython.Py_ssize_t = min(found + 1, count - 1)
-        for d in range(first, last + 1):
-            kept[d - first] = total[x, d]
-            total[x, d] = MAX_COST
-        second: cython.short = min_of(total, x)
-        for d in range(first, last + 1):
-            total[x, d] = kept[d - first]
+        # Its neighbours do not compete with it.
+        second: cython.short = min(
+            min_of(total, x, 0, found - 1), min_of(total, x, found + 2, count)
+        )
         if work.partner[x + found] == -2 or least < work.partner_cost[x + found]:
             work.partner[x + found] = cython.cast(cython.int, found)
             work.partner_cost[x + found] = least

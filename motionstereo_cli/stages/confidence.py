@@ -24,12 +24,12 @@ _FILLED_VOTES = np.float32(340)
 _FILLED_RESIDUAL = np.float32(3)
 
 #: The same for the dense matcher, whose margin says more than all else: constant, log2 of the
-#: margin. Fitted on rendered corridors, turns, cards and layers, on a rendered walk, on objects
-#: before a real still scene, and on people seen from above.
-_DENSE_CONSTANT = -6.02
-_PER_DOUBLED_MARGIN = 1.02
+#: margin. Fitted on rendered corridors, turns, cards, layers and streets, on a rendered walk, and
+#: on objects before a real still scene.
+_DENSE_CONSTANT = -5.26
+_PER_DOUBLED_MARGIN = 0.946
 _MAX_MARGIN = 1024
-_FILLED_MARGIN = np.float32(82)
+_FILLED_MARGIN = np.float32(97)
 
 #: Tables, for logarithms and exponentials take their time: what votes contribute, and the
 #: logistic function from minus to plus the largest logit in steps of 1/64.

@@ -28,6 +28,12 @@ _STEP, _LEAP, _MIN_LEAP, _PER_GREY_LEVEL = 72, 300, 120, 3
 #: What speaks against all other disparities where one is proposed, in this very frame or before.
 _FRESH, _OLD = 15, 5
 
+#: A trail proposes within so many px of its ends: what lies between them is interpolated.
+_END_PX = 6
+
+#: Diameter in px, sigma in grey levels and in px of the filter that takes out noise, not edges.
+_SMOOTHING = 5, 10, 1.5
+
 #: Nothing is known where the second best disparity costs less than this more than the best, or
 #: less than this share more.
 _MIN_MARGIN, _MIN_SHARE = 60, 0.05
@@ -37,9 +43,31 @@ _MIN_MARGIN, _MIN_SHARE = 60, 0.05
 _AROUND_ROWS, _AROUND_COLUMNS = 16, 32
 
 
-_WEIGHTS = loops.Weights(
+_WEIGHTS = loops.Weights(  # type: ignore[call-arg]  # mypy does not know its dataclasses
     *(_MAX_GREY, _MAX_SLOPE, _STEP, _LEAP, _MIN_LEAP, _PER_GREY_LEVEL, _MIN_MARGIN, _MIN_SHARE)
 )
+
+
+def smoothed(view: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Return a view with less noise and sharp edges, (height, width) uint8: a bilateral filter."""
+    return np.asarray(cv2.bilateralFilter(view, *_SMOOTHING), np.uint8)
+
+
+def weights_of(
+    proposed_px: NDArray[np.float32], keys: NDArray[np.uint16], fresh: NDArray[np.bool_]
+) -> NDArray[np.int16]:
+    """Return what speaks against all disparities but those proposed, 0 = nothing, of a shape.
+
+    Args:
+        proposed_px: disparities of trails, (rows, width) float32, NaN = none.
+        keys: what they were matched by, equal within a trail, (rows, width) uint16.
+        fresh: where they are of this very frame, (rows, width) bool.
+    """
+    row = np.ones((1, 2 * _END_PX + 1), np.uint8)
+    near_end = cv2.dilate(keys, row) != cv2.erode(keys, row)
+    weights = np.where(fresh, np.int16(_FRESH), np.int16(_OLD))
+    weights[np.isnan(proposed_px) | ~near_end] = 0
+    return weights
 
 
 def match_dense(
@@ -47,7 +75,7 @@ def match_dense(
     left: NDArray[np.uint8],
     where: NDArray[np.bool_],
     proposed_px: NDArray[np.float32],
-    fresh: NDArray[np.bool_],
+    weights: NDArray[np.int16],
     max_disparity: int,
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Return disparity and its margin, (height, width) float32 each, NaN = unknown.
@@ -59,16 +87,14 @@ def match_dense(
         right, left: views of equal brightness, (height, width) uint8.
         where: right pixels wanted, (height, width) bool.
         proposed_px: disparities to prefer where grey does not decide, of every second row from
-            the first on, (ceil(height / 2), width) float32, NaN = none.
-        fresh: where they are of this very frame, of the same rows, bool.
+            the first on, (ceil(height / 2), width) float32.
+        weights: how much to prefer them, see :func:`weights_of`, of the same rows.
         max_disparity: largest x in the left view minus x in the right one, px.
     """
     height = right.shape[0]
     right_grey, left_grey, wanted = (
         _halved(view) for view in (right, left, where.view(np.uint8) * np.uint8(255))
     )
-    weights = np.where(fresh, np.int16(_FRESH), np.int16(_OLD))
-    weights[np.isnan(proposed_px)] = 0
     disparity, margin = semi_global(
         right_grey.astype(np.int16),
         left_grey.astype(np.int16),
@@ -123,7 +149,7 @@ def semi_global(
         max_disparity: px.
     """
     disparity, margin = np.empty((2, *right.shape), np.float32)
-    loops.semi_global(
+    frame = loops.Frame(  # type: ignore[call-arg]
         np.ascontiguousarray(right),
         np.ascontiguousarray(left),
         np.ascontiguousarray(right_slope),
@@ -131,8 +157,7 @@ def semi_global(
         np.ascontiguousarray(where).view(np.uint8),
         np.ascontiguousarray(proposed_px),
         np.ascontiguousarray(weight),
-        _WEIGHTS,
-        reused(loops.Workspace, right.shape[1], max_disparity + 1),
-        *(disparity, margin),
     )
+    work = reused(loops.Workspace, right.shape[1], max_disparity + 1)
+    loops.semi_global(frame, _WEIGHTS, work, disparity, margin)
     return disparity, margin
