@@ -329,7 +329,8 @@ def test_what_ends_its_worker_is_lost_by_itself(archive, tmp_path, monkeypatch):
     assert "Traceback" not in ended.stderr
 
 
-def test_an_interrupted_batch_goes_on(archive, tmp_path):
+@pytest.mark.parametrize("ended_by", [signal.SIGINT, signal.SIGKILL], ids=["Ctrl-C", "killed"])
+def test_a_batch_that_was_ended_goes_on(archive, tmp_path, ended_by):
     out = tmp_path / "out"
     command = [sys.executable, "-m", "motionstereo_cli", "batch", "--workers", "1", "--no-check"]
     command += [str(archive / "all.csv"), "-o", str(out)]
@@ -337,10 +338,10 @@ def test_an_interrupted_batch_goes_on(archive, tmp_path):
     until_s = time.monotonic() + 120
     while not list(out.glob("day/*/run.json")) and time.monotonic() < until_s:
         time.sleep(0.05)
-    process.send_signal(signal.SIGINT)
-    _, said = process.communicate(timeout=120)
-    assert process.returncode == 130, said
-    assert "the same command goes on" in said
+    process.send_signal(ended_by)
+    _, said = process.communicate(timeout=120)  # workers end too, and with them their output
+    assert process.returncode == (130 if ended_by == signal.SIGINT else -signal.SIGKILL), said
+    assert ("the same command goes on" in said) == (ended_by == signal.SIGINT)
     done = {path: path.stat().st_mtime_ns for path in out.glob("day/*/run.json")}
     assert batched(archive / "all.csv", "-o", out) == 1
     assert done == {path: path.stat().st_mtime_ns for path in done}

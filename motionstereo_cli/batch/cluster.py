@@ -7,6 +7,7 @@ import dataclasses
 import importlib.util
 import os
 import signal
+import sys
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,6 +23,17 @@ if TYPE_CHECKING:
 _ANSWER_S = 10
 #: How long its workers may take to come, in s.
 _WORKERS_S = 60
+
+#: Of Dask. A task whose worker dies is tried once more. Workers are forks of one process that has
+#: loaded everything, where forks are safe: each would take 1.2 s of processor time otherwise.
+_SETTINGS: Mapping[str, object] = {
+    "distributed.scheduler.allowed-failures": 1,
+    "logging.distributed": "critical",
+    "distributed.nanny.pre-spawn-environ.DASK_LOGGING__DISTRIBUTED": "critical",
+    "distributed.worker.multiprocessing-method": (
+        "forkserver" if sys.platform == "linux" else "spawn"
+    ),
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,35 +84,41 @@ def client_of(cluster: Cluster, tasks: int, say: Callable[[str, str], object]) -
     Raises:
         InputError: Dask is not installed, the scheduler does not answer, or versions differ.
     """
-    try:
-        import dask
-        import distributed  # noqa: F401
-    except ImportError:
-        raise InputError("batch needs Dask: pip install 'motionstereo[batch]'") from None
-    # A worker that dies is tried once more.
-    settings = {"distributed.scheduler.allowed-failures": 1, "logging.distributed": "critical"}
-    with dask.config.set(settings):
+    if not importlib.util.find_spec("distributed"):
+        raise InputError("batch needs Dask: pip install 'motionstereo[batch]'")
+    import dask
+
+    with dask.config.set(_SETTINGS):
         opened = _started(cluster, tasks) if cluster.local else _joined(cluster)
         with opened as client:
-            where = [] if cluster.local else [f"{threads_of(client)} workers"]
-            with contextlib.suppress(KeyError):  # a scheduler without one
-                where += [f"dashboard at {link}"] if (link := client.dashboard_link) else []
-            if where:
-                say("note", "; ".join(where))
+            if where := _words_of(client, local=cluster.local):
+                say("note", where)
             _check_versions(client)
             yield client
+
+
+def _words_of(client: Client, *, local: bool) -> str:
+    """Return how many workers a cluster has, and where its dashboard is."""
+    words = [] if local else [f"{threads_of(client)} workers"]
+    # The dashboard is drawn by a package that Dask does not bring.
+    if not local or importlib.util.find_spec("bokeh"):
+        with contextlib.suppress(KeyError):  # a scheduler without one
+            words += [f"dashboard at {link}"] if (link := client.dashboard_link) else []
+    return "; ".join(words)
 
 
 @contextlib.contextmanager
 def _started(cluster: Cluster, tasks: int) -> Iterator[Client]:
     """Yield a client of processes on this machine."""
     from distributed import Client, LocalCluster
+    from distributed.utils import get_mp_context
 
+    get_mp_context().set_forkserver_preload(["distributed", "motionstereo_cli.batch.worker"])
     workers = min(cluster.workers or usable_cores(), tasks)
-    # Dask's dashboard is drawn by a package that it does not bring.
-    dashboard = "127.0.0.1:0" if importlib.util.find_spec("bokeh") else None
+    # A port of its own for Dask's pages, so that two batches do not want the same.
+    options = {"threads_per_worker": 1, "dashboard_address": "127.0.0.1:0"}
     with _deaf_children():
-        local = LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address=dashboard)
+        local = LocalCluster(n_workers=workers, **options)
     with local, Client(local) as client:
         yield client
 
