@@ -103,12 +103,12 @@ def test_paths_are_relative_to_the_manifest_and_cells_are_options(tmp_path):
         "both.mp4,,two,,,\n",
     )
     one, two = read_manifest(path, OPTIONS, {"rig"})
-    assert one.arguments == (
+    assert one.options == (
         *("--rig", str(tmp_path / "k1.yaml"), "--rig", str(tmp_path / "k2.yaml")),
-        *("--max-disparity", "96", "--no-check", "--"),
-        *(str(tmp_path / "l.mp4"), str(tmp_path / "r.mp4")),
+        *("--max-disparity", "96", "--no-check"),
     )
-    assert two.arguments == ("--", str(tmp_path / "both.mp4"))
+    assert one.inputs == (str(tmp_path / "l.mp4"), str(tmp_path / "r.mp4"))
+    assert (two.options, two.inputs) == ((), (str(tmp_path / "both.mp4"),))
 
 
 @pytest.mark.parametrize(
@@ -116,6 +116,7 @@ def test_paths_are_relative_to_the_manifest_and_cells_are_options(tmp_path):
     [
         ("left,out\nx,a\nx,a\n", "line 3: out a is that of"),
         ("left,out\nx,a\nx,a/b\n", "line 3: out a/b lies in one another with"),
+        ("left,out\nx,a/b/c\nx,a\n", "line 3: out a lies in one another with that of"),
         ("left,out\nx,../a\n", "does not lie in the folder"),
         ("left,out,max-disparity\nx,a,none\n", "line 2: --max-disparity cannot be 'none'"),
         ("left,out\nmissing.mp4,a\n", "line 2: there is no"),
@@ -133,7 +134,7 @@ def test_a_batch_is_refused_whole(tmp_path, rows, said):
 def test_patterns_pair_what_differs(archive):
     found = matched(str(archive / "*/left.mp4"), str(archive / "*/right.mp4"))
     assert [entry.name for entry in found] == ["a", "b", "bad", "c"]
-    assert found[0].arguments[1:] == (str(archive / "a/left.mp4"), str(archive / "a/right.mp4"))
+    assert found[0].inputs == (str(archive / "a/left.mp4"), str(archive / "a/right.mp4"))
     with pytest.raises(InputError, match="no partner"):
         matched(str(archive / "*/left.mp4"), str(archive / "[ab]/right.mp4"))
     with pytest.raises(InputError, match="nothing matches"):

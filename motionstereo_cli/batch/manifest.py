@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import csv
+import dataclasses
+import functools
 import glob
 import io
 import os
@@ -27,12 +29,14 @@ class Entry:
 
     Attributes:
         name: its folder under that of the batch.
-        arguments: those of ``run`` without the folder: options, LEFT, and RIGHT if there is one.
+        options: those of ``run``, without the folder.
+        inputs: LEFT, and RIGHT if there is one.
         place: where it stands, for messages.
     """
 
     name: str
-    arguments: tuple[str, ...]
+    options: tuple[str, ...]
+    inputs: tuple[str, ...]
     place: str
 
 
@@ -95,7 +99,7 @@ def _entry(
             shown = value.strip()
             arguments += [f"--{name}", str(folder / shown) if name in files else shown]
     inputs = [str(folder / row[name]) for name in ("left", "right") if name in row]
-    return Entry(str(PurePosixPath(row["out"])), (*arguments, "--", *inputs), place)
+    return Entry(str(PurePosixPath(row["out"])), tuple(arguments), tuple(inputs), place)
 
 
 def matched(left: str, right: str | None) -> list[Entry]:
@@ -118,7 +122,7 @@ def matched(left: str, right: str | None) -> list[Entry]:
         wrong = [f"nothing matches {left}"]
     _refuse(left, list(dict.fromkeys(wrong)))
     return [
-        Entry(name, ("--", *(side[name] for side in sides)), sides[0][name]) for name in sides[0]
+        Entry(name, (), tuple(side[name] for side in sides), sides[0][name]) for name in sides[0]
     ]
 
 
@@ -150,15 +154,22 @@ def plans(
             path is not there; its notes say all that is wrong, a line each.
     """
     found: dict[str, RunPlan] = {}
-    places: dict[str, str] = {}
+    names = _Names()
     wrong = []
+    # Most have the same options: to take these apart is what takes time.
+    with_options = functools.cache(lambda options: plan_of(("--resume", *options, "--", "left")))
     for entry in entries:
-        if problem := _wrong_name(entry.name, places):
+        if problem := names.add(entry.name, entry.place):
             wrong.append(f"{entry.place}: {problem}")
             continue
-        places[entry.name] = entry.place
+        left, *rest = entry.inputs
         try:
-            plan = plan_of(("--out", str(out / entry.name), "--resume", *entry.arguments))
+            plan = dataclasses.replace(
+                with_options(entry.options),
+                left=left,
+                right=rest[0] if rest else None,
+                out=out / entry.name,
+            )
         except MotionStereoError as error:
             wrong.append(f"{entry.place}: {error}")
             continue
@@ -174,16 +185,26 @@ def _there(path: str) -> bool:
     return os.path.exists(path) or bool(glob.glob(path))
 
 
-def _wrong_name(name: str, places: Mapping[str, str]) -> str:
-    parts = PurePosixPath(name).parts
-    if not parts or name.startswith("/") or ".." in parts:
-        return f"out {name!r} does not lie in the folder of the batch"
-    for other, place in places.items():
-        shorter, longer = sorted((parts, PurePosixPath(other).parts), key=len)
-        if longer[: len(shorter)] == shorter:
-            how = "is" if shorter == longer else "lies in one another with"
-            return f"out {name} {how} that of {place}"
-    return ""
+class _Names:
+    """Folders of recordings, of which none may be that of another or lie in one."""
+
+    def __init__(self) -> None:
+        self._places: dict[PurePosixPath, str] = {}
+        self._above: dict[PurePosixPath, str] = {}
+
+    def add(self, name: str, place: str) -> str:
+        """Take a name, and return what is wrong with it, empty if nothing is."""
+        path = PurePosixPath(name)
+        if not path.parts or path.is_absolute() or ".." in path.parts:
+            return f"out {name!r} does not lie in the folder of the batch"
+        if path in self._places:
+            return f"out {name} is that of {self._places[path]}"
+        nested = (self._places[each] for each in path.parents if each in self._places)
+        if other := self._above.get(path) or next(nested, ""):
+            return f"out {name} lies in one another with that of {other}"
+        self._places[path] = place
+        self._above |= dict.fromkeys(path.parents, place)
+        return ""
 
 
 def _refuse(what: object, wrong: Sequence[str]) -> None:

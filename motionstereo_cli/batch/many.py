@@ -48,6 +48,8 @@ TABLE = "batch.csv"
 _PROGRESS = "motionstereo-frames"
 #: The table is renewed at most once in this time, in s.
 _RENEW_S = 1.0
+#: The workers are counted at most once in this time, in s.
+_ASK_S = 2.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -182,12 +184,13 @@ class _Batch:
         client.subscribe_topic(_PROGRESS, lambda event: self._watcher.frames(event[1]))
         self._stop.unlink(missing_ok=True)
         ended = as_completed()
-        under_way: dict[str, Item] = {}
+        under_way: dict[object, Item] = {}
+        room = _Room(client)
 
         def fill() -> None:
             # No more at a time than there are workers: all tasks that a worker holds are
             # suspects when it dies.
-            while waiting and len(under_way) < threads_of(client):
+            while waiting and len(under_way) < room.tasks:
                 item = waiting.popleft()
                 if self._known[item.name].status not in FAILED:
                     future = self._submit(client, item, jobs)
@@ -246,7 +249,8 @@ class _Batch:
             "pieces": item.pieces if item.piece is None else None,
             "seek": item.seek,
         }
-        key = f"{item.name}-{item.piece}-{item.seek}-{os.getpid()}"
+        # Dask keeps what it knows of each kind of task, which is what the first word says.
+        key = ("motionstereo", f"{item.name}-{item.piece}-{item.seek}-{os.getpid()}")
         future: Future = client.submit(_work, task, key=key, pure=False)
         return future
 
@@ -283,6 +287,20 @@ class _Batch:
         if at_once or time.monotonic() > self._renewed_s + _RENEW_S:
             write_whole(self._out / TABLE, format_statuses(self.statuses))
             self._renewed_s = time.monotonic()
+
+
+class _Room:
+    """How many tasks the workers do at a time; it takes a while to ask."""
+
+    def __init__(self, client: Client) -> None:
+        self._client = client
+        self._tasks, self._asked_s = 0, -math.inf
+
+    @property
+    def tasks(self) -> int:
+        if time.monotonic() > self._asked_s + _ASK_S:
+            self._tasks, self._asked_s = threads_of(self._client), time.monotonic()
+        return self._tasks
 
 
 def _hash(plan: Mapping[str, Any]) -> str:

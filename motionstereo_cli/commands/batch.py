@@ -174,7 +174,7 @@ def _entries(inputs: Sequence[str], shared: Sequence[str]) -> list[Entry]:
         )
     else:
         found = matched(inputs[0], inputs[1] if len(inputs) == 2 else None)
-    return [dataclasses.replace(each, arguments=(*shared, *each.arguments)) for each in found]
+    return [dataclasses.replace(each, options=(*shared, *each.options)) for each in found]
 
 
 def _bar(recordings: int) -> Any:
