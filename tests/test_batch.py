@@ -84,6 +84,9 @@ def manifest(tmp_path, text):
         ("left,out,speed\na,b,1\n", ["line 1: run has no option 'speed'"]),
         ("left,out\na\n,x\n", ["line 2: 1 cells and not 2", "line 3: left cannot be empty"]),
         ("left,out\n", ["names no recording"]),
+        ("left;out\na;b\n", ["line 1: columns are separated by commas only"]),
+        ("left,out,max-disparty\na,b,1\n", ["(did you mean 'max-disparity'?)"]),
+        ("left,out,check\na,b,maybe\n", ["line 2: check cannot be 'maybe': give yes or no"]),
         ("", ["there is no column left", "there is no column out"]),
     ],
 )
@@ -115,8 +118,8 @@ def test_paths_are_relative_to_the_manifest_and_cells_are_options(tmp_path):
     ("rows", "said"),
     [
         ("left,out\nx,a\nx,a\n", "line 3: out a is that of"),
-        ("left,out\nx,a\nx,a/b\n", "line 3: out a/b lies in one another with"),
-        ("left,out\nx,a/b/c\nx,a\n", "line 3: out a lies in one another with that of"),
+        ("left,out\nx,a\nx,a/b\n", "line 3: out a/b and that of"),
+        ("left,out\nx,a/b/c\nx,a\n", "line 3: out a and that of"),
         ("left,out\nx,../a\n", "does not lie in the folder"),
         ("left,out,max-disparity\nx,a,none\n", "line 2: --max-disparity cannot be 'none'"),
         ("left,out\nmissing.mp4,a\n", "line 2: there is no"),
@@ -139,6 +142,8 @@ def test_patterns_pair_what_differs(archive):
         matched(str(archive / "*/left.mp4"), str(archive / "[ab]/right.mp4"))
     with pytest.raises(InputError, match="nothing matches"):
         matched(str(archive / "*/none.mp4"), None)
+    assert [entry.name for entry in matched(str(archive / "a/left.mp4"), None)] == ["left"]
+    assert main(["batch", "a.mp4", "b.mp4", "c.mp4"]) == 2  # as a shell makes of patterns
 
 
 def test_a_plan_survives_the_way_to_another_process():
@@ -406,3 +411,5 @@ def test_without_a_scheduler_there_is_one_line(archive, tmp_path, capsys):
     errors = [line for line in capsys.readouterr().err.splitlines() if line.startswith("error:")]
     assert len(errors) == 1
     assert "there is no scheduler at tcp://127.0.0.1:9" in errors[0]
+    assert main(["batch", *arguments, "--scheduler-file", str(tmp_path / "none.json")]) == 1
+    assert "there is no file" in capsys.readouterr().err

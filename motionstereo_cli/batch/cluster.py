@@ -8,6 +8,7 @@ import importlib.util
 import os
 import signal
 import sys
+import warnings
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -30,6 +31,7 @@ _SETTINGS: Mapping[str, object] = {
     "distributed.scheduler.allowed-failures": 1,
     "logging.distributed": "critical",
     "distributed.nanny.pre-spawn-environ.DASK_LOGGING__DISTRIBUTED": "critical",
+    "distributed.nanny.pre-spawn-environ.PYTHONWARNINGS": "ignore",
     "distributed.worker.multiprocessing-method": (
         "forkserver" if sys.platform == "linux" else "spawn"
     ),
@@ -88,8 +90,9 @@ def client_of(cluster: Cluster, tasks: int, say: Callable[[str, str], object]) -
         raise InputError("batch needs Dask: pip install 'motionstereo[batch]'")
     import dask
 
-    with dask.config.set(_SETTINGS):
-        opened = _started(cluster, tasks) if cluster.local else _joined(cluster)
+    with dask.config.set(_SETTINGS), warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of Dask, which the users of a batch cannot do much about
+        opened = _started(cluster, tasks, say) if cluster.local else _joined(cluster)
         with opened as client:
             if where := _words_of(client, local=cluster.local):
                 say("note", where)
@@ -108,13 +111,16 @@ def _words_of(client: Client, *, local: bool) -> str:
 
 
 @contextlib.contextmanager
-def _started(cluster: Cluster, tasks: int) -> Iterator[Client]:
+def _started(cluster: Cluster, tasks: int, say: Callable[[str, str], object]) -> Iterator[Client]:
     """Yield a client of processes on this machine."""
     from distributed import Client, LocalCluster
     from distributed.utils import get_mp_context
 
     get_mp_context().set_forkserver_preload(["distributed", "motionstereo_cli.batch.worker"])
-    workers = min(cluster.workers or usable_cores(), tasks)
+    cores = usable_cores()
+    workers = min(cluster.workers or cores, tasks)
+    if workers > cores:
+        say("note", f"{workers} workers share {cores} cores: more than one for each gains nothing")
     # A port of its own for Dask's pages, so that two batches do not want the same.
     options = {"threads_per_worker": 1, "dashboard_address": "127.0.0.1:0"}
     with _deaf_children():
@@ -137,6 +143,8 @@ def _joined(cluster: Cluster) -> Iterator[Client]:
             for key, value in cluster.tls.items()
         }
         security = Security(**files, require_encryption=True)
+    if not (cluster.scheduler or (cluster.scheduler_file and cluster.scheduler_file.is_file())):
+        raise InputError(f"there is no file {address}: a scheduler writes it when it is started")
     where = (
         {"address": cluster.scheduler}
         if cluster.scheduler
@@ -144,7 +152,7 @@ def _joined(cluster: Cluster) -> Iterator[Client]:
     )
     try:
         joined = Client(**where, timeout=_ANSWER_S, security=security)
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RuntimeError) as error:
         raise InputError(
             f"there is no scheduler at {address} ({error}): start it, or check the "
             "address; the same command goes on then"

@@ -15,12 +15,20 @@ from pathlib import Path, PurePosixPath
 from motionstereo_cli.batch.plan import RunPlan
 from motionstereo_cli.errors import InputError, MotionStereoError
 from motionstereo_cli.files.reading import MAX_TABLE_BYTES, read_text
+from motionstereo_cli.params import near_match
 
 #: Columns that are no options of ``run``.
 _OWN = ("left", "right", "out")
 _NEEDED = ("left", "out")
 #: Between two calibration files in a cell.
 _BETWEEN = ";"
+#: What a cell of an option says that takes no value.
+_FLAGS = {"yes": True, "true": True, "on": True, "1": True} | {
+    "no": False,
+    "false": False,
+    "off": False,
+    "0": False,
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +66,10 @@ def read_manifest(path: Path, options: Mapping[str, bool], files: Collection[str
     twice = {name for name in header if header.count(name) > 1}
     wrong = [f"{head}: there is no column {name}" for name in _NEEDED if name not in header]
     unknown = [name for name in header if name not in (*_OWN, *options)]
-    wrong += [f"{head}: run has no option {name!r}" for name in unknown]
+    known = [*_OWN, *options]
+    wrong += [f"{head}: run has no option {name!r}{near_match(name, known)}" for name in unknown]
+    if len(header) == 1 and ({";", "\t"} & set(header[0])):
+        wrong = [f"{head}: columns are separated by commas only"]
     wrong += [f"{head}: column {name!r} comes twice" for name in sorted(twice)]
     entries = []
     for number, cells in enumerate(rows[1:], 2):
@@ -71,7 +82,9 @@ def read_manifest(path: Path, options: Mapping[str, bool], files: Collection[str
         row = {name: cell.strip() for name, cell in zip(header, cells, strict=True) if cell.strip()}
         if missing := [name for name in _NEEDED if name not in row]:
             wrong.append(f"{place}: {' and '.join(missing)} cannot be empty")
-        elif not wrong:
+        flags = [name for name in row if options.get(name) and row[name].lower() not in _FLAGS]
+        wrong += [f"{place}: {name} cannot be {row[name]!r}: give yes or no" for name in flags]
+        if not wrong:
             entries.append(_entry(row, place, path.parent, options, files))
     if not entries and not wrong:
         wrong = [f"{path} names no recording: give a row for each"]
@@ -91,8 +104,7 @@ def _entry(
         if name in _OWN:
             continue
         if options[name]:
-            no = cell.lower() in ("0", "no", "false", "off")
-            arguments.append(f"--no-{name}" if no else f"--{name}")
+            arguments.append(f"--{name}" if _FLAGS[cell.lower()] else f"--no-{name}")
             continue
         values = cell.split(_BETWEEN) if name == "rig" else [cell]
         for value in values:
@@ -135,7 +147,9 @@ def _found(pattern: str) -> dict[str, str]:
         different = [part for part, each in zip(parts, wild, strict=False) if glob.has_magic(each)]
         name = "/".join(different) if len(parts) == len(wild) else path[start:].strip("/")
         # A file's own suffix says nothing of which recording it is.
-        found[name if glob.has_magic(Path(pattern).parent.as_posix()) else Path(name).stem] = path
+        found[
+            name if glob.has_magic(Path(pattern).parent.as_posix()) else Path(name or path).stem
+        ] = path
     return found
 
 
@@ -201,7 +215,7 @@ class _Names:
             return f"out {name} is that of {self._places[path]}"
         nested = (self._places[each] for each in path.parents if each in self._places)
         if other := self._above.get(path) or next(nested, ""):
-            return f"out {name} lies in one another with that of {other}"
+            return f"out {name} and that of {other} lie in one another"
         self._places[path] = place
         self._above |= dict.fromkeys(path.parents, place)
         return ""

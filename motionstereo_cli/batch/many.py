@@ -99,17 +99,21 @@ def run_batch(
         batch = _Batch(plans, out, watcher)
         waiting = [name for name in plans if batch.to_do(name, retry_failed=retry_failed)]
         if waiting:
-            workers = cluster.workers or usable_cores()
-            count = pieces or math.ceil(workers / len(waiting))
-            with client_of(cluster, len(waiting) * count, watcher.say) as client:
-                if not (pieces or cluster.local):
-                    count = math.ceil(threads_of(client) / len(waiting))
-                jobs = max(usable_cores() // threads_of(client), 1) if cluster.local else 1
-                asked = pieces is not None
-                tasks = (
+            asked = pieces is not None
+
+            def items(workers: int) -> list[Item]:
+                count = pieces or math.ceil(workers / len(waiting))
+                each = (
                     _items(name, plans[name], count, watcher.say, asked=asked) for name in waiting
                 )
-                batch.process(client, itertools.chain.from_iterable(tasks), jobs)
+                return list(itertools.chain.from_iterable(each))
+
+            # No more processes are started than there are tasks.
+            tasks = items(cluster.workers or usable_cores()) if cluster.local else []
+            with client_of(cluster, len(tasks), watcher.say) as client:
+                threads = threads_of(client)
+                jobs = max(usable_cores() // threads, 1) if cluster.local else 1
+                batch.process(client, tasks or items(threads), jobs)
         batch.renew(at_once=True)
         return batch.statuses
 

@@ -131,11 +131,13 @@ def _apart(given: Sequence[str]) -> tuple[list[str], list[str]]:
     """Return the options of ``run`` among some arguments, and the rest."""
     context = click.Context(_plan)
     values, rest, _ = _plan.make_parser(context).parse_args(list(given))
-    inputs = [
-        word
-        for item in _plan.params
-        if isinstance(item, click.Argument) and isinstance(word := values.pop(item.name), str)
-    ]
+    inputs: list[str] = []
+    for item in _plan.params:
+        if isinstance(item, click.Argument):
+            words = values.pop(item.name)
+            inputs += (
+                [words] if isinstance(words, str) else words if isinstance(words, tuple) else ()
+            )
     options = {option.name: option for option in _plan.params}
     shared: list[str] = []
     for name, value in values.items():
@@ -159,7 +161,7 @@ def _entries(inputs: Sequence[str], shared: Sequence[str]) -> list[Entry]:
             "give a MANIFEST, or the patterns of LEFT and RIGHT in quotes: "
             f"{len(inputs)} inputs were given"
         )
-    if len(inputs) == 1 and inputs[0].endswith(".csv"):
+    if len(inputs) == 1 and inputs[0].lower().endswith(".csv"):
         options = {
             flag.removeprefix("--"): option
             for option in _plan.params
@@ -214,7 +216,8 @@ def _say_what_came(statuses: Sequence[Status], out: Path) -> int:
         for name in dict.fromkeys(status.status for status in statuses)
     }
     said = ", ".join(f"{count} {name}" for name, count in counts.items())
-    say("note", f"{len(statuses)} recordings: {said}; see {out / 'batch.csv'}")
+    number = "1 recording" if len(statuses) == 1 else f"{len(statuses)} recordings"
+    say("note", f"{number}: {said}; see {out / 'batch.csv'}")
     if counts.keys() - {"done", "damaged"}:
         return 1
     return DAMAGED_EXIT_CODE if "damaged" in counts else 0
