@@ -23,9 +23,6 @@ MAX_GREY_DIFFERENCE = 8.0
 SAME_VIEW_SHARE = 0.2
 #: Grey level that some pixels of an image in good light exceed.
 DARK_GREY = 32
-#: A run whose charged pixels hardly find a partner: shares of the image, and of these.
-MUCH_CHARGED = 0.02
-HARDLY_MATCHED = 0.05
 #: Share of the image that changes from frame to frame below which nothing moves.
 STILL_SHARE = 5e-4
 #: Shares of images that repeat the one before: worth a warning, from two images on, and ruined.
@@ -207,21 +204,6 @@ _MISFIT = (
 
 def _dark(report: CheckReport) -> bool:
     return report.brightest is not None and report.brightest < DARK_GREY
-
-
-def hardly_matched(charged: float, matched: float) -> str:
-    """Return what to look at where much was charged and next to nothing matched, or nothing.
-
-    Args:
-        charged, matched: shares of the image, 0..1.
-    """
-    if charged < MUCH_CHARGED or matched > HARDLY_MATCHED * charged:
-        return ""
-    return (
-        f"{charged:.1%} of the image moved and only {matched:.1%} found a partner: see that both "
-        "views show one scene at one moment, upright and rectified, within --max-disparity; "
-        "motionstereo check measures it"
-    )
 
 
 RULES = (

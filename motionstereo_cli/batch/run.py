@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from motionstereo_cli.analysis.check import watched
+from motionstereo_cli.analysis.shortfall import shortfall
 from motionstereo_cli.batch.auto import with_range, with_range_of_opening
 from motionstereo_cli.batch.checkpoint import check_state
 from motionstereo_cli.batch.folder import RunFolder
@@ -27,6 +28,7 @@ from motionstereo_cli.files.targets import check_target, is_stream, open_stream
 from motionstereo_cli.pipeline import process
 from motionstereo_cli.rig.calibration import rectify_source
 from motionstereo_cli.rig.poses import read_poses
+from motionstereo_cli.settings import FOREVER
 from motionstereo_cli.sinks import OUTPUTS, RunContext, Sink, available, check_video_size
 from motionstereo_cli.sinks.steering import SteeringFile, SteeringStream
 from motionstereo_cli.sinks.threaded import Threaded
@@ -95,8 +97,9 @@ def run(plan: RunPlan, watcher: Watcher | None = None, stdout: BinaryIO | None =
                     return report_of(sinks.finished, plan)
                 resumed = sinks.totals.frames
                 _open(sinks, job, stdout)
-                _write(sinks, job, watcher)
+                last = _write(sinks, job, watcher)
                 report = report_on(job, sinks.totals, resumed, started_s)
+                _say_what_is_missing(report, last, job, watcher)
                 sinks.complete({"options": plan.options} | outcome(source, report))
                 return report
         except BrokenPipeError:
@@ -251,9 +254,11 @@ def opened(name: str, folder: Path, context: RunContext, since: object) -> Threa
     return Threaded(OUTPUTS[name].open(folder, context, since))
 
 
-def _write(sinks: Sinks, job: Job, watcher: Watcher) -> None:
-    """Process the frames that are left, and complete the outputs."""
+def _write(sinks: Sinks, job: Job, watcher: Watcher) -> StereoFrame | None:
+    """Process the frames that are left, complete the outputs, and return the last of the frames."""
+    last = None
     for result in _results(job, sinks, watcher):
+        last = result.frame
         with finishing():
             sinks.write(result)
             due = sinks.totals.frames % job.context.output.checkpoint_frames == 0
@@ -263,6 +268,19 @@ def _write(sinks: Sinks, job: Job, watcher: Watcher) -> None:
     if not sinks.totals.frames:
         raise InputError(NO_FRAMES)
     sinks.close()
+    return last
+
+
+def _say_what_is_missing(
+    report: RunReport, last: StereoFrame | None, job: Job, watcher: Watcher
+) -> None:
+    """Warn where little of what is charged was matched, with the reason that the last frame has."""
+    s = job.plan.settings
+    if last is None or s.max_age < FOREVER or s.min_confidence > 0:  # what is missing was asked for
+        return
+    found = shortfall(report.charged, report.matched, last.right, last.left, s.max_disparity)
+    if found is not None:
+        watcher.say("warning", found)
 
 
 def _results(job: Job, sinks: Sinks, watcher: Watcher) -> Iterator[FrameResult]:

@@ -122,12 +122,8 @@ def run(**given: Any) -> int:
 
 def _say_what_came(plan: RunPlan, report: RunReport) -> int:
     """Report in words, and return the exit code."""
-    from motionstereo_cli.analysis.findings import hardly_matched
-
     for line in report.damage:
         say("warning", line)
-    if unmatched := hardly_matched(report.charged, report.matched):
-        say("warning", unmatched)
     frames = "1 frame" if report.frames == 1 else f"{report.frames} frames"
     if report.resumed == report.frames and not report.interrupted:
         say("note", f"{plan.folder} is complete already")
