@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import importlib.util
-import os
 import signal
 import sys
 import warnings
@@ -16,6 +15,7 @@ from typing import TYPE_CHECKING
 
 from motionstereo_cli.batch.record import versions
 from motionstereo_cli.errors import InputError
+from motionstereo_cli.machine import usable_cores
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -58,14 +58,6 @@ class Cluster:
     def local(self) -> bool:
         """Whether the workers are processes on this machine."""
         return self.scheduler is None and self.scheduler_file is None
-
-
-def usable_cores() -> int:
-    """Return how many cores this process may use."""
-    try:
-        return len(os.sched_getaffinity(0))
-    except AttributeError:  # not on this system
-        return os.cpu_count() or 1
 
 
 def threads_of(client: Client) -> int:

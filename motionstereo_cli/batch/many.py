@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from motionstereo_cli.batch.auto import Say, with_range
-from motionstereo_cli.batch.cluster import Cluster, client_of, threads_of, usable_cores
+from motionstereo_cli.batch.cluster import Cluster, client_of, threads_of
 from motionstereo_cli.batch.pieces import Piece, behind_damage, pieces_of
 from motionstereo_cli.batch.plan import RunPlan
 from motionstereo_cli.batch.status import (
@@ -37,6 +37,7 @@ from motionstereo_cli.batch.worker import work
 from motionstereo_cli.errors import InputError, MotionStereoError
 from motionstereo_cli.files.atomic import write_whole
 from motionstereo_cli.files.lock import locked
+from motionstereo_cli.machine import usable_cores
 from motionstereo_cli.sinks import RECORD
 
 if TYPE_CHECKING:

@@ -25,6 +25,7 @@ from motionstereo_cli.batch.sinks import Sinks
 from motionstereo_cli.errors import InputError, MotionStereoError, OutputError, SettingsError
 from motionstereo_cli.files.atomic import part_of, reported
 from motionstereo_cli.files.targets import check_target, is_stream, open_stream
+from motionstereo_cli.machine import usable_cores
 from motionstereo_cli.pipeline import process
 from motionstereo_cli.rig.calibration import rectify_source
 from motionstereo_cli.rig.poses import read_poses
@@ -40,6 +41,10 @@ from motionstereo_cli.types import FrameResult, Rig, StereoFrame
 DEFAULT_TIME_BASE = Fraction(1, 25)
 
 NO_FRAMES = "the recordings have no frame in common: check that they are whole"
+
+#: What frames under way may take together by default, and what a pixel of each takes: memories of
+#: both views, disparity, depth, and the workspace of a thread.
+_IN_FLIGHT_BYTES, _BYTES_PER_PX = 1 << 30, 40
 
 #: The steering table that lies elsewhere, among the names of outputs.
 _TABLE = "table"
@@ -254,6 +259,12 @@ def opened(name: str, folder: Path, context: RunContext, since: object) -> Threa
     return Threaded(OUTPUTS[name].open(folder, context, since))
 
 
+def default_jobs(source: StereoSource) -> int:
+    """Return how many frames are matched at the same time: large ones would fill the memory."""
+    frame_bytes = _BYTES_PER_PX * source.width * source.height
+    return max(1, min(usable_cores(), _IN_FLIGHT_BYTES // frame_bytes))
+
+
 def _write(sinks: Sinks, job: Job, watcher: Watcher) -> StereoFrame | None:
     """Process the frames that are left, complete the outputs, and return the last of the frames."""
     last = None
@@ -305,7 +316,7 @@ def _results(job: Job, sinks: Sinks, watcher: Watcher) -> Iterator[FrameResult]:
         # They take time: only where they are asked for.
         with_objects="objects" in job.save or job.poses is not None,
         extras={extra for name in job.save for extra in OUTPUTS[name].extras},
-        jobs=plan.jobs or (os.cpu_count() if job.source.rereadable else 1) or 1,
+        jobs=plan.jobs or (default_jobs(job.source) if job.source.rereadable else 1),
         state=sinks.state,
     )
     if sinks.state is not None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 from concurrent.futures import Future
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Protocol, Self, TypeVar
@@ -97,8 +98,9 @@ class Sinks:
         Raises:
             OutputError: it cannot be written.
         """
+        seen = dataclasses.replace(result, state=None)  # what waits for a sink is small
         for sink in self._sinks.values():
-            sink.write(result)
+            sink.write(seen)
         self.state, self.totals = result.state, self.totals.plus(result)
         self._keep = True
 

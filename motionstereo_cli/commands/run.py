@@ -112,6 +112,9 @@ def run(**given: Any) -> int:
     """
     plan = RunPlan(**given, reads=config_files())
 
+    from motionstereo_cli.machine import prepare
+
+    prepare()
     from motionstereo_cli.batch.run import Watcher
     from motionstereo_cli.batch.run import run as library
 

@@ -28,7 +28,6 @@ from motionstereo_cli.rig.rectify import (
     transforms_of,
 )
 from motionstereo_cli.rig.slam import read_ros
-from motionstereo_cli.rig.structure import read_structure
 from motionstereo_cli.rig.turned import is_vertical, turned
 from motionstereo_cli.types import Rig
 
@@ -237,6 +236,8 @@ def _recorded(
     source: StereoSource, size: tuple[int, int], baseline_unit: str | None
 ) -> Calibration:
     """Return the calibration that was recorded beside the images of a source."""
+    from motionstereo_cli.rig.structure import read_structure
+
     files = [(Path(name), read_structure(Path(name), text)) for name, text in source.camera_infos]
     pair = read_ros(files)
     if source.rectified:

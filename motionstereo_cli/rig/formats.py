@@ -22,7 +22,6 @@ from motionstereo_cli.rig.devices import read_depthai, read_zed
 from motionstereo_cli.rig.opencv import read_opencv
 from motionstereo_cli.rig.rig_file import parse_rig
 from motionstereo_cli.rig.slam import read_euroc, read_kalibr, read_orb_slam, read_ros
-from motionstereo_cli.rig.structure import read_npz, read_structure
 from motionstereo_cli.rig.values import Source
 from motionstereo_cli.types import Rig
 
@@ -122,12 +121,16 @@ def read_files(
 
 def _read(path: Path, content: bytes) -> tuple[str, Values]:
     if content.startswith(b"PK\3\4"):
+        from motionstereo_cli.rig.structure import read_npz
+
         return "", read_npz(path, content)
     text = as_text(content)
     if any(pattern.search(text) for pattern in (_MIDDLEBURY, _KITTI, _RIG)) or not _structured(
         text
     ):
         return text, {}
+    from motionstereo_cli.rig.structure import read_structure
+
     return text, read_structure(path, text)
 
 

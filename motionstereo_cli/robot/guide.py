@@ -190,7 +190,7 @@ class ImageGuide:
         target, strips_px = way_ahead(seen.space, focal_px, cx_px, before.place)
         if target is not None:
             targets = (*before.targets, target)[-TARGETS:]
-            place = steadied(before.place, float(np.median(targets)), self.settings.steer_gain)
+            place = steadied(before.place, _median(targets), self.settings.steer_gain)
             before = ImageHeading(place, targets)
         if before.place is None:
             return before, _BLIND
@@ -354,6 +354,12 @@ def view_of(rig: Rig, camera: str, place_m: tuple[float, float], yaw_rad: float)
 
 
 _BLIND = Steering("blind", None, None, None, None)
+
+
+def _median(values: tuple[float, ...]) -> float:
+    """Return the median of a few numbers; np.median takes long, and at first loads np.ma."""
+    ordered, count = sorted(values), len(values)
+    return (ordered[(count - 1) // 2] + ordered[count // 2]) / 2
 
 
 def _thinning(image: Real) -> tuple[int, int]:
