@@ -38,11 +38,13 @@ def usable_cores() -> int:
 def prepare() -> None:
     """Make this process ready to work on frame after frame.
 
-    To be called before NumPy loads. Memory that a frame has left is kept for the next one: to give
-    it back to the system and get it again, page by page, took a tenth of a run. The library of
-    linear algebra stays in one thread: others would wait, busily, for work that never comes.
+    To be called before NumPy and OpenCV load. Memory that a frame has left is kept for the next
+    one: to give it back to the system and get it again, page by page, took a tenth of a run. These
+    libraries stay in one thread each, as frames are worked on side by side anyway: theirs would
+    wait, busily, for the next call.
     """
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    for name in ("OPENBLAS_NUM_THREADS", "OPENCV_FOR_THREADS_NUM"):
+        os.environ.setdefault(name, "1")
     import ctypes
 
     with contextlib.suppress(AttributeError, OSError, TypeError):  # not glibc

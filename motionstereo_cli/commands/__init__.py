@@ -2,21 +2,47 @@
 
 from __future__ import annotations
 
+import importlib
+from collections.abc import Iterator, Mapping
+from typing import Any
+
 import click
 
 from motionstereo_cli import __version__
-from motionstereo_cli.commands.batch import batch
-from motionstereo_cli.commands.check import check
-from motionstereo_cli.commands.compare import compare
-from motionstereo_cli.commands.drive import drive
-from motionstereo_cli.commands.evaluate import evaluate
-from motionstereo_cli.commands.figure import figure
-from motionstereo_cli.commands.help import show_help
-from motionstereo_cli.commands.info import info
-from motionstereo_cli.commands.report import report
-from motionstereo_cli.commands.rig import rig
-from motionstereo_cli.commands.run import run
-from motionstereo_cli.commands.simulate import simulate
+
+#: In the order of the help: the name of each command, and of its function in the file of that name.
+_FUNCTIONS = {
+    "run": "run",
+    "batch": "batch",
+    "report": "report",
+    "info": "info",
+    "check": "check",
+    "rig": "rig",
+    "figure": "figure",
+    "simulate": "simulate",
+    "drive": "drive",
+    "evaluate": "evaluate",
+    "compare": "compare",
+    "help": "show_help",
+}
+
+
+class _Commands(Mapping[str, click.Command]):
+    """The commands by name; each loads when it is asked for, which takes a while for all."""
+
+    def __getitem__(self, name: str) -> click.Command:
+        function = _FUNCTIONS[name]
+        command: click.Command = getattr(importlib.import_module(f"{__name__}.{name}"), function)
+        return command
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(_FUNCTIONS)
+
+    def __len__(self) -> int:
+        return len(_FUNCTIONS)
+
+
+_commands: Any = _Commands()  # click only reads it
 
 
 class _InOrder(click.Group):
@@ -28,23 +54,10 @@ class _InOrder(click.Group):
 
 @click.group(
     cls=_InOrder,
+    commands=_commands,
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
     epilog="motionstereo help lists the topics of the documentation.",
 )
 @click.version_option(__version__, message="motionstereo %(version)s")
 def cli() -> None:
     """Depth and steering from what moves in two stereo videos."""
-
-
-cli.add_command(run)
-cli.add_command(batch)
-cli.add_command(report)
-cli.add_command(info)
-cli.add_command(check)
-cli.add_command(rig)
-cli.add_command(figure)
-cli.add_command(simulate)
-cli.add_command(drive)
-cli.add_command(evaluate)
-cli.add_command(compare)
-cli.add_command(show_help)
