@@ -23,6 +23,8 @@ from motionstereo_cli.files.targets import is_stream, open_stream
 if TYPE_CHECKING:
     from types import TracebackType
 
+    from tqdm import tqdm
+
 #: Time between two lines on how far it is, at least, in s.
 _PAUSE_S = 0.2
 #: How each line of ours begins, by which an older file is known.
@@ -106,11 +108,13 @@ class Bar:
     """
 
     def __init__(self, frames: int | None = None, *, quiet: bool = False) -> None:
-        from tqdm import tqdm
-
         self._lines = _LINES.get()
+        self._bar: tqdm[Any] | None = None
         hidden = quiet or (self._lines is not None and not self._lines.aside)
-        self._bar = tqdm(total=frames, unit="frame", disable=hidden or None, delay=0.1)
+        if not hidden and sys.stderr is not None and sys.stderr.isatty():
+            from tqdm import tqdm  # it takes a twentieth of the start to load
+
+            self._bar = tqdm(total=frames, unit="frame", delay=0.1)
         if frames is not None and self._lines is not None:
             self._lines.begin(frames)
 
@@ -123,25 +127,30 @@ class Bar:
         error: BaseException | None,
         traceback: TracebackType | None,
     ) -> None:
-        self._bar.close()
+        if self._bar is not None:
+            self._bar.close()
 
     def begin(self, frames: int | None) -> None:
         """Begin with the first of so many frames."""
-        self._bar.reset(frames)
+        if self._bar is not None:
+            self._bar.reset(frames)
         if self._lines is not None:
             self._lines.begin(frames)
 
     def update(self) -> None:
         """Count a frame."""
-        self._bar.update()
+        if self._bar is not None:
+            self._bar.update()
         if self._lines is not None:
             self._lines.advance()
 
     def say(self, kind: str, text: str) -> None:
         """Say something beside the bar."""
-        self._bar.clear()
+        if self._bar is not None:
+            self._bar.clear()
         say(kind, text)
-        self._bar.refresh()
+        if self._bar is not None:
+            self._bar.refresh()
 
 
 def lines() -> JsonLines | None:
