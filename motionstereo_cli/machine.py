@@ -1,4 +1,4 @@
-"""The machine that this process runs on: its cores and its memory."""
+"""The cores that this process may use."""
 
 from __future__ import annotations
 
@@ -13,10 +13,6 @@ _QUOTAS = (
     ("/sys/fs/cgroup/cpu.max",),
     ("/sys/fs/cgroup/cpu/cpu.cfs_quota_us", "/sys/fs/cgroup/cpu/cpu.cfs_period_us"),
 )
-
-#: glibc's parameters (malloc.h), and sizes in bytes up to which freed memory is kept.
-_M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3
-_KEPT_BYTES, _KEPT_BLOCK_BYTES = 1 << 28, 1 << 25
 
 
 def usable_cores() -> int:
@@ -36,18 +32,10 @@ def usable_cores() -> int:
 
 
 def prepare() -> None:
-    """Make this process ready to work on frame after frame.
+    """Have OpenCV and OpenBLAS stay in one thread each, before they load.
 
-    To be called before NumPy and OpenCV load. Memory that a frame has left is kept for the next
-    one: to give it back to the system and get it again, page by page, took a tenth of a run. These
-    libraries stay in one thread each, as frames are worked on side by side anyway: theirs would
-    wait, busily, for the next call.
+    Frames are worked on side by side anyway. The threads of these libraries would wait for their
+    next call, and take processor time for it.
     """
     for name in ("OPENBLAS_NUM_THREADS", "OPENCV_FOR_THREADS_NUM"):
         os.environ.setdefault(name, "1")
-    import ctypes
-
-    with contextlib.suppress(AttributeError, OSError, TypeError):  # not glibc
-        mallopt = ctypes.CDLL(None).mallopt
-        mallopt(_M_MMAP_THRESHOLD, _KEPT_BLOCK_BYTES)
-        mallopt(_M_TRIM_THRESHOLD, _KEPT_BYTES)
