@@ -10,7 +10,7 @@ import pytest
 from bench import speed
 from bench.clips import first_frames, rendered, repeated
 from bench.speed_report import format_markdown, goals
-from bench.timing import Cost, Key, core_count, on_cores, python
+from bench.timing import Cost, Key, core_count, installed_mb, on_cores, python
 from motionstereo_cli import pipeline
 from motionstereo_cli.__main__ import main
 from motionstereo_cli.robot.guide import ImageGuide
@@ -94,16 +94,13 @@ def test_the_script_writes_what_a_run_writes(clip, tmp_path):
 
 SIZES = ((100, 100), (200, 200), (400, 400))
 MEDIANS = {
-    Key("matching", "corridor, 64 px", "StereoBM", 1): Cost(0.010),
-    Key("matching", "corridor, 64 px", "motionstereo", 1): Cost(0.004),
+    Key("matching", "corridor, 64 px", "StereoBM", 1): Cost(0.020, cpu_s=0.010),
+    Key("matching", "corridor, 64 px", "motionstereo, trails", 1): Cost(0.003, cpu_s=0.004),
     Key("matching", "corridor, 64 px", "StereoBM", 2): Cost(0.005),
-    Key("matching", "corridor, 256 px", "motionstereo", 1): Cost(0.005),
-    Key("stages", "corridor", "Memory.see", 1): Cost(0.0007),
-    Key("stages", "corridor", "bands.blur", 1): Cost(0.0003),
-    Key("stages", "corridor", "match", 1): Cost(0.004),
+    Key("matching", "corridor, 256 px", "motionstereo, trails", 1): Cost(0.005),
     Key("run", "20 frames", "script, StereoBM", 1): Cost(9.0),
-    Key("run", "20 frames", "script, StereoBM", 2): Cost(6.0),
-    Key("run", "20 frames", "motionstereo, default outputs", 2): Cost(4.0, 120.0),
+    Key("run", "20 frames", "script, StereoBM", 2): Cost(6.0, cpu_s=10.0),
+    Key("run", "20 frames", "--preset fast, default outputs", 2): Cost(4.0, 120.0, 6.0),
     # Four times the pixels, 4 ** 1.5 = 8 times the time.
     Key("growth", "100x100", "processing a frame", 1): Cost(0.001),
     Key("growth", "200x200", "processing a frame", 1): Cost(0.008),
@@ -115,15 +112,16 @@ MEDIANS = {
 
 
 def test_goals_are_ratios_of_what_was_measured():
-    found = {goal.what: goal for goal in goals(MEDIANS, SIZES, cores=2)}
+    found = {goal.what: goal for goal in goals(MEDIANS, SIZES, cores=2, installed_mb=300)}
     expected = {
-        "matching, corridor, 64 px: speed, StereoBM = 1": (2.5, False),
-        "matching, corridor: 256 px to 64 px": (1.25, False),
-        "bands + motion + charge to matching, corridor": (0.1, True),
-        "run, default outputs: speed, StereoBM script = 1": (1.5, False),
-        "run, default outputs: peak MB": (120, True),
+        "trails, corridor, 64 px: to StereoBM": (0.4, False),
+        "trails, corridor: 256 px to 64 px": (1.25, False),
+        "--preset fast, default outputs: to the StereoBM script": (0.6, False),
+        "--preset fast: processor time to cores times wall time": (0.75, False),
+        "--preset fast: peak MB": (120, True),
         "processing: exponent of the growth with pixels": (1.5, False),
         "run: peak MB of 9000 frames to 500": (1.04, True),
+        "installed size in MB": (300, True),
     }
     assert {what: goal.reached for what, goal in found.items()} == {
         what: reached for what, (_, reached) in expected.items()
@@ -132,11 +130,20 @@ def test_goals_are_ratios_of_what_was_measured():
         assert found[what].got == pytest.approx(got)
 
 
-def test_tables_show_speeds_by_the_first_contestant():
+def test_tables_show_ratios_to_the_first_contestant():
     lines = format_markdown(MEDIANS, {"matching": "x", "run": "y"}, []).splitlines()
-    assert "| case | contestant | ms, 1 core | speed | ms, 2 cores | speed |" in lines
-    assert "| corridor, 64 px | motionstereo | 4 | 2.5 |  |  |" in lines
-    assert "| 20 frames | motionstereo, default outputs |  |  | 4000 | 1.5 | 120 |" in lines
+    heads = "ms, 1 core | processor ms | first = 1 | ms, 2 cores | processor ms | first = 1"
+    assert f"| case | contestant | {heads} |" in lines
+    assert "| corridor, 64 px | motionstereo, trails | 3 | 4 | 0.4 |  |  |  |" in lines
+    ours = "| 20 frames | --preset fast, default outputs |"
+    assert f"{ours}  |  |  | 4000 | 6000 | 0.6 | 120 |" in lines
+
+
+def test_an_installation_is_as_large_as_all_that_it_needs():
+    sizes = installed_mb("motionstereo")
+    assert {"numpy", "av"} <= sizes.keys()
+    assert 10 < sizes["numpy"] < sum(sizes.values())
+    assert 0.1 < sizes["motionstereo"] < 100
 
 
 @pytest.fixture
@@ -148,7 +155,7 @@ def ours_within(monkeypatch):
             return python(*arguments)
         started_s = time.perf_counter()
         assert main([str(argument) for argument in arguments[2:]]) == 0
-        return Cost(time.perf_counter() - started_s, 100.0)
+        return Cost(time.perf_counter() - started_s, 100.0, 1.0)
 
     monkeypatch.setattr(speed, "python", run)
 
@@ -170,8 +177,8 @@ def test_the_bench_runs_and_reports(tmp_path, capsys, ours_within):
     for row in rows:
         assert f"| {row['case']} | {row['contestant']} |" in printed
     assert {goal["what"] for goal in report["goals"]} >= {
-        "matching, corridor, 64 px: speed, StereoBM = 1",
-        "run, steering: to decoding alone",
+        "trails, corridor, 64 px: to StereoBM",
+        "--preset fast, steering: to decoding alone",
         "run: peak MB of 40 frames to 20",
     }
     assert all(f"| {goal['what']} |" in printed for goal in report["goals"])

@@ -22,6 +22,7 @@ from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import cv2
 import numpy as np
 from tqdm import tqdm
 
@@ -30,7 +31,7 @@ from bench.accuracy import RUN_IN
 from bench.clips import Clip, first_frames, rendered, repeated
 from bench.peers import bm_matcher, sgbm_matcher
 from bench.speed_report import format_markdown, goals
-from bench.timing import Cost, Samples, core_count, on_cores, python
+from bench.timing import Cost, Samples, core_count, installed_mb, on_cores, python
 from motionstereo_cli import memory, pipeline
 from motionstereo_cli.batch.record import versions
 from motionstereo_cli.errors import MotionStereoError
@@ -38,12 +39,15 @@ from motionstereo_cli.robot.guide import ImageGuide
 from motionstereo_cli.robot.tracker import Tracker
 from motionstereo_cli.settings import Settings
 from motionstereo_cli.simulate.settings import SimulateSettings
-from motionstereo_cli.stages import cleaning, confidence, residual, trails
+from motionstereo_cli.stages import balance, cleaning, confidence, dense, residual, trails
 
 if TYPE_CHECKING:
     from motionstereo_cli.types import Grey, Rig, StereoFrame
 
 NOISE_SIGMA = 1.5  # grey levels
+
+#: What ``--preset fast`` is.
+FAST = Settings(matcher="trails")
 BASELINE_M = 0.12  # at the width of the plan
 
 #: Frames used where frames are timed by themselves: the run-in is not timed.
@@ -66,7 +70,7 @@ class Plan:
     width: int = 640
     height: int = 480
     corridor: str = "250:325"
-    long_times: int = 4
+    long_times: int = 2
     sizes: tuple[tuple[int, int], ...] = (
         (320, 240),
         (640, 480),
@@ -172,6 +176,8 @@ def stage_clock() -> Iterator[dict[str, float]]:
     looked_up = {
         memory: ("blur", "bands", "motion", "permanency", "accumulate", "match_keys"),
         trails: ("match_trails",),
+        balance: ("balanced",),
+        dense: ("match_dense",),
         residual: ("residual",),
         cleaning: ("without_speckles", "filled"),
         confidence: ("confidence",),
@@ -207,8 +213,9 @@ def processing_s(frames: Sequence[StereoFrame], settings: Settings, rig: Rig) ->
 def bench_stages(bench: Bench) -> None:
     """Time each stage in the processing of a frame, both views together."""
     cases = {
-        name: (clip.frames(FRAMES), Settings(), clip.rig)
+        f"{name}{preset}": (clip.frames(FRAMES), settings, clip.rig)
         for name, clip in (("corridor", bench.corridor), ("cards panning", bench.cards))
+        for preset, settings in (("", Settings()), (", fast", FAST))
     }
     for case in cases.values():
         processing_s(*case)  # warm-up
@@ -249,27 +256,37 @@ def _mirrored(view: Grey) -> Grey:
     return np.ascontiguousarray(view[:, ::-1])
 
 
-def matching_s(seen: Sequence[Look], settings: Settings) -> dict[str, float]:
-    """Return the s per frame of matching by each contestant.
+def matching_costs(seen: Sequence[Look], max_disparity: int) -> dict[str, Cost]:
+    """Return what matching costs per frame, by contestant.
 
     Of cv2 ``compute`` alone is timed. Making the matcher, mirroring the views, mirroring the
     disparities back and turning them into px are not, nor does cv2 clean its result: all in its
     favour.
     """
-    found = {}
     peers = {"StereoBM": bm_matcher, "StereoSGBM": sgbm_matcher}
+    calls: dict[str, Callable[[Look], object]] = {}
     for name, make in peers.items():
-        matcher = make(settings.max_disparity)
-        started_s = time.perf_counter()
+        calls[name] = functools.partial(_compute, make(max_disparity))
+    for name, matcher in (("motionstereo, trails", "trails"), ("motionstereo, dense", "dense")):
+        calls[name] = functools.partial(
+            _match, Settings(matcher=matcher, max_disparity=max_disparity)
+        )
+    found = {}
+    for name, call in calls.items():
+        started_s, cpu_s = time.perf_counter(), time.process_time()
         for look in seen:
-            matcher.compute(*look.mirrored)
-        found[name] = time.perf_counter() - started_s
-    with stage_clock() as clock:
-        for look in seen:
-            pipeline.match(look.right, look.left, settings)
-    found["motionstereo"] = clock["match"]
-    found["motionstereo, match_trails alone"] = clock["trails.match_trails"]
-    return {name: seconds / len(seen) for name, seconds in found.items()}
+            call(look)
+        cost_s = time.perf_counter() - started_s, time.process_time() - cpu_s
+        found[name] = Cost(cost_s[0] / len(seen), cpu_s=cost_s[1] / len(seen))
+    return found
+
+
+def _compute(matcher: cv2.StereoMatcher, look: Look) -> None:
+    matcher.compute(*look.mirrored)
+
+
+def _match(settings: Settings, look: Look) -> None:
+    pipeline.match(look.right, look.left, settings, with_confidence=False)
 
 
 def bench_matching(bench: Bench) -> None:
@@ -282,15 +299,14 @@ def bench_matching(bench: Bench) -> None:
         recordings.append(("recording given, 64 px", first_frames(*bench.recording, FRAMES), 64))
     cases = {}
     for name, frames, px in recordings:
-        settings = Settings(max_disparity=px)
-        cases[name] = looks(frames, settings), settings
+        cases[name] = looks(frames, Settings()), px
         if not cases[name][0]:
             raise RuntimeError(f"the {name} needs more than {RUN_IN} frames: give a longer one")
-        matching_s(*cases[name])  # warm-up
+        matching_costs(*cases[name])  # warm-up
     for cores in bench.turns():
         for name, case in cases.items():
-            for contestant, seconds in matching_s(*case).items():
-                bench.samples.add("matching", name, contestant, cores, Cost(seconds))
+            for contestant, cost in matching_costs(*case).items():
+                bench.samples.add("matching", name, contestant, cores, cost)
 
 
 def run_command(clip: Clip, out: Path, *options: str | Path) -> list[str | Path]:
@@ -304,13 +320,15 @@ def bench_run(bench: Bench) -> None:
     clip, out = bench.long, bench.folder / "run_out"
     rig = [str(clip.rig.focal_px), str(clip.rig.baseline_m)]
     plain: list[str | Path] = [script.__file__, *clip.paths, bench.folder / "script_out", *rig]
+    fast = "--preset", "fast"
     contestants: dict[str, list[str | Path]] = {
         "script, StereoBM": plain,
-        "script, StereoSGBM": [*plain, "--sgbm"],
         "decoding alone": [decode.__file__, *clip.paths],
+        "--preset fast, default outputs": run_command(clip, out, *fast),
+        "--preset fast, the script's": run_command(clip, out, *fast, "--save", "steering,depth"),
+        "--preset fast, steering": run_command(clip, out, *fast, "--save", "steering"),
+        "script, StereoSGBM": [*plain, "--sgbm"],
         "motionstereo, default outputs": run_command(clip, out),
-        "motionstereo, the script's outputs": run_command(clip, out, "--save", "steering,depth"),
-        "motionstereo, steering": run_command(clip, out, "--save", "steering"),
     }
     python(*contestants["motionstereo, default outputs"])  # warm-up
     for _ in range(bench.rounds):
@@ -325,7 +343,7 @@ def bench_jobs(bench: Bench) -> None:
     outs = {jobs: bench.folder / f"jobs_{jobs}" for jobs in (1, 2)}
     for _ in range(bench.rounds):
         for jobs, out in outs.items():
-            cost = python(*run_command(clip, out, "--jobs", str(jobs)))
+            cost = python(*run_command(clip, out, "--preset", "fast", "--jobs", str(jobs)))
             case = f"{clip.count} frames"
             bench.samples.add("jobs", case, f"--jobs {jobs}", bench.all_cores, cost)
     if contents(outs[1]) != contents(outs[2]):
@@ -351,30 +369,30 @@ def bench_growth(bench: Bench) -> None:
             baseline_m=BASELINE_M * plan.width / width,
             frames=f"250:{250 + FRAMES}",
         )
-        cases[f"{width}x{height}"] = clip, Settings()
+        cases[f"{width}x{height}"] = clip, FAST
     sizes = list(cases.items())
     for px in plan.ranges[1]:
-        cases[f"{px} px"] = bench.corridor, Settings(max_disparity=px)
+        cases[f"{px} px"] = bench.corridor, Settings(matcher="trails", max_disparity=px)
     for _ in range(bench.rounds):
         with on_cores(1):
             for name, (clip, settings) in cases.items():
                 seconds = processing_s(clip.frames(FRAMES), settings, clip.rig)["processing"]
                 bench.samples.add("growth", name, "processing a frame", 1, Cost(seconds))
     for name, (clip, _) in sizes:
-        cost = python(*run_command(clip, out, "--no-check"))
+        cost = python(*run_command(clip, out, "--preset", "fast", "--no-check"))
         bench.samples.add("growth", name, f"run of {FRAMES} frames", bench.all_cores, cost)
 
     times = -(-max(plan.lengths) // bench.corridor.count)
     longest = repeated(bench.corridor, bench.folder / "longest", times)
     for count in plan.lengths:
-        options = "--save", "steering,charge", "--end", str(count)
+        options = "--preset", "fast", "--save", "steering,charge", "--end", str(count)
         cost = python(*run_command(longest, out, *options))
         bench.samples.add("growth", f"{count} frames", "run", bench.all_cores, cost)
 
 
 def bench_startup(bench: Bench) -> None:
     """Time what it takes to begin."""
-    two = run_command(bench.corridor, bench.folder / "two_out", "--end", "2")
+    two = run_command(bench.corridor, bench.folder / "two_out", "--end", "2", "--preset", "fast")
     contestants: dict[str, list[str | Path]] = {
         "python -c pass": ["-c", "pass"],
         "motionstereo --help": ["-m", "motionstereo_cli", "--help"],
@@ -443,12 +461,14 @@ def main(args: Sequence[str] | None = None) -> None:
                 failure = f"error: {part}: interrupted"
                 break
     medians = bench.samples.medians()
-    reached = goals(medians, plan.sizes, bench.all_cores)
+    size_mb = installed_mb("motionstereo")
+    reached = goals(medians, plan.sizes, bench.all_cores, sum(size_mb.values()))
     print(format_markdown(medians, {part: PARTS[part].__doc__ or "" for part in parts}, reached))
     report["rows"] = [
         {**key._asdict(), **asdict(cost), "samples_s": bench.samples.seconds(key)}
         for key, cost in medians.items()
     ]
+    report["installed_mb"] = size_mb
     report["goals"] = [{**asdict(goal), "reached": goal.reached} for goal in reached]
     given.json.parent.mkdir(parents=True, exist_ok=True)
     given.json.write_text(json.dumps(report, indent=2) + "\n", encoding="utf-8")

@@ -5,16 +5,20 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import re
 import statistics
 import subprocess
 import sys
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from importlib import metadata
 from pathlib import Path
 from typing import NamedTuple
 
 import cv2
+
+import motionstereo_cli
 
 
 class Key(NamedTuple):
@@ -34,10 +38,17 @@ class Cost:
         seconds: wall time.
         peak_mb: largest resident memory of the process in MB (1e6 bytes); None where several
             contestants shared one.
+        cpu_s: processor time of all threads together; None where it was not measured.
     """
 
     seconds: float
     peak_mb: float | None = None
+    cpu_s: float | None = None
+
+    @property
+    def work_s(self) -> float:
+        """Processor time, which suffers least from other programs, or else wall time."""
+        return self.seconds if self.cpu_s is None else self.cpu_s
 
 
 class Samples:
@@ -55,14 +66,19 @@ class Samples:
         return [cost.seconds for cost in self._costs[key]]
 
     def medians(self) -> dict[Key, Cost]:
-        """Return the median time of each contestant, and the largest peak of its memory."""
+        """Return the median times of each contestant, and the largest peak of its memory."""
         return {
             key: Cost(
                 statistics.median(cost.seconds for cost in costs),
                 max((cost.peak_mb for cost in costs if cost.peak_mb is not None), default=None),
+                _median_or_none([cost.cpu_s for cost in costs if cost.cpu_s is not None]),
             )
             for key, costs in self._costs.items()
         }
+
+
+def _median_or_none(values: Sequence[float]) -> float | None:
+    return statistics.median(values) if values else None
 
 
 @contextlib.contextmanager
@@ -122,7 +138,9 @@ started = time.perf_counter()
 child = os.posix_spawn(sys.argv[1], sys.argv[1:], os.environ)
 _, status, usage = os.wait4(child, 0)
 seconds = time.perf_counter() - started
-print(json.dumps([seconds, usage.ru_maxrss, os.waitstatus_to_exitcode(status)]), file=sys.stderr)
+cpu_s = usage.ru_utime + usage.ru_stime
+code = os.waitstatus_to_exitcode(status)
+print(json.dumps([seconds, cpu_s, usage.ru_maxrss, code]), file=sys.stderr)
 """
 
 
@@ -138,9 +156,33 @@ def python(*arguments: str | Path) -> Cost:
         stderr=subprocess.PIPE,
         text=True,
         check=True,
+        # An installation has its modules compiled, and so has this once it has run.
+        env={k: v for k, v in os.environ.items() if k != "PYTHONDONTWRITEBYTECODE"},
     )
     said, _, report = done.stderr.rstrip("\n").rpartition("\n")
-    seconds, peak, exit_code = json.loads(report)
+    seconds, cpu_s, peak, exit_code = json.loads(report)
     if exit_code:
         raise RuntimeError(f"python {' '.join(map(str, arguments))}: {said or exit_code}")
-    return Cost(seconds, peak / 1e6 if sys.platform == "darwin" else peak * 1024 / 1e6)
+    peak_mb = peak / 1e6 if sys.platform == "darwin" else peak * 1024 / 1e6
+    return Cost(seconds, peak_mb, cpu_s)
+
+
+def installed_mb(name: str) -> dict[str, float]:
+    """Return the size in MB of a distribution and of all that it needs, by name."""
+    sizes: dict[str, float] = {}
+    waiting = [name]
+    while waiting:
+        each = waiting.pop()
+        if each in sizes:
+            continue
+        try:
+            found = metadata.distribution(each)
+        except metadata.PackageNotFoundError:
+            continue  # not needed on this system
+        files = [Path(str(file.locate())) for file in found.files or []]
+        if each == name:  # its files may lie elsewhere
+            files = list(Path(motionstereo_cli.__file__).parent.rglob("*"))
+        sizes[each] = sum(file.stat().st_size for file in files if file.is_file()) / 1e6
+        needs = [need for need in found.requires or [] if "extra ==" not in need]
+        waiting += [re.split(r"[^\w.-]", need)[0] for need in needs]
+    return sizes
