@@ -415,3 +415,15 @@ def test_rig_command_refuses(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     assert "--size cannot be '320'" in capsys.readouterr().err
     assert main(["rig", str(path), "--size", "320x240"]) == 1
     assert capsys.readouterr().err == f"error: {path}: T is missing: add it, or give another file\n"
+
+
+@pytest.mark.parametrize(("focal", "warned"), [("3.6", True), ("300", False), ("9000", True)])
+def test_a_focal_length_that_is_hardly_in_px_is_named(
+    tmp_path: Path, focal: str, warned: bool
+) -> None:
+    path = tmp_path / "rig.yaml"
+    path.write_text(
+        f"width: 320\nheight: 240\nfocal_px: {focal}\nbaseline_m: 0.1\ncx: 160\ncy: 120\n"
+    )
+    said = " ".join(read_calibration([path]).warnings)
+    assert ("degrees: see that it is in px" in said) == warned

@@ -151,6 +151,18 @@ def test_one_view_twice_is_named(corridor: Views) -> None:
     assert report.ruined
 
 
+def test_one_view_twice_is_named_through_the_noise_of_two_cameras(corridor: Views) -> None:
+    noise = np.random.default_rng(0).normal(0, 4, (2, *corridor[0].shape))
+    left, right = (corridor[0] + noise).round().clip(0, 255).astype(np.uint8)
+    assert checked((left, right)).findings[0].name == "identical"
+
+
+def test_both_views_upside_down_are_not_taken_for_swapped_without_a_word(corridor: Views) -> None:
+    left, right = (np.ascontiguousarray(side[:, ::-1, ::-1]) for side in corridor)
+    (line,) = [each.text for each in checked((left, right)).findings if each.name == "swapped"]
+    assert "if both are upside down, give --rotate-left 180 --rotate-right 180" in line
+
+
 def test_dark_images_are_named_and_light_is_asked_for(corridor: Views) -> None:
     report = checked((corridor[0] // 16, corridor[1] // 16))
     assert report.findings[0].name == "dark"

@@ -313,3 +313,20 @@ def test_run_says_before_the_first_frame_what_does_not_fit(tmp_path, capsys):
         assert {"ms": "give --pose-time-unit ms", "half": "--end"}[name] in capsys.readouterr().err
         assert not (tmp_path / "o").exists()
     assert main([*command, "--poses", str(tmp_path / "ms.txt"), "--pose-time-unit", "ms"]) == 0
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        ("{t} {x} 0 1 0 0 0 1", ""),
+        ("{t} 0 0 {x} 0 0 0.7 0.7", "moves up or down"),  # optical, its first pose is 0
+        ("{t} {x} 0 1 -0.5 0.5 -0.5 0.5", "not upright"),  # optical, z up
+        ("{t} {x} 0 1 1 0 0 0", "not upright"),  # qw first
+        ("{t} 0 0 0.1 0 0 0 1", ""),
+    ],
+)
+def test_poses_that_no_robot_has_are_named(tmp_path, line, said):
+    rows = (line.format(t=n / 10, x=n / 5).replace("0.7 0.7", "0.6 0.8") for n in range(12))
+    warned = " ".join(read_poses(written(tmp_path, *rows)).check_covers(0.0, 1.0))
+    assert (said in warned) if said else not warned
+    assert not said or "--pose-frame" in warned

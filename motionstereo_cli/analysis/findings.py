@@ -21,6 +21,8 @@ NOTED_SHARE = 0.15
 MAX_GREY_DIFFERENCE = 8.0
 #: Views that differ less, as a share of what 1 px of disparity makes, are one and the same.
 SAME_VIEW_SHARE = 0.2
+#: Disparities that are all smaller, in px, are those of one view.
+SAME_VIEW_PX = 0.75
 #: Grey level that some pixels of an image in good light exceed.
 DARK_GREY = 32
 #: Share of the image that changes from frame to frame below which nothing moves.
@@ -202,6 +204,15 @@ _MISFIT = (
 )
 
 
+def _same_view(report: CheckReport) -> bool:
+    if report.alike is not None and report.alike < SAME_VIEW_SHARE:
+        return True
+    low, high, off = report.disparity_low_px, report.disparity_high_px, report.misaligned_px
+    if low is None or high is None or off is None:
+        return False
+    return max(-low, high, off) < SAME_VIEW_PX
+
+
 def _dark(report: CheckReport) -> bool:
     return report.brightest is not None and report.brightest < DARK_GREY
 
@@ -209,13 +220,13 @@ def _dark(report: CheckReport) -> bool:
 RULES = (
     Rule(
         "identical",
-        "difference between the views, as a share of what 1 px of disparity makes",
-        f"under {SAME_VIEW_SHARE:.0%}",
-        lambda r: r.alike is not None and r.alike < SAME_VIEW_SHARE,
+        "difference between the views, as a share of what 1 px of disparity makes; or disparities",
+        f"under {SAME_VIEW_SHARE:.0%}; or all under {SAME_VIEW_PX:g} px",
+        _same_view,
         _always,
         lambda _: (
             "left and right show the same view, so every disparity is 0: give the recordings of "
-            "two cameras (two tracks of one file: --layout tracks)"
+            "two cameras (two tracks of one file: --layout tracks), and of what is not too far"
         ),
     ),
     Rule(
@@ -326,6 +337,7 @@ RULES = (
                 if r.calibrated
                 else "the two recordings (or, if the cameras converge, rectify)"
             )
+            + "; if both are upside down, give --rotate-left 180 --rotate-right 180 instead"
         ),
     ),
     Rule(

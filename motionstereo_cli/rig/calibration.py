@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import math
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -41,6 +42,10 @@ if TYPE_CHECKING:
 
 #: Images that move by less than this need no rectification.
 _NEGLIGIBLE_PX = 0.05
+
+#: Focal lengths outside of these, as shares of the width, are hardly in px: a view of 143 degrees
+#: or more cannot be rectified, and one of 3 degrees or less has no stereo camera.
+_FOCAL_SHARES = (1 / 6, 20)
 
 #: Rectified images that keep less than this share of the recorded ones come from a wrong file.
 _MIN_COVERAGE = 0.3
@@ -135,11 +140,24 @@ def read_calibration(
     name = " and ".join(str(path) for path in paths)
     read = read_files(paths, size, pair)
     if isinstance(read, Rig):
-        return _of_rig(read, name, size, baseline_unit, max_pixels)
+        return _judged(_of_rig(read, name, size, baseline_unit, max_pixels), name)
     recorded = read.size or (size and (size[1], size[0]))
     if turned_deg in (90, 270) and recorded and is_vertical(read):
         read = turned(name, read, recorded, turned_deg)
-    return _of_pair(read, name, size, baseline_unit, max_pixels)
+    return _judged(_of_pair(read, name, size, baseline_unit, max_pixels), name)
+
+
+def _judged(calibration: Calibration, name: str) -> Calibration:
+    """Return a calibration with a warning where its focal length is an unlikely one."""
+    focal_px, width = calibration.rig.focal_px, calibration.rig.width
+    if _FOCAL_SHARES[0] < focal_px / width < _FOCAL_SHARES[1]:
+        return calibration
+    degrees = 2 * math.degrees(math.atan(width / 2 / focal_px))
+    warning = (
+        f"{name}: a focal length of {focal_px:.4g} px in images {width} px wide is a view of "
+        f"{degrees:.3g} degrees: see that it is in px, not in mm, and of images of this size"
+    )
+    return dataclasses.replace(calibration, warnings=(*calibration.warnings, warning))
 
 
 def _of_pair(

@@ -40,6 +40,10 @@ _MAX_INTERVAL_S, _MAX_SPEED_MPS = 1.0, 100.0
 #: A step between poses that is this many times the usual one is a gap.
 _MAX_GAP = 10
 
+#: A robot is upright: its own upwards points up by so much. It moves across, not by so large a
+#: share up, for so far.
+_MIN_UPRIGHT, _MOSTLY_UP, _FAR_UP_M = 0.3, 0.8, 0.5
+
 #: Directions of the robot frame in the optical one: forward is z, left is -x, up is -y.
 _OPTICAL_FROM_ROBOT = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
 
@@ -131,7 +135,7 @@ class Trajectory:
                 f"{self.name}: its poses cover {self._shown(start, end)}, but the recording goes "
                 f"on to about {self._shown(last)}: give poses for all of it, or --end {kept}"
             )
-        return self._gaps(first, end if last is None else last)
+        return self._gaps(first, end if last is None else last) + self._odd()
 
     def _gaps(self, first: float, last: float) -> tuple[str, ...]:
         steps = np.diff(self.time_s)
@@ -149,6 +153,21 @@ class Trajectory:
             f"{self.name} has {found.size} gap{'s' if found.size > 1 else ''}, the longest from "
             f"{where}: a straight line is taken there",
         )
+
+    def _odd(self) -> tuple[str, ...]:
+        """Return what no robot does: lie on its side, or move up where it should go ahead."""
+        advice = (
+            "if these are poses of a camera, give --pose-frame optical or optical-z-up; see also "
+            "that qw is the last number of a line"
+        )
+        qx, qy = self.poses[:, 3], self.poses[:, 4]
+        upright = float(np.median(1 - 2 * (qx**2 + qy**2)))  # z of the rig's own upwards
+        if upright < _MIN_UPRIGHT:
+            return (f"{self.name}: by these poses the rig is not upright: {advice}",)
+        steps = np.abs(np.diff(self.poses[:, :3], axis=0)).sum(axis=0)
+        if steps[2] > max(_MOSTLY_UP * float(np.linalg.norm(steps)), _FAR_UP_M):
+            return (f"{self.name}: by these poses the rig moves up or down, not ahead: {advice}",)
+        return ()
 
     def _check_unit(self, first_s: float, last_s: float | None) -> None:
         if len(self.time_s) < 2:
