@@ -40,7 +40,7 @@ from motionstereo_cli.simulate.drive_world import DriveWorld
 from motionstereo_cli.simulate.plan import Plan
 from motionstereo_cli.simulate.settings import DriveSettings
 from motionstereo_cli.sinks import OUTPUTS, RunContext
-from motionstereo_cli.sinks.map import map_png, map_yaml
+from motionstereo_cli.sinks.map import map_png, map_sheet, map_yaml
 from motionstereo_cli.sinks.points import encode_ply
 from motionstereo_cli.sinks.settings import OutputSettings
 from motionstereo_cli.types import FrameResult, Pose, Rig, Steering, StereoFrame
@@ -410,6 +410,16 @@ class TestPicture:
     def test_x_to_the_right_and_y_upward(self):
         assert map_png(self.floor).tolist() == [[254, 0, 205], [254, 205, 205]]
 
+    def test_the_sheet_shows_the_cells_larger_below_a_title_and_above_a_scale(self):
+        sheet = map_sheet(self.floor)
+        times = 640 // 3
+        assert sheet.shape[1] == 3 * times
+        rows = (sheet == sheet[:, :, :1]).all(axis=(1, 2))
+        assert rows.all()  # it is grey
+        ink = np.flatnonzero((sheet[:, times + 5] == 0).all(axis=1))
+        assert len(ink) == times  # the occupied cell, upper row, middle column
+        assert len(sheet) > 2 * times + 60
+
     def test_map_server_reads_what_was_meant(self):
         """By the words of map_server: p = (255 - v) / 255; origin is the lower left corner."""
         lines = map_yaml(self.floor, "map.png").splitlines()
@@ -444,7 +454,12 @@ class TestFiles:
         sink = self.sink(tmp_path, map_cell_m=0.1)
         assert not list(tmp_path.iterdir())
         sink.close()
-        assert {path.name for path in tmp_path.iterdir()} == {"map.ply", "map.png", "map.yaml"}
+        assert {path.name for path in tmp_path.iterdir()} == {
+            "map.ply",
+            "map.png",
+            "map.yaml",
+            "map-sheet.png",
+        }
         assert "resolution: 0.1\n" in (tmp_path / "map.yaml").read_text()
         picture = cv2.imread(str(tmp_path / "map.png"), cv2.IMREAD_UNCHANGED)
         assert set(np.unique(picture)) == {0, 205, 254}
@@ -460,7 +475,8 @@ class TestFiles:
     def test_ended_early(self, tmp_path, keep):
         self.sink(tmp_path).abandon(keep=keep)
         names = {path.name for path in tmp_path.iterdir()}
-        assert names == ({"map.ply.part", "map.png.part", "map.yaml.part"} if keep else set())
+        wanted = {f"map{end}.part" for end in (".ply", ".png", ".yaml", "-sheet.png")}
+        assert names == (wanted if keep else set())
 
     def test_all_its_files_are_known_as_a_runs_own(self, tmp_path):
         prepare(tmp_path, ["map", "steering"])
@@ -494,7 +510,7 @@ def test_a_run_on_a_drive_gives_the_same_map(drive_out, tmp_path):
     poses = ("--poses", drive_out / "poses.txt", "--save", "map,points,steering")
     done = motionstereo("run", *recorded(drive_out), *poses, "-o", tmp_path)
     assert done.exit_code == 0, done.output
-    for name in ("map.ply", "map.png", "map.yaml"):
+    for name in ("map.ply", "map.png", "map.yaml", "map-sheet.png"):
         assert (tmp_path / name).read_bytes() == (drive_out / name).read_bytes()
     assert len(read_ply((tmp_path / "map.ply").read_bytes())) > 100
     assert len(list((tmp_path / "points").iterdir())) == 25

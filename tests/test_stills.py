@@ -251,3 +251,50 @@ def test_rates_that_no_video_can_hold_are_refused() -> None:
     for given in (1e-300, 0.0009):
         with pytest.raises(SettingsError, match=r"--frame-rate cannot be .*: give 0\.001 to"):
             InputSettings(frame_rate=given)
+
+
+def paged(path: Path, count: int = COUNT, **options: Any) -> Path:
+    pages = [Pillow.fromarray(image) for image in scene()[:count]]
+    if path.suffix == ".webp":
+        pages, options = [page.convert("RGB") for page in pages], {"lossless": True}
+    pages[0].save(path, save_all=True, append_images=pages[1:], **options)
+    return path
+
+
+@pytest.mark.parametrize("suffix", [".tif", ".png", ".webp"])
+def test_a_file_of_several_images_is_a_recording(tmp_path: Path, suffix: str) -> None:
+    left, right = (paged(tmp_path / f"{side}{suffix}") for side in "lr")
+    with open_stereo(left, right, InputSettings(frame_rate=10)) as source:
+        assert source.expected_frames == COUNT
+        frames = list(source)
+        assert [number_in(frame.left) for frame in frames] == list(range(COUNT))
+        np.testing.assert_array_equal(frames[4].right, scene()[4])
+        assert frames[5].time_s == 0.5
+        assert not source.damage
+    with open_stereo(left, right) as source:
+        assert source.begin_at(7)
+        assert number_in(next(iter(source)).left) == 7
+
+
+def test_pages_that_are_cut_off_or_too_large_are_said(tmp_path: Path) -> None:
+    whole, cut = paged(tmp_path / "whole.tif"), tmp_path / "cut.tif"
+    cut.write_bytes(whole.read_bytes()[:-1500])
+    with open_stereo(whole, cut) as source:
+        frames = list(source)
+        assert 1 < len(frames) < COUNT
+        assert "could not be read" in source.damage[0]
+    with pytest.raises(InputError, match="larger than --max-pixels"):
+        open_stereo(whole, cut, InputSettings(max_pixels=3000))
+
+
+def test_pages_within_a_folder_and_pictures_that_are_not_read_are_named(tmp_path: Path) -> None:
+    for side in "lr":
+        (tmp_path / side).mkdir()
+        for number in range(3):
+            paged(tmp_path / side / f"{number}.png", 2)
+    with open_stereo(tmp_path / "l", tmp_path / "r") as source:
+        assert "has 2 pages, of which the first is used" in source.warnings[0]
+    (tmp_path / "other").mkdir()
+    Pillow.fromarray(scene()[0]).save(tmp_path / "other" / "0.jp2")
+    with pytest.raises(InputError, match=r"convert its \.jp2 files to PNG"):
+        open_stereo(tmp_path / "other", tmp_path / "r")

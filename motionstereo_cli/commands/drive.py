@@ -30,9 +30,9 @@ def drive(
 
     It drives round a square corridor. The folder OUT then has: left.mkv and right.mkv, what it
     saw (FFV1, lossless); rig.yaml and poses.txt (TUM format, m); steering.csv, as run gives it for
-    these with --poses poses.txt; plan.png, the drive from above; map.ply, map.png, map.yaml, the
-    map as run --save map gives it; drive.json: laps, distance, collisions, nearest pass, why it
-    ended.
+    these with --poses poses.txt; plan.png, the drive from above; map.ply, map.png, map.yaml,
+    map-sheet.png, the map as run --save map gives it; drive.json: laps, distance, collisions,
+    nearest pass, why it ended.
     """
     world_settings = DriveSettings(**world)
 

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import hashlib
 import io
+import itertools
 import re
+import struct
 import warnings
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -26,19 +28,25 @@ if TYPE_CHECKING:
 #: Files with these suffixes are images; all others are passed over. In the last two, both views
 #: are in one file: as two images, and side by side.
 SUFFIXES = frozenset(
-    {".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm", ".webp", ".mpo", ".jps"}
+    {".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm", ".ppm", ".webp", ".mpo", ".jps"}
 )
 
 #: What an image may hold, whatever its name. Pillow decodes these itself; it would start a
 #: program for others, such as EPS.
 _FORMATS = ("PNG", "JPEG", "TIFF", "BMP", "PPM", "WEBP")
 
+#: Those of them that may hold several images which are alike; a JPEG may hold a small one.
+_PAGED = ("TIFF", "PNG", "WEBP")
+
 #: Modes of Pillow that are arrays as they are, and those that it makes RGB of.
 _PLAIN_MODES = {"1", "L", "LA", "RGB", "RGBA", "I", "F", "I;16", "I;16B", "I;16L", "I;16N"}
 _RGB_MODES = {"P", "PA", "La", "RGBa", "RGBX", "CMYK", "YCbCr"}
 
 #: What Pillow raises on damaged images.
-_DAMAGE = (OSError, ValueError, SyntaxError, EOFError, OverflowError, Pillow.DecompressionBombError)
+_DAMAGE = (
+    *(OSError, ValueError, TypeError, SyntaxError, EOFError, OverflowError, struct.error),
+    Pillow.DecompressionBombError,
+)
 
 #: No image takes more bytes in a file: 16 bits of four colours twice over, and its notes.
 _MAX_BYTES_PER_PIXEL, _NOTES_BYTES = 16, 16_000_000
@@ -74,7 +82,7 @@ class Still(NamedTuple):
         pixels: (height, width) or (height, width, channels: grey+alpha, RGB or RGBA); bool,
             uint8, uint16, or float32 with NaN and inf as they are. The orientation that a camera
             noted is obeyed.
-        pages: images in the file, where it is a TIFF; the first is read.
+        pages: images in the file, where it is a TIFF, PNG or WebP; the first is read.
         size_bytes, sha256: size and SHA-256 of the file as it was read.
         stated: how it says that it holds both views, None if it does not.
     """
@@ -201,20 +209,62 @@ def decode(
         with Pillow.open(io.BytesIO(content), formats=_FORMATS) as image:
             if image.width * image.height > max_pixels:
                 raise _too_large(path, f" ({image.width}x{image.height} px)", max_pixels)
-            pages = getattr(image, "n_frames", 1) if image.format == "TIFF" else 1
+            pages = getattr(image, "n_frames", 1) if image.format in _PAGED else 1
             if page:
                 image.seek(page)
-            if image.mode not in _PLAIN_MODES | _RGB_MODES:
-                raise InputError(
-                    f"{path} has {image.mode} pixels: convert it to grey or RGB, 8 or 16 bits"
-                )
-            turned = ImageOps.exif_transpose(image)
-            pixels = np.asarray(turned.convert("RGB") if image.mode in _RGB_MODES else turned)
+            mode, turned = _as_read(image.mode, path), ImageOps.exif_transpose(image)
+            pixels = np.asarray(turned.convert(mode) if mode else turned)
     except Pillow.DecompressionBombError:
         raise _too_large(path, "", max_pixels) from None
     except _DAMAGE as error:
         raise DamagedImageError(str(error)) from error
     return _native(pixels, path), pages
+
+
+def page_count(path: Path) -> int:
+    """Return how many images a TIFF, PNG or WebP holds; 1 for what cannot be read."""
+    try:
+        with open_regular(path) as file, Pillow.open(file, formats=_PAGED) as image:
+            return getattr(image, "n_frames", 1)
+    except _DAMAGE:
+        return 1
+
+
+def pages_from(path: Path, begin: int, max_pixels: int = MAX_PIXELS) -> Iterator[NDArray[Any]]:
+    """Yield the images of a file that holds several, each as :class:`Still` has it.
+
+    Args:
+        path: a file of which :func:`page_count` says so, which tells its format.
+        begin: number of the first.
+        max_pixels: largest width times height.
+
+    Raises:
+        DamagedImageError: the next one cannot be read.
+        InputError: it is too large, or has pixels of a kind that says nothing of grey levels.
+    """
+    import imageio.v3 as iio
+
+    try:
+        with open_regular(path) as file, iio.imopen(file, "r", plugin="pillow") as opened:
+            for page in itertools.count(begin):
+                try:
+                    about = opened.metadata(index=page)
+                except EOFError:
+                    return
+                width, height = about["shape"]
+                if width * height > max_pixels:
+                    raise _too_large(path, f" ({width}x{height} px)", max_pixels)
+                how: dict[str, Any] = {"mode": _as_read(about["mode"], path), "rotate": True}
+                yield _native(opened.read(index=page, **how), path)
+    except _DAMAGE as error:
+        raise DamagedImageError(str(error)) from error
+
+
+def _as_read(mode: str, path: Path) -> str | None:
+    """Return the mode to convert to, None where pixels are read as they are."""
+    if mode not in _PLAIN_MODES | _RGB_MODES:
+        raise InputError(f"{path} has {mode} pixels: convert it to grey or RGB, 8 or 16 bits")
+    return "RGB" if mode in _RGB_MODES else None
 
 
 def _native(pixels: NDArray[Any], path: Path) -> NDArray[Any]:

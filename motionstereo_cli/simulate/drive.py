@@ -42,7 +42,7 @@ _TIME_BASE = Fraction(1, 1000)
 RECORD = "drive.json"
 OUTPUTS = (
     *("left.mkv", "right.mkv", "rig.yaml", "steering.csv", "poses.txt", "plan.png"),
-    *("map.ply", "map.png", "map.yaml", "drive.mp4", RECORD),
+    *("map.ply", "map.png", "map.yaml", "map-sheet.png", "drive.mp4", RECORD),
 )
 _KIND = FolderKind("motionstereo drive", RECORD, {name: (name,) for name in OUTPUTS})
 
@@ -60,7 +60,8 @@ def drive(
     """Let the robot drive until it ends, write what happened, and return the record.
 
     Writes left.mkv and right.mkv (FFV1), rig.yaml, poses.txt (TUM), steering.csv as ``run`` does,
-    plan.png, map.ply, map.png, map.yaml, the record drive.json and, with ``view``, drive.mp4.
+    plan.png, map.ply, map.png, map.yaml, map-sheet.png, the record drive.json and, with ``view``,
+    drive.mp4.
     ``run`` on the recordings with that rig and those poses gives the same steering.csv and map.
 
     When it fails or is interrupted, no file is left behind.

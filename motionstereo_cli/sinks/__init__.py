@@ -276,11 +276,12 @@ OUTPUTS = {
         "map.ply",
         "what moved in the image, fused over all frames: points in the world of the poses in m, "
         "colour = grey; map.png from above, 0 = occupied, 254 = free, 205 = unknown, its place "
-        "and scale in map.yaml as ROS's map_server has it",
+        "and scale in map.yaml as ROS's map_server has it; map-sheet.png, the same to look "
+        "at, with a title, the meaning of its greys and a scale",
         "map.MapFiles",
         needs_rig=True,
         needs_poses=True,
-        beside=("map.png", "map.yaml"),
+        beside=("map.png", "map.yaml", "map-sheet.png"),
         in_order=True,
     ),
 }

@@ -10,6 +10,7 @@ import numpy as np
 
 from motionstereo_cli.files.atomic import part_of, write_whole
 from motionstereo_cli.files.images import encode_png
+from motionstereo_cli.files.lettering import LIGHT, colour_key, length_bar, titled
 from motionstereo_cli.robot.mapper import Floor, Mapper, Surroundings
 from motionstereo_cli.sinks.points import encode_ply
 from motionstereo_cli.types import FrameResult
@@ -23,6 +24,11 @@ _FREE = 254
 _OCCUPIED = 0
 _UNKNOWN = 205
 
+#: The picture for people: about how large its longer side is, and its minimum width, in px.
+_SHEET_PX, _MIN_SHEET_PX = 640, 420
+_TITLE = "The map from above: x to the right, y upward"
+_MEANINGS = {_OCCUPIED: "occupied", _FREE: "free", _UNKNOWN: "unknown"}
+
 
 def map_png(floor: Floor) -> NDArray[np.uint8]:
     """Return the floor plane as a picture: 0 occupied, 254 free, 205 unknown.
@@ -32,6 +38,25 @@ def map_png(floor: Floor) -> NDArray[np.uint8]:
     """
     cells = np.where(floor.occupied, _OCCUPIED, np.where(floor.free, _FREE, _UNKNOWN))
     return np.ascontiguousarray(cells.T[::-1].astype(np.uint8))
+
+
+def map_sheet(floor: Floor) -> NDArray[np.uint8]:
+    """Return the same for people, RGB: larger, with a title, the meaning of greys and a scale."""
+    picture = map_png(floor)
+    times = max(1, _SHEET_PX // max(picture.shape))
+    picture = picture.repeat(times, 0).repeat(times, 1)
+    spare = max(_MIN_SHEET_PX - picture.shape[1], 0)
+    sides = ((0, 0), (spare // 2, spare - spare // 2))
+    picture = np.pad(picture, sides, constant_values=_UNKNOWN)
+    entries = [((grey,) * 3, text) for grey, text in _MEANINGS.items()]
+    width = picture.shape[1]
+    return np.concatenate(
+        [
+            titled([np.stack([picture] * 3, axis=-1)], [_TITLE], LIGHT),
+            colour_key(width, entries, LIGHT),
+            length_bar(width, times / floor.cell_m, LIGHT),
+        ]
+    )
 
 
 def map_yaml(floor: Floor, image: str) -> str:
@@ -52,7 +77,7 @@ def map_yaml(floor: Floor, image: str) -> str:
 
 
 class MapFiles:
-    """The map, written at the end: .ply, and beside it .png and .yaml of the same name.
+    """The map, written at the end: .ply, beside it .png and .yaml of the same name, and -sheet.png.
 
     Args:
         path: name of the point cloud.
@@ -100,4 +125,6 @@ class MapFiles:
         picture, yaml = self._path.with_suffix(".png"), self._path.with_suffix(".yaml")
         yield self._path, encode_ply(points_m, grey, "m, in the world of the poses")
         yield picture, encode_png(map_png(floor))
+        sheet = self._path.with_name(f"{self._path.stem}-sheet.png")
+        yield sheet, encode_png(map_sheet(floor)[..., ::-1])
         yield yaml, map_yaml(floor, picture.name).encode()

@@ -29,6 +29,12 @@ from motionstereo_cli.sources.names import file_numbers, gaps
 from motionstereo_cli.sources.recording import Image, Recording, images
 from motionstereo_cli.sources.times import timeline
 
+#: Pictures that are not read.
+_PICTURES = frozenset(
+    {".gif", ".jp2", ".j2k", ".avif", ".heic", ".heif", ".jxl", ".exr", ".hdr", ".dng", ".raw"}
+    | {".cr2", ".nef", ".arw", ".tga", ".pbm", ".pnm", ".pam", ".fits", ".npy", ".svg"}
+)
+
 
 class FolderRecording(Recording):
     """Images of one folder in natural order: frame2 before frame10.
@@ -77,7 +83,11 @@ class FolderRecording(Recording):
         #: Size and SHA-256 of each file, once it was read.
         self._sums: list[tuple[int, bytes] | None] = [None] * len(self._files)
         if not self._files:
-            raise InputError(f"{path} has no images: put {', '.join(sorted(SUFFIXES))} files in it")
+            others = _others(path) if files is None else ""
+            raise InputError(
+                f"{path} has no images that are read{others}: put {', '.join(sorted(SUFFIXES))} "
+                "files in it"
+            )
         self.expected_images = len(self._files)
         self.time_base: Fraction | None = None
         if stamps_ns:
@@ -198,6 +208,13 @@ class FolderRecording(Recording):
         read, known = (still.size_bytes, still.sha256), self._sums[number]
         self._changed += known is not None and known != read
         self._sums[number] = read
+
+
+def _others(folder: Path) -> str:
+    """Return what a folder holds in the place of images."""
+    found = {file.suffix.lower() for file in folder.iterdir() if not file.name.startswith(".")}
+    kinds = sorted(found & _PICTURES)
+    return f" (convert its {', '.join(kinds)} files to PNG)" if kinds else ""
 
 
 def _sums_of(path: Path) -> tuple[int, bytes] | None:

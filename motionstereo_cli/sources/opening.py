@@ -14,6 +14,7 @@ from motionstereo_cli.files.stills import SUFFIXES, shown
 from motionstereo_cli.sources.bag import BagRecording
 from motionstereo_cli.sources.bag_topics import is_bag, stereo_topics
 from motionstereo_cli.sources.folder import FolderRecording
+from motionstereo_cli.sources.pages import PagesRecording, has_pages
 from motionstereo_cli.sources.pipe import Pipe
 from motionstereo_cli.sources.recording import Recording
 from motionstereo_cli.sources.settings import InputSettings
@@ -165,6 +166,10 @@ def open_recording(
         return BagRecording(path, topic, white=settings.white, max_pixels=settings.max_pixels)
     is_still = path.suffix.lower() in SUFFIXES or not path.exists()
     if not (name == STDIN or is_address(name)) and (path.is_dir() or is_still):
+        if path.is_file() and has_pages(path):
+            return PagesRecording(
+                path, settings.rate, white=settings.white, max_pixels=settings.max_pixels
+            )
         files = None if path.is_dir() else _files(name)
         return FolderRecording(
             path, files, settings.rate, white=settings.white, max_pixels=settings.max_pixels

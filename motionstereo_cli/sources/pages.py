@@ -1,0 +1,130 @@
+"""One camera from a file of several still images: pages of a TIFF, frames of a PNG or WebP."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from motionstereo_cli.errors import InputError
+from motionstereo_cli.files.reading import MAX_PIXELS, sha256_of
+from motionstereo_cli.files.stills import (
+    DamagedImageError,
+    grey_of,
+    page_count,
+    pages_from,
+    pixel_format,
+)
+from motionstereo_cli.sources.recording import Image, Recording, images
+
+#: Files with these suffixes may hold several images.
+SUFFIXES = frozenset({".tif", ".tiff", ".png", ".webp"})
+
+
+def has_pages(path: Path) -> bool:
+    """Return whether a file holds several still images."""
+    return path.suffix.lower() in SUFFIXES and page_count(path) > 1
+
+
+class PagesRecording(Recording):
+    """Images of one file in their order; they have no times, but ``frame_rate`` makes some.
+
+    Behind a page that cannot be read all others are lost.
+
+    Args:
+        path: the file.
+        frame_rate: images per second, None = unknown.
+        white: level that becomes 255 in images of 16 bits; 0 = 65535.
+        max_pixels: largest width times height of an image.
+
+    Raises:
+        InputError: no image can be read; while iterating: one is too large, or differs from the
+            first in size.
+    """
+
+    timeless = True
+
+    def __init__(
+        self,
+        path: Path,
+        frame_rate: Fraction | None = None,
+        *,
+        white: int = 0,
+        max_pixels: int = MAX_PIXELS,
+    ) -> None:
+        self._path, self._white, self._max_pixels = path, white, max_pixels
+        self._ended = ""
+        self._lost = 0
+        self.expected_images = self._count = page_count(path)
+        self.frame_rate, self.time_base = frame_rate, 1 / frame_rate if frame_rate else None
+        self._start(self._read(), path)
+
+    def close(self) -> None:
+        """Do nothing: the iteration closes the file."""
+
+    @property
+    def lost(self) -> int:
+        """Images behind one that could not be read, and that one."""
+        return self._lost
+
+    @property
+    def damage(self) -> list[str]:
+        """A line that says where reading ended."""
+        if not self._ended:
+            return []
+        return [f"{self._path}: {images(self._lost)} could not be read: {self._ended}"]
+
+    def describe(self) -> dict[str, Any]:
+        """Return what the images are, as JSON-able values."""
+        return {
+            "path": str(self._path),
+            "kind": "pages",
+            "codec": self._path.suffix.lower()[1:],
+            "pixel_format": self._pixel_format,
+            "range": "full",
+            "rotation_deg": 0,
+            "width": self.width,
+            "height": self.height,
+            "frame_rate": str(self.frame_rate) if self.frame_rate else None,
+            "images": self._count,
+        }
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """The file."""
+        return (self._path,)
+
+    def fingerprint(self) -> dict[str, Any]:
+        """Return the size of the file in bytes, and its SHA-256."""
+        return {"bytes": self._path.stat().st_size, "sha256": sha256_of(self._path)}
+
+    def outline(self) -> Sequence[tuple[int, int]]:
+        """Return the numbers of all pages, twice."""
+        return [(number, number) for number in range(self._count)]
+
+    def skip_to(self, number: int) -> bool:
+        """Begin with a page; those before are not decoded."""
+        self._images = self._read(number, (self.height, self.width))
+        return True
+
+    def _read(self, begin: int = 0, shape: tuple[int, ...] | None = None) -> Iterator[Image]:
+        number, pages = begin, pages_from(self._path, begin, self._max_pixels)
+        try:
+            for pixels in pages:
+                grey = grey_of(pixels, self._path, self._white)
+                if shape is None:
+                    shape, self._pixel_format = grey.shape, pixel_format(pixels)
+                    if pixels.dtype == np.uint16 and not self._white:
+                        self._judge_depth(self._path, int(pixels.max()), 16)
+                if grey.shape != shape:
+                    raise InputError(
+                        f"{self._path}: page {number} is {grey.shape[1]}x{grey.shape[0]} but those "
+                        f"before it are {shape[1]}x{shape[0]}: give pages of one size"
+                    )
+                yield Image(number, number, grey)
+                number += 1
+        except DamagedImageError as error:
+            self._ended, self._lost = str(error), self._count - number
