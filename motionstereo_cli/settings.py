@@ -163,7 +163,9 @@ class Settings:
     )
     min_confidence: float = param(
         0.0,
-        "Minimum chance that a disparity is right within 1 px. Needs --matcher trails.",
+        "Minimum chance that a disparity is right within 1 px. Needs --matcher "
+        + " or ".join(name for name, matcher in MATCHERS.items() if matcher.knows_confidence)
+        + ".",
         low=0,
         high=1,
         common=True,
