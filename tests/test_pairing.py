@@ -284,3 +284,16 @@ def test_what_cannot_seek_is_decoded_from_the_start(tmp_path: Path) -> None:
     with open_stereo(*paths) as source:
         assert not source.begin_at(5)
         assert [number_in(frame.left) for frame in source] == list(ALL)[5:]
+
+
+@pytest.mark.parametrize(
+    ("period_ns", "warned"), [(33_333_333, 0), (33_333, 1), (33_333_333_333, 1)]
+)
+def test_stamps_in_an_unlikely_unit_are_named(tmp_path: Path, period_ns: int, warned: int) -> None:
+    for camera in ("cam0", "cam1"):
+        (tmp_path / camera).mkdir()
+        named(tmp_path / camera / "data", {n: f"{n:02d}" for n in ALL})
+        rows = "".join(f"{10**9 + n * period_ns},{n:02d}.png\n" for n in ALL)
+        (tmp_path / camera / "data.csv").write_text(rows)
+    with open_stereo(tmp_path) as source:
+        assert len([line for line in source.warnings if "images per second" in line]) == warned

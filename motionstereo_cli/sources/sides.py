@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import cv2
 import numpy as np
 
-from motionstereo_cli.sources.recording import Recording
+from motionstereo_cli.sources.recording import Recording, images
 
 if TYPE_CHECKING:
     from motionstereo_cli.types import Grey
@@ -113,6 +113,26 @@ class Side:
     def between(self) -> int:
         """Images without partner between those that have one."""
         return self._came - self.paired - self.early - self.late if self.paired else 0
+
+    @property
+    def left_over(self) -> int:
+        """About how many images come after the last pair."""
+        return self.late + (self.counts["unread"] or 0)
+
+    def unused(self, early: int, late: int) -> list[str]:
+        """Return what of the images was not used, or is not new, one line each.
+
+        Args:
+            early, late: images before the first pair and after the last that should have partners.
+        """
+        name, dropped = self.stream.name, self.between + early
+        lines = {
+            f"{images(dropped)} dropped: no partner on the other side": dropped,
+            f"{images(self.repeated)} repeated while the other side moves": self.repeated,
+            f"about {images(late)} longer than the other side: only the common part was "
+            "processed": late,
+        }
+        return [f"{name}: {line}" for line, count in lines.items() if count > 0]
 
     @property
     def counts(self) -> dict[str, int | None]:

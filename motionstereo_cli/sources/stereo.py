@@ -15,7 +15,7 @@ from motionstereo_cli.errors import InputError
 from motionstereo_cli.sources import layout
 from motionstereo_cli.sources.pairing import need_time, pair, pairing
 from motionstereo_cli.sources.prefetch import prefetch
-from motionstereo_cli.sources.recording import Recording, images
+from motionstereo_cli.sources.recording import Recording
 from motionstereo_cli.sources.selection import Selected, chosen, place_near
 from motionstereo_cli.sources.settings import InputSettings
 from motionstereo_cli.sources.sides import Loss, Shot, Side, bare, moves, same
@@ -26,6 +26,9 @@ if TYPE_CHECKING:
 
 #: Images decoded ahead on each side: enough to even out key frames, little memory.
 _DEPTH = 4
+
+#: Images per second; beyond these a stamp is hardly in the unit that it is read in.
+_LIKELY_RATES = (0.05, 5000)
 
 SIDES = ("left", "right")
 
@@ -111,6 +114,11 @@ class StereoSource:
         self.time_base = right.stream.time_base
         rate = right.stream.frame_rate
         self.frame_rate = rate / s.every if rate else None
+        if rate and not _LIKELY_RATES[0] <= rate <= _LIKELY_RATES[1]:
+            self.warnings.append(
+                f"{right.stream.name} has {float(rate):.4g} images per second by its times: see "
+                "that they are in the unit that belongs to its format"
+            )
         for flag, place in (("--start", s.first), ("--end", s.stop)):
             if isinstance(place, Fraction):
                 need_time(flag, right.stream)
@@ -205,21 +213,8 @@ class StereoSource:
         # What an offset makes stand over is no damage, nor that streams begin apart in time.
         for side, over_first, over_last in ((left, -offset, offset), (right, offset, -offset)):
             early = 0 if self._pairing.by_time else max(side.early - max(over_first, 0), 0)
-            if dropped := side.between + early:
-                lines.append(
-                    f"{side.stream.name}: {images(dropped)} dropped: no partner on the other side"
-                )
-            if side.repeated:
-                lines.append(
-                    f"{side.stream.name}: {images(side.repeated)} repeated while the other side "
-                    "moves"
-                )
-            longer = side.late + (side.counts["unread"] or 0) - max(over_last, 0)
-            if self._to_the_end and longer > 0:
-                lines.append(
-                    f"{side.stream.name}: about {images(longer)} longer than the other side: "
-                    "only the common part was processed"
-                )
+            late = side.left_over - max(over_last, 0) if self._to_the_end else 0
+            lines += side.unused(early, late)
         return lines
 
     def describe(self, *, fingerprint: bool = True) -> dict[str, dict[str, Any]]:
