@@ -6,8 +6,8 @@ BENCH = PYTHONPATH=tests $(BIN)/python -m bench
 # What sample_data/golden has.
 GOLDEN = steering,depth,disparity
 
-.PHONY: demo test lint sample regress fuzz figures bench bench-accuracy bench-drive bench-map bench-objects \
-	check-trials torture coverage renew man clean help
+.PHONY: demo test lint sample regress fuzz figures bench bench-accuracy bench-batch bench-drive bench-map \
+	bench-objects check-trials torture coverage renew man clean help
 
 demo: $(READY)  ## run the main job on sample_data
 	$(BIN)/motionstereo run sample_data/left.mp4 sample_data/right.mp4 \
@@ -85,6 +85,9 @@ bench-drive: $(READY)  ## let the robot find its way by different depths; resume
 bench-map: $(READY)  ## measure how true the map of a drive is
 	$(BENCH) map
 	$(BENCH) map --walkers 2
+
+bench-batch: $(READY)  ## measure what a batch costs, and kill what works on it: 20 minutes
+	$(BENCH) batch
 
 man: $(READY)  ## write man pages to out/man
 	$(BIN)/pip install --quiet click-man

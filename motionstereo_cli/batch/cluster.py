@@ -29,6 +29,7 @@ _WORKERS_S = 60
 #: loaded everything, where forks are safe: each would take 1.2 s of processor time otherwise.
 _SETTINGS: Mapping[str, object] = {
     "distributed.scheduler.allowed-failures": 1,
+    "distributed.admin.low-level-log-length": 20,  # of messages, which hold all of a task
     "logging.distributed": "critical",
     "distributed.nanny.pre-spawn-environ.DASK_LOGGING__DISTRIBUTED": "critical",
     "distributed.nanny.pre-spawn-environ.PYTHONWARNINGS": "ignore",

@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import csv
+import ctypes
 import filecmp
 import json
 import os
@@ -32,6 +33,7 @@ from motionstereo_cli.simulate.settings import SimulateSettings
 WORKERS = 2
 _COMMAND = (sys.executable, "-m", "motionstereo_cli")
 _PATIENCE_S = 600.0
+_PR_SET_CHILD_SUBREAPER = 36
 
 #: Loaded by each worker: one recording ends the process that works on it.
 _KILLER = """
@@ -120,12 +122,28 @@ class Started:
             time.sleep(0.02)
         self._process.returncode = os.waitstatus_to_exitcode(status)
         wall_s = time.perf_counter() - self._begin_s
-        return Cost(wall_s, usage.ru_utime + usage.ru_stime, tuple(self._rss))
+        return Cost(wall_s, usage.ru_utime + usage.ru_stime + _orphans_s(), tuple(self._rss))
 
     def kill(self) -> None:
         """End it as ``kill -9`` does, and it only."""
         os.kill(self.pid, signal.SIGKILL)
         self._process.wait()
+
+
+def _adopt() -> None:
+    """Have orphans of children become children of this process, so that their time is known."""
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(_PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
+
+
+def _orphans_s() -> float:
+    """Wait for all children that are left, and return their processor time in s."""
+    total_s = 0.0
+    with contextlib.suppress(ChildProcessError):
+        while True:
+            _, _, usage = os.wait4(-1, 0)
+            total_s += usage.ru_utime + usage.ru_stime
+    return total_s
 
 
 def _batch(manifest: Path, out: Path, *more: object) -> list[object]:
@@ -313,6 +331,7 @@ def main(args: list[str]) -> int:
     parser.add_argument("--trials", default="clips,tiny,hard,pieces,join", help="which, by name")
     given = parser.parse_args(args)
     size = QUICK if given.quick else FULL
+    _adopt()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
 
