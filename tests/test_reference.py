@@ -65,8 +65,7 @@ def test_everything_is_of_the_left_view():
         expected = getattr(right, name)[:, ::-1]
         np.testing.assert_array_equal(getattr(left, name), expected, err_msg=name)
         assert getattr(left, name).flags.c_contiguous, name
-    # Of two paths that are equally good, the first from the left is taken.
-    assert left.steering.steer == pytest.approx(-right.steering.steer, abs=0.2)
+    assert left.steering.steer == pytest.approx(-right.steering.steer, abs=1e-6)
 
 
 def test_angles_and_depth_are_those_of_the_left_camera():

@@ -268,12 +268,18 @@ def quantiles(
     """
     values = np.ascontiguousarray(values)
     height, width = values.shape
-    # As np.array_split has it: the first strips are wider by one.
-    begin = np.array([i * (width // strips) + min(i, width % strips) for i in range(strips + 1)])
+    begin = strip_borders(width, strips)
     result = np.empty(strips, np.float32)
     work = reused(loops.Workspace, height, width)
     loops.quantiles(values, begin.astype(np.int32), share, min_share, work, result)
     return result
+
+
+def strip_borders(width: int, strips: int) -> NDArray[np.int64]:
+    """Return where strips of nearly equal width begin and end, (strips + 1,): alike in a mirror."""
+    index = np.arange(strips + 1)
+    from_left = index * width // strips
+    return np.where(2 * index <= strips, from_left, width - from_left[::-1])
 
 
 def _filled(values: NDArray[np.float64]) -> NDArray[np.float64]:
