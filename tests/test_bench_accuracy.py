@@ -2,6 +2,7 @@
 
 import json
 
+import cv2
 import numpy as np
 import pytest
 
@@ -76,3 +77,27 @@ def test_every_harder_scene_can_be_rendered_and_no_seed_is_in_both_sets():
         settings = accuracy.SimulateSettings(**values)
         assert len(settings.frame_range) > accuracy.RUN_IN, scene
     assert not set(accuracy.SEEDS) & set(accuracy.HELD_OUT_SEEDS)
+
+
+def test_recordings_with_truth_of_either_view_are_scored_alike(tmp_path, monkeypatch):
+    monkeypatch.setattr(accuracy, "OURS", {"motionstereo": accuracy.DEFAULT})
+    monkeypatch.setattr(accuracy, "MATCHERS", {"motionstereo": accuracy.MATCHERS["motionstereo"]})
+    scene = accuracy.SimulateSettings(frames="250:256", width=160, height=96)
+    plain, mirror = tmp_path / "plain", tmp_path / "mirror"
+    for index, shot in enumerate(accuracy.render_scene(scene)):
+        truth = np.rint(shot.disparity_px * 256).astype(np.uint16)
+        for folder, images in (
+            (plain, {"left": shot.left, "right": shot.right, "disparity": truth}),
+            (mirror, {"right": shot.left, "left": shot.right, "disparity_left": truth}),
+        ):
+            for name, image in images.items():
+                (folder / name).mkdir(parents=True, exist_ok=True)
+                stored = image if folder is plain else np.ascontiguousarray(image[:, ::-1])
+                assert cv2.imwrite(str(folder / name / f"{index:06d}.png"), stored)
+    cells = [accuracy.measure_recording(folder, 2) for folder in (plain, mirror)]
+    counts = [
+        [(cell.pixels, cell.score.both_pixels, cell.score.bad_1) for cell in each] for each in cells
+    ]
+    assert counts[0] == counts[1]
+    assert cells[0][1].score.truth_pixels > 500
+    assert cells[0][1].score.coverage > 0.7

@@ -6,9 +6,11 @@ Every matcher sees the same decoded frames and is scored on the same pixels.
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
+import math
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from fractions import Fraction
 from pathlib import Path
@@ -21,11 +23,12 @@ from bench.markdown import table
 from bench.peers import stereo_bm, stereo_sgbm
 from motionstereo_cli.analysis.evaluate import FramePair, Score, Tally, tally
 from motionstereo_cli.files.video import VideoWriter
-from motionstereo_cli.memory import Memory, see
+from motionstereo_cli.memory import Memory, mirrored, see
 from motionstereo_cli.pipeline import match
 from motionstereo_cli.settings import Settings
 from motionstereo_cli.simulate.scenes import render_scene
 from motionstereo_cli.simulate.settings import SimulateSettings
+from motionstereo_cli.sinks.reading import Maps
 from motionstereo_cli.sources import open_stereo
 
 if TYPE_CHECKING:
@@ -154,17 +157,34 @@ def measure(
         frames: other frames than the scene's.
         width: of the images in px; the height is two thirds of it.
     """
+    looks = itertools.chain.from_iterable(
+        _looks(_recorded(scene, noise_sigma, seed, frames, width), every) for seed in seeds
+    )
+    return _scored(scene, noise_sigma, looks)
+
+
+def measure_recording(folder: Path, every: int) -> list[Cell]:
+    """Score all matchers on a recording with truth.
+
+    Args:
+        folder: as ``simulate`` writes it: ``left`` and ``right``, each an .mp4 or a folder of
+            images, and ``disparity`` of the right view, or ``disparity_left`` of the left view.
+        every: score one frame of so many.
+    """
+    return _scored(folder.name, math.nan, _looks_at(folder, every))
+
+
+def _scored(scene: str, noise_sigma: float, looks: Iterable[tuple[Look, Real]]) -> list[Cell]:
     sums: dict[tuple[str, str], Tally] = {}
-    for seed in seeds:
-        for look, truth_px in _looks(_recorded(scene, noise_sigma, seed, frames, width), every):
-            memory = look.memory
-            masks = {"charged": memory.charge > DEFAULT.charge_min, "moved": memory.moved}
-            for matcher, find in MATCHERS.items():
-                found_px = find(look)
-                for pixels, mask in masks.items():
-                    one = tally(FramePair(found_px, np.where(mask, truth_px, np.float32(np.nan))))
-                    key = pixels, matcher
-                    sums[key] = sums[key] + one if key in sums else one
+    for look, truth_px in looks:
+        memory = look.memory
+        masks = {"charged": memory.charge > DEFAULT.charge_min, "moved": memory.moved}
+        for matcher, find in MATCHERS.items():
+            found_px = find(look)
+            for pixels, mask in masks.items():
+                one = tally(FramePair(found_px, np.where(mask, truth_px, np.float32(np.nan))))
+                key = pixels, matcher
+                sums[key] = sums[key] + one if key in sums else one
     return [
         Cell(scene, noise_sigma, pixels, matcher, total.score())
         for (pixels, matcher), total in sums.items()
@@ -216,20 +236,46 @@ def unsteadiness(
 
 def _looks(scene: SimulateSettings, every: int) -> Iterator[tuple[Look, Real]]:
     """Yield the frames to score, with the true disparity of the right view."""
-    memories: dict[str, tuple[Memory, Memory]] = {}
     with tempfile.TemporaryDirectory() as folder:
         left, right = Path(folder, "left.mp4"), Path(folder, "right.mp4")
         truth = _record(scene, left, right, every)
         with open_stereo(left, right) as source:
-            for frame in source:
-                for name, settings in OURS.items():
-                    before = memories.get(name, (None, None))
-                    memories[name] = (
-                        see(before[0], frame.right, settings),
-                        see(before[1], frame.left, settings),
-                    )
-                if frame.index in truth:
-                    yield Look(frame.right, frame.left, dict(memories)), truth[frame.index]
+            yield from _seen(((frame.right, frame.left) for frame in source), truth)
+
+
+def _looks_at(folder: Path, every: int) -> Iterator[tuple[Look, Real]]:
+    """Yield the frames to score of a recording.
+
+    In a mirror, the left view is the right one of a rig: so truth of the left view is used.
+    """
+    left, right = (
+        video if (video := folder / f"{side}.mp4").exists() else folder / side
+        for side in ("left", "right")
+    )
+    of_left = not (folder / "disparity").exists()
+    maps = Maps(folder / ("disparity_left" if of_left else "disparity"), "disparity")
+    numbers = sorted(maps.files)
+    first = min(RUN_IN, len(numbers) // 3)  # a short recording has no time to charge
+    truth = {number: maps.read(number) for number in numbers[first::every]}
+    with open_stereo(left, right) as source:
+        if of_left:
+            truth = {number: mirrored(one) for number, one in truth.items()}
+            yield from _seen(((mirrored(f.left), mirrored(f.right)) for f in source), truth)
+        else:
+            yield from _seen(((frame.right, frame.left) for frame in source), truth)
+
+
+def _seen(
+    views: Iterable[tuple[Grey, Grey]], truth: Mapping[int, Real]
+) -> Iterator[tuple[Look, Real]]:
+    """Yield those of the right and left views that have truth, with all memories of them."""
+    memories: dict[str, tuple[Memory, Memory]] = {}
+    for index, (right, left) in enumerate(views):
+        for name, settings in OURS.items():
+            before = memories.get(name, (None, None))
+            memories[name] = see(before[0], right, settings), see(before[1], left, settings)
+        if index in truth:
+            yield Look(right, left, dict(memories)), truth[index]
 
 
 def _record(
@@ -257,7 +303,8 @@ def format_markdown(cells: Sequence[Cell]) -> str:
     columns = [(scene, kind) for scene in scenes for kind in pixels]
     lines = []
     for noise in noises:
-        lines.append(f"Noise sigma {noise:g} grey levels; coverage / bad-1 / median error in px:\n")
+        noisy = "Noise" if math.isnan(noise) else f"Noise sigma {noise:g} grey levels"
+        lines.append(f"{noisy}; coverage / bad-1 / median error in px:\n")
         head = ["matcher", *(f"{scene}, {kind}" for scene, kind in columns)]
         rows = [
             [matcher, *(_cell(scores[scene, noise, kind, matcher]) for scene, kind in columns)]
@@ -275,6 +322,14 @@ def main(args: Sequence[str] | None = None) -> None:
     """Measure, and print the tables as Markdown on standard output."""
     parser = argparse.ArgumentParser(prog="python -m bench accuracy")
     parser.add_argument("--every", type=int, default=5, help="score one frame of so many")
+    parser.add_argument(
+        "--recordings",
+        type=Path,
+        nargs="+",
+        metavar="FOLDER",
+        help="recordings with truth in place of rendered scenes: left and right (.mp4 or a folder "
+        "of images), and disparity (of the right view) or disparity_left, as simulate writes them",
+    )
     parser.add_argument("--json", type=Path, help="write all scores there too")
     parser.add_argument("--quick", action="store_true", help="two small scenes: does it run?")
     parser.add_argument("--hard", action="store_true", help="the harder scenes, several seeds each")
@@ -287,6 +342,11 @@ def main(args: Sequence[str] | None = None) -> None:
     if given.every < 1:
         parser.error("--every: give at least 1")
 
+    if given.recordings:
+        cells = [cell for each in given.recordings for cell in measure_recording(each, given.every)]
+        print(format_markdown(cells))
+        _write(given.json, cells)
+        return
     runs = [(scene, noise) for noise in NOISES for scene in SCENES]
     size: dict[str, Any] = {"every": given.every}
     hard = given.hard or given.held_out
@@ -296,7 +356,7 @@ def main(args: Sequence[str] | None = None) -> None:
     if given.quick:
         runs = [("layers", 1.5)] if hard else [("corridor straight", 1.5), ("cards", 1.5)]
         size = {"every": 4, "frames": "20", "width": 240}
-    cells: list[Cell] = []
+    cells = []
     with tqdm(runs, unit="recording", disable=None) as bar:
         for scene, noise in bar:
             bar.set_description(f"{scene}, noise {noise:g}")
@@ -307,6 +367,10 @@ def main(args: Sequence[str] | None = None) -> None:
         print("What stands still: median change a frame in px / share that changes by over 1 px:\n")
         rows_of = [[name, f"{px:.3f} / {share:.3f}"] for name, (px, share) in steady.items()]
         print(table(["matcher", "layers, charged and still"], rows_of))
-    if given.json is not None:
+    _write(given.json, cells)
+
+
+def _write(path: Path | None, cells: Sequence[Cell]) -> None:
+    if path is not None:
         rows = [{**cell._asdict(), "score": asdict(cell.score)} for cell in cells]
-        given.json.write_text(json.dumps(rows, indent=2) + "\n")
+        path.write_text(json.dumps(rows, indent=2) + "\n")
