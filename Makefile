@@ -6,8 +6,8 @@ BENCH = PYTHONPATH=tests $(BIN)/python -m bench
 # What sample_data/golden has.
 GOLDEN = steering,depth,disparity
 
-.PHONY: demo test lint sample regress fuzz figures bench bench-accuracy bench-batch bench-drive bench-map \
-	bench-objects check-trials torture coverage renew man clean help
+.PHONY: demo test lint sample regress fuzz figures presets bench bench-accuracy bench-batch bench-drive \
+	bench-map bench-objects check-trials torture coverage renew man clean help
 
 demo: $(READY)  ## run the main job on sample_data
 	$(BIN)/motionstereo run sample_data/left.mp4 sample_data/right.mp4 \
@@ -65,6 +65,9 @@ figures: $(READY)  ## render the paper's figures 2 and 3
 		--frames 350,355,360,365,370,375,380 --out out/figure2.png
 	$(BIN)/motionstereo figure out/corridor/left.mp4 out/corridor/right.mp4 \
 		--frames 265,280,300,320,335,350 --out out/figure3.png
+
+presets: $(READY)  ## draw what the presets make of the same frames, sample_data/presets.jpg
+	$(BENCH) presets sample_data/presets.jpg
 
 bench: $(READY)  ## measure how fast everything is, against StereoBM and StereoSGBM
 	$(BENCH) speed
