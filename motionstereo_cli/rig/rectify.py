@@ -103,7 +103,8 @@ def transforms_of(
             f"(T[0] is {pair.translation[0]:g}; OpenCV's T[0] is negative for a right camera). "
             "Either the cameras are in the wrong order: exchange both cameras, and the recordings "
             "stay; or R and T are given the other way round, as the right camera's place in the "
-            "left one's frame: give R transposed and -R^T T"
+            "left one's frame: give R transposed and -R^T T; or only the sign of T is wrong: give "
+            "-T. With the right one, motionstereo check finds that rows agree"
         )
     # OpenCV wants them whole in memory, and T as a column.
     whole = np.ascontiguousarray
