@@ -142,14 +142,6 @@ def test_stills_with_both_views(
         assert np.abs(right.astype(int) - RIGHTS[5]).max() <= 8
 
 
-def test_pages_are_named(tmp_path: Path) -> None:
-    pages = [Pillow.fromarray(image) for image in LEFTS]
-    for side in ("left.tif", "right.tif"):
-        pages[0].save(tmp_path / side, save_all=True, append_images=pages[1:])
-    with open_stereo(tmp_path / "left.tif", tmp_path / "right.tif") as source:
-        assert f"has {COUNT} pages, of which the first is used" in source.warnings[0]
-
-
 @pytest.mark.parametrize(
     ("name", "said"),
     [
