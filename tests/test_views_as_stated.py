@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from PIL import Image as Pillow
-from recordings import COUNT, Images, encode, folder, number_in, scene
+from recordings import Images, encode, folder, number_in, scene
 
 from motionstereo_cli.errors import InputError, SettingsError
 from motionstereo_cli.sources import open_stereo
