@@ -30,9 +30,11 @@ _WORKERS_S = 60
 _SETTINGS: Mapping[str, object] = {
     "distributed.scheduler.allowed-failures": 1,
     "distributed.admin.low-level-log-length": 20,  # of messages, which hold all of a task
+    "distributed.worker.profile.enabled": False,  # looks into each thread every 10 ms
     "logging.distributed": "critical",
     "distributed.nanny.pre-spawn-environ.DASK_LOGGING__DISTRIBUTED": "critical",
     "distributed.nanny.pre-spawn-environ.PYTHONWARNINGS": "ignore",
+    "distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_": None,
     "distributed.worker.multiprocessing-method": (
         "forkserver" if sys.platform == "linux" else "spawn"
     ),
