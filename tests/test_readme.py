@@ -319,3 +319,11 @@ def test_the_shell_completes(line, last, wanted, monkeypatch, capsys):
     assert main([]) == 0
     found = {each.partition(",")[2] for each in capsys.readouterr().out.splitlines()}
     assert found == wanted
+
+
+def test_the_help_of_all_says_of_each_command_what_its_own_help_begins_with(capsys):
+    assert main(["--help"]) == 0
+    shown = " ".join(capsys.readouterr().out.split())
+    for name, command in cli.commands.items():
+        first, _, _ = command.help.partition("\n")
+        assert f" {name} {first}" in shown, name

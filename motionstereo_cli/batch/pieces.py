@@ -19,13 +19,13 @@ import os
 import pickle
 import shutil
 import time
+import zlib
 from collections.abc import Iterable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from isal import isal_zlib
 
 from motionstereo_cli.batch.checkpoint import Reader
 from motionstereo_cli.batch.contents import FolderKind
@@ -209,7 +209,7 @@ def _results(
         images = None
         if _SHOWING.intersection(job.save):
             kept = getattr(frame, s.reference), result.charge, result.disparity_px
-            images = isal_zlib.compress(pickle.dumps(kept), 1)
+            images = zlib.compress(pickle.dumps(kept), 1)
         yield result, (frame.index, frame.pts, frame.time_s, seen.findings, points, images)
 
 
@@ -345,7 +345,7 @@ def _kept(folder: Path) -> Iterator[Any]:
 
 def _images_of(images: bytes) -> Any:
     """Return view, charge and disparity in px of a frame."""
-    return Reader(io.BytesIO(isal_zlib.decompress(images))).load()
+    return Reader(io.BytesIO(zlib.decompress(images))).load()
 
 
 def _put_together(path: str, folders: Sequence[Path], out: Path) -> None:

@@ -10,20 +10,21 @@ import click
 
 from motionstereo_cli import __version__
 
-#: In the order of the help: the name of each command, and of its function in the file of that name.
-_FUNCTIONS = {
-    "run": "run",
-    "batch": "batch",
-    "report": "report",
-    "info": "info",
-    "check": "check",
-    "rig": "rig",
-    "figure": "figure",
-    "simulate": "simulate",
-    "drive": "drive",
-    "evaluate": "evaluate",
-    "compare": "compare",
-    "help": "show_help",
+#: In the order of the help: the function of each command, in the file of its name, and the first
+#: line of its help. Said here too, the help of all need not load each.
+_COMMANDS = {
+    "run": ("run", "Find depth and steering in the two videos of a stereo camera."),
+    "batch": ("batch", "Process many recordings, side by side on this machine or on a cluster."),
+    "report": ("report", "Show a run, or a batch of runs, as one page to be opened in a browser."),
+    "info": ("info", "Print how an input is understood."),
+    "check": ("check", "Look for mistakes in a recording that would ruin a run."),
+    "rig": ("rig", "Convert a calibration to rig.yaml, and say how it is understood."),
+    "figure": ("figure", "Show some frames stage by stage on one sheet."),
+    "simulate": ("simulate", "Render a stereo recording with exact truth into the folder OUT."),
+    "drive": ("drive", "Let a simulated robot drive by its own depth."),
+    "evaluate": ("evaluate", "Compare the disparity or depth that a run found with the truth."),
+    "compare": ("compare", "Compare a run with an earlier one. Exit code 4 if they differ."),
+    "help": ("show_help", "Print a page of the documentation, or the help of a command."),
 }
 
 
@@ -31,29 +32,33 @@ class _Commands(Mapping[str, click.Command]):
     """The commands by name; each loads when it is asked for, which takes a while for all."""
 
     def __getitem__(self, name: str) -> click.Command:
-        function = _FUNCTIONS[name]
+        function, _ = _COMMANDS[name]
         command: click.Command = getattr(importlib.import_module(f"{__name__}.{name}"), function)
         return command
 
     def __iter__(self) -> Iterator[str]:
-        return iter(_FUNCTIONS)
+        return iter(_COMMANDS)
 
     def __len__(self) -> int:
-        return len(_FUNCTIONS)
+        return len(_COMMANDS)
 
 
 _commands: Any = _Commands()  # click only reads it
 
 
-class _InOrder(click.Group):
-    """A group whose help has its commands in the order in which they were added."""
+class _Group(click.Group):
+    """A group whose help lists its commands in order, without loading them."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        return list(self.commands)
+        return list(_COMMANDS)
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        with formatter.section("Commands"):
+            formatter.write_dl([(name, line) for name, (_, line) in _COMMANDS.items()])
 
 
 @click.group(
-    cls=_InOrder,
+    cls=_Group,
     commands=_commands,
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
     epilog="motionstereo help lists the topics of the documentation.",
