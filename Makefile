@@ -54,8 +54,8 @@ torture: $(READY)  ## damage input, kill runs, fill disks, run for long: half an
 coverage: $(READY)  ## measure which branches of the package the tests pass through
 	$(BIN)/coverage erase
 	$(BIN)/coverage run -m pytest
-	MOTIONSTEREO_UNCOMPILED=1 $(BIN)/coverage run -m pytest tests/test_matching.py tests/test_stages.py \
-		-k "not TestUnits"
+	MOTIONSTEREO_UNCOMPILED=1 $(BIN)/coverage run -m pytest tests/test_dense.py tests/test_matching.py \
+		tests/test_stages.py -k "not TestUnits"
 	$(BIN)/coverage combine --quiet
 	$(BIN)/coverage report
 
