@@ -45,7 +45,7 @@ regress: $(READY)  ## see that a run on sample_data gives what it gave before
 
 fuzz: $(READY)  ## try damaged calibration, poses, settings and tables, each for 10 minutes, and new examples
 	$(BIN)/pytest tests/test_fuzz.py -s --fuzz-seconds 600
-	$(BIN)/pytest -n auto --dist loadfile --hypothesis-profile default
+	$(BIN)/pytest -n auto --dist loadfile --hypothesis-profile new
 
 torture: $(READY)  ## damage input, kill runs, fill disks, run for long: half an hour
 	$(BENCH) torture

@@ -3,8 +3,10 @@
 import pytest
 from hypothesis import settings
 
-# The same examples at every run: what passes here passes elsewhere. `make fuzz` draws new ones.
-settings.register_profile("same", derandomize=True)
+# The same examples at every run, however slow the machine: what passes here passes elsewhere.
+# `make fuzz` draws new ones.
+settings.register_profile("same", derandomize=True, deadline=None)
+settings.register_profile("new", deadline=None)
 settings.load_profile("same")
 
 

@@ -99,7 +99,7 @@ small = arrays(np.int16, (3, 9), elements=st.integers(0, 40), fill=st.nothing())
 
 
 class TestDense:
-    @settings(max_examples=60, deadline=None)
+    @settings(max_examples=60)
     @given(small, small, small, small, st.integers(0, 2**27 - 1), st.integers(1, 7), st.data())
     def test_matches_are_the_oracles(self, right, left, right_slope, left_slope, bits, reach, data):
         where = np.array([bits >> i & 1 for i in range(27)], np.bool_).reshape(3, 9) | (
@@ -198,7 +198,7 @@ class TestBorders:
         found = trimmed(truth, right, left)
         assert (np.isnan(found) != np.isnan(truth)).sum() + (np.abs(found - truth) > 1).sum() < 12
 
-    @settings(max_examples=40, deadline=None)
+    @settings(max_examples=40)
     @given(
         arrays(np.float32, (4, 12), elements=st.sampled_from([np.nan, 0, 1.25, 6, 6.5, 14])),
         arrays(np.uint8, (2, 4, 12), elements=st.integers(0, 255)),

@@ -184,7 +184,7 @@ class TestWayAhead:
         near[:, 90:170] = 6
         assert place_of(near, None) == pytest.approx(130 / WIDTH, abs=0.04)
 
-    @settings(deadline=None, max_examples=30)
+    @settings(max_examples=30)
     @given(st.integers(0, 2**32 - 1))
     def test_the_mirrored_scene_gives_the_mirrored_heading(self, seed):
         rng = np.random.default_rng(seed)

@@ -67,7 +67,7 @@ class TestTrails:
         left[4, 6:10] = 0  # nothing left that is equal
         assert np.isnan(match_trails(right, left, 6, block_px=(8, 8))[0][4, 3:7]).all()
 
-    @settings(max_examples=300, deadline=None)
+    @settings(max_examples=300)
     @given(rows, rows, st.integers(1, 14), st.integers(1, 6), st.integers(1, 8), st.integers(1, 9))
     def test_matches_are_the_oracles(self, right, left, reach, block_rows, block_columns, least):
         settings = {"block_px": (block_rows, block_columns), "max_ratio": 0.9}
@@ -125,7 +125,7 @@ def trails_alone(right, left, max_disparity):
 
 
 @pytest.mark.parametrize("match", [trails_alone, match_regions])
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(seed=st.integers(0, 2**32 - 1), shift=st.integers(0, 20))
 def test_the_disparity_of_a_shifted_view_is_the_shift(match, seed, shift):
     """A right view full of distinct trails, and a left view that is the same, displaced."""

@@ -319,7 +319,7 @@ def test_a_wall_seen_squarely_has_its_depth_and_its_texture_where_they_belong():
 
 
 @given(st.integers(0, 2**32 - 1))
-@profile(deadline=None, max_examples=15)
+@profile(max_examples=15)
 def test_the_nearest_of_surfaces_in_any_position_wins(seed):
     rng = np.random.default_rng(seed)
     pose = FloorPose(*rng.uniform(-1, 1, 2), rng.uniform(-3, 3))
@@ -524,7 +524,7 @@ def test_nonsense_is_refused_in_one_line():
         assert "\n" not in str(caught.value)
 
 
-@profile(deadline=None, max_examples=40)
+@profile(max_examples=40)
 @given(st.floats(5, 100), st.floats(0.5, 20), st.floats(0.001, 1), st.floats(0, 125))
 def test_both_cameras_stay_in_any_corridor_that_is_accepted(length_m, width_m, baseline_m, frame):
     try:
