@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 
 import av
 import pytest
@@ -24,8 +25,10 @@ from motionstereo_cli.batch.status import (
     read_status,
     write_status,
 )
+from motionstereo_cli.batch.worker import work
 from motionstereo_cli.commands.batch import plan_of
 from motionstereo_cli.errors import InputError, SettingsError
+from motionstereo_cli.files.atomic import write_whole
 from motionstereo_cli.settings import Settings
 from motionstereo_cli.simulate.settings import SimulateSettings
 from motionstereo_cli.simulate.write import simulate
@@ -291,6 +294,32 @@ def test_pieces_of_damaged_recordings_give_the_bytes_of_one_run(long_clip, tmp_p
     given = [*options_of(clip), "--save", "steering,disparity,charge"]
     assert piecemeal(given, tmp_path, 5) == again
     assert json.loads((tmp_path / "whole/out/run.json").read_text())["damage"]
+
+
+def test_a_piece_says_what_became_of_it_only_if_it_failed(long_clip, tmp_path):
+    plan = plan_of([*options_of(long_clip), "--save", "steering", "-o", str(tmp_path / "a")])
+    task = {
+        **{"plan": plan.as_json(), "out": str(tmp_path), "name": "a", "hash": "h", "seek": True},
+        **{"stop": str(tmp_path / ".stop"), "piece": (0, 10), "pieces": None},
+    }
+    work(task)
+    assert read_status(tmp_path, "a").status == "waiting"
+    missing = {**task["plan"], "left": str(tmp_path / "none.mp4")}
+    work({**task, "piece": (10, None), "plan": missing})
+    assert read_status(tmp_path, "a").status == "failed"
+    work({**task, "piece": (20, None)})  # it began later: the failure stays
+    assert read_status(tmp_path, "a").status == "failed"
+
+
+def test_processes_that_write_a_file_at_the_same_time_do_not_take_each_others_part(tmp_path):
+    def write(number):
+        for _ in range(200):
+            write_whole(tmp_path / "file", str(number).encode(), writer=str(number))
+
+    with ThreadPoolExecutor() as threads:
+        list(threads.map(write, range(4)))
+    assert (tmp_path / "file").read_bytes() in (b"0", b"1", b"2", b"3")
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]
 
 
 def test_pieces_keep_to_what_is_chosen(long_clip, tmp_path):

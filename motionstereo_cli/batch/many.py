@@ -198,6 +198,8 @@ class _Batch:
             while waiting and len(under_way) < room.tasks:
                 item = waiting.popleft()
                 if self._known[item.name].status not in FAILED:
+                    if item.piece is not None:
+                        self._begin(item.name)
                     future = self._submit(client, item, jobs)
                     under_way[future.key] = item
                     ended.add(future)
@@ -224,6 +226,12 @@ class _Batch:
             self._stop.unlink(missing_ok=True)
             with contextlib.suppress(OSError):
                 self.renew(at_once=True)
+
+    def _begin(self, name: str) -> None:
+        """Say once that a recording in pieces is running: they would contradict each other."""
+        if self._known[name].status != "running":
+            self._known[name] = Status(name, "running", plan=self._hashes[name])
+            write_status(self._out, self._known[name])
 
     def _following(self, item: Item) -> list[Item]:
         """Return what is to be done when all pieces of a recording are: some again, or joining."""

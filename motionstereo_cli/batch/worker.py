@@ -30,7 +30,8 @@ def work(
 ) -> None:
     """Process a recording as ``run --resume`` does, or a piece of it.
 
-    The status file says what came of it; a piece that went well leaves it as it is.
+    The status file says what came of it. A piece writes it only if it failed: that its recording
+    is running, who gives out the pieces has said.
 
     Args:
         task: ``plan`` as :meth:`~motionstereo_cli.batch.plan.RunPlan.as_json` gives it, ``out``,
@@ -46,7 +47,8 @@ def work(
     if stop.exists():
         return
     piece, pieces = task["piece"], task["pieces"]
-    write_status(out, status)
+    if piece is None:
+        write_status(out, status)
     log = out / f"{task['name']}.log"
     with log.open("a", encoding="utf-8") as lines:
 

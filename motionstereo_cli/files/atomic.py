@@ -71,15 +71,16 @@ def open_again(path: Path) -> int:
     return os.open(path, os.O_RDWR | _NO_LINK | _BINARY)
 
 
-def write_whole(path: Path, content: bytes, *, durable: bool = False) -> None:
+def write_whole(path: Path, content: bytes, *, durable: bool = False, writer: str = "") -> None:
     """Write a small file at once: beside its final name, then renamed.
 
-    With ``durable``, the disk holds it before it gets its name.
+    With ``durable``, the disk holds it before it gets its name. Where several processes may write
+    it at the same time, each gives a ``writer`` of its own, and the last one wins.
 
     Raises:
         OutputError: the file cannot be written.
     """
-    part = part_of(path)
+    part = part_of(path.with_name(f"{path.name}.{writer}") if writer else path)
     with reported(path):
         try:
             with os.fdopen(open_new(part), "wb") as file:
