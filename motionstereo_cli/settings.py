@@ -13,6 +13,9 @@ from motionstereo_cli.errors import SettingsError
 from motionstereo_cli.matchers import MATCHERS
 from motionstereo_cli.params import checked, param
 
+#: The largest range of disparities that a run takes, in px.
+MAX_DISPARITY = 2048
+
 #: The largest age in frames that can be told apart.
 FOREVER = 254
 
@@ -96,7 +99,7 @@ class Settings:
         "measured in a sample of the recording, as check does.",
         unit="px",
         low=AUTO,
-        high=2048,
+        high=MAX_DISPARITY,
         common=True,
         words={"auto": AUTO},
     )

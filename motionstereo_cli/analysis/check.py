@@ -21,6 +21,7 @@ from motionstereo_cli.analysis.features import NO_MATCHES, Matches, Window, join
 from motionstereo_cli.analysis.findings import DARK_GREY, CheckReport, Finding
 from motionstereo_cli.analysis.mounting import Mounting, mounted
 from motionstereo_cli.analysis.synchrony import Fit, fit_rows, step_or_drift
+from motionstereo_cli.settings import MAX_DISPARITY
 from motionstereo_cli.types import StereoFrame
 
 if TYPE_CHECKING:
@@ -35,9 +36,6 @@ WINDOW_FRAMES = 16
 MAX_WINDOWS = 5
 _MOMENTS = (3, 5, 7, 9, 11)
 _FEW_MOMENTS = (4, 8, 12)
-
-#: The largest range that a run takes, in px.
-MAX_DISPARITY = 2048
 
 #: Images are looked at in at most this width, in px; at the start of a run in half their own, but
 #: not less than the quick one.

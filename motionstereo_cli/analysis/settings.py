@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from motionstereo_cli.params import checked, param
+from motionstereo_cli.settings import MAX_DISPARITY
 
 
 @dataclass(frozen=True, slots=True)
@@ -16,7 +17,11 @@ class CompareSettings:
     """
 
     tolerance_px: float = param(
-        0.25, "How far a disparity may be from the golden one.", unit="px", low=0, high=2048
+        0.25,
+        "How far a disparity may be from the golden one.",
+        unit="px",
+        low=0,
+        high=MAX_DISPARITY,
     )
     tolerance_mm: float = param(
         100.0, "How far a depth may be from the golden one.", unit="mm", low=0, high=65535

@@ -17,7 +17,7 @@ from motionstereo_cli.commands.options import (
     rig_options,
 )
 from motionstereo_cli.params import params
-from motionstereo_cli.settings import Settings
+from motionstereo_cli.settings import MAX_DISPARITY, Settings
 from motionstereo_cli.sources.settings import InputSettings
 
 if TYPE_CHECKING:
@@ -64,7 +64,6 @@ def check(
     """
     from tqdm import tqdm
 
-    from motionstereo_cli.analysis.check import MAX_DISPARITY
     from motionstereo_cli.analysis.check import check as check_library
     from motionstereo_cli.errors import DAMAGED_EXIT_CODE, InputError
     from motionstereo_cli.rig.calibration import rectify_source
