@@ -111,12 +111,9 @@ class Bar:
         self._lines = _LINES.get()
         self._bar: tqdm[Any] | None = None
         hidden = quiet or (self._lines is not None and not self._lines.aside)
-        if not hidden and sys.stderr is not None and sys.stderr.isatty():
-            from tqdm import tqdm  # it takes a twentieth of the start to load
-
-            self._bar = tqdm(total=frames, unit="frame", delay=0.1)
-        if frames is not None and self._lines is not None:
-            self._lines.begin(frames)
+        self._on_terminal = not hidden and sys.stderr is not None and sys.stderr.isatty()
+        if frames is not None:
+            self.begin(frames)
 
     def __enter__(self) -> Self:
         return self
@@ -132,8 +129,10 @@ class Bar:
 
     def begin(self, frames: int | None) -> None:
         """Begin with the first of so many frames."""
-        if self._bar is not None:
-            self._bar.reset(frames)
+        if self._on_terminal:
+            from tqdm import tqdm  # it takes a twentieth of the start to load
+
+            self._bar = tqdm(total=frames, unit="frame")
         if self._lines is not None:
             self._lines.begin(frames)
 
