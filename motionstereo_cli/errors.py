@@ -9,6 +9,9 @@ DAMAGED_EXIT_CODE = 3
 DIFFERENT_EXIT_CODE = 4
 INTERRUPTED_EXIT_CODE = 130
 
+#: What an :class:`InputError` says where left and right have no pair of images.
+NO_FRAMES = "the recordings have no frame in common: check that they are whole"
+
 
 class MotionStereoError(Exception):
     """Root of all errors that a user can cause and mend."""

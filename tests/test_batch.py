@@ -13,6 +13,7 @@ import av
 import pytest
 from recordings import encode, remux
 
+from bench.preloads import killer_of
 from motionstereo_cli.__main__ import main
 from motionstereo_cli.batch.manifest import matched, plans, read_manifest
 from motionstereo_cli.batch.pieces import behind_damage, join_pieces, pieces_of, run_piece
@@ -334,19 +335,8 @@ def test_what_cannot_be_done_in_pieces_is_said(recording):
         pieces_of(plan_of([*clip, "--charge-mode", "general"]), 2)
 
 
-KILLER = """
-import os, signal
-from motionstereo_cli.batch import worker
-def killing(plan, watcher, run=worker.run):
-    if "/b/" in plan.left:
-        os.kill(os.getpid(), signal.SIGKILL)
-    return run(plan, watcher)
-worker.run = killing
-"""
-
-
 def test_what_ends_its_worker_is_lost_by_itself(archive, tmp_path, monkeypatch):
-    (tmp_path / "killer.py").write_text(KILLER)
+    (tmp_path / "killer.py").write_text(killer_of("/b/"))
     monkeypatch.setenv("DASK_DISTRIBUTED__WORKER__PRELOAD", str(tmp_path / "killer.py"))
     out = tmp_path / "out"
     command = [sys.executable, "-m", "motionstereo_cli", "batch", "--workers", "2", "--no-check"]

@@ -33,7 +33,7 @@ from motionstereo_cli.batch.folder import RunFolder, record_of
 from motionstereo_cli.batch.plan import RunPlan
 from motionstereo_cli.batch.record import Job, RunReport, identity_of, outcome, report_of, report_on
 from motionstereo_cli.batch.run import Watcher, add_table, inputs_of, job_of, opened
-from motionstereo_cli.errors import InputError, OutputError, SettingsError
+from motionstereo_cli.errors import NO_FRAMES, InputError, OutputError, SettingsError
 from motionstereo_cli.files.atomic import part_of, reported
 from motionstereo_cli.files.video import join
 from motionstereo_cli.pipeline import (
@@ -156,9 +156,7 @@ def run_piece(plan: RunPlan, piece: Piece, watcher: Watcher, *, seek: bool = Tru
                     sinks.end_segments()
                 watcher.progress()
             if not sinks.totals.frames and piece.first == 0:
-                raise InputError(
-                    "the recordings have no frame in common: check that they are whole"
-                )
+                raise InputError(NO_FRAMES)
             sinks.close()
             came = outcome(source, report_on(job, sinks.totals, 0, time.perf_counter()))
             counts = {"written": sinks.totals.frames}

@@ -22,7 +22,13 @@ from motionstereo_cli.batch.interrupts import finishing
 from motionstereo_cli.batch.plan import RunPlan
 from motionstereo_cli.batch.record import Job, RunReport, identity_of, outcome, report_of, report_on
 from motionstereo_cli.batch.sinks import Sinks
-from motionstereo_cli.errors import InputError, MotionStereoError, OutputError, SettingsError
+from motionstereo_cli.errors import (
+    NO_FRAMES,
+    InputError,
+    MotionStereoError,
+    OutputError,
+    SettingsError,
+)
 from motionstereo_cli.files.atomic import part_of, reported
 from motionstereo_cli.files.targets import check_target, is_stream, open_stream
 from motionstereo_cli.machine import usable_cores
@@ -39,8 +45,6 @@ from motionstereo_cli.types import FrameResult, Rig, StereoFrame
 
 #: Time from frame to frame in the videos written, in s, where the source has no time.
 DEFAULT_TIME_BASE = Fraction(1, 25)
-
-NO_FRAMES = "the recordings have no frame in common: check that they are whole"
 
 #: What frames under way may take together by default, and what a pixel of each takes: memories of
 #: both views, disparity, depth, and the workspace of a thread.

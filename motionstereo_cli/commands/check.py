@@ -65,7 +65,7 @@ def check(
     from tqdm import tqdm
 
     from motionstereo_cli.analysis.check import check as check_library
-    from motionstereo_cli.errors import DAMAGED_EXIT_CODE, InputError
+    from motionstereo_cli.errors import DAMAGED_EXIT_CODE, NO_FRAMES, InputError
     from motionstereo_cli.rig.calibration import rectify_source
     from motionstereo_cli.sources import open_stereo
     from motionstereo_cli.sources.settings import adapted_rig
@@ -85,7 +85,7 @@ def check(
     for line in (*source.warnings, *(calibration.warnings if calibration else ()), *source.damage):
         say("warning", line)
     if not report.frames:
-        raise InputError("the recordings have no frame in common: check that they are whole")
+        raise InputError(NO_FRAMES)
     click.echo(json.dumps(report.as_json(), indent=2) if as_json else _table(report), nl=as_json)
     if advice is not None:
         _write(advice, report, source, rig, baseline_unit)

@@ -11,8 +11,6 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from motionstereo_cli.errors import InputError
 from motionstereo_cli.files.reading import MAX_PIXELS, open_regular
 from motionstereo_cli.files.stills import (
@@ -21,12 +19,11 @@ from motionstereo_cli.files.stills import (
     Still,
     grey_of,
     images_in,
-    pixel_format,
     read_still,
     shown,
 )
 from motionstereo_cli.sources.names import file_numbers, gaps
-from motionstereo_cli.sources.recording import Image, Recording, images
+from motionstereo_cli.sources.recording import Image, StillsRecording, images
 from motionstereo_cli.sources.times import timeline
 
 #: Pictures that are not read.
@@ -36,7 +33,7 @@ _PICTURES = frozenset(
 )
 
 
-class FolderRecording(Recording):
+class FolderRecording(StillsRecording):
     """Images of one folder in natural order: frame2 before frame10.
 
     Colour becomes BT.601 luma, alpha is dropped, 16 bits are scaled to 8, and the orientation
@@ -108,9 +105,6 @@ class FolderRecording(Recording):
         self.names = [file.stem for file in self._files]
         self._start(self._read(), path)
 
-    def close(self) -> None:
-        """Do nothing: no file stays open."""
-
     @property
     def lost(self) -> int:
         """Images that could not be read so far."""
@@ -129,18 +123,8 @@ class FolderRecording(Recording):
 
     def describe(self) -> dict[str, Any]:
         """Return what the images are, as JSON-able values."""
-        return {
-            "path": str(self._path),
-            "kind": "images",
-            "codec": ", ".join(sorted({file.suffix.lower()[1:] for file in self._files})),
-            "pixel_format": self._pixel_format,
-            "range": "full",
-            "rotation_deg": 0,
-            "width": self.width,
-            "height": self.height,
-            "frame_rate": str(self.frame_rate) if self.frame_rate else None,
-            "images": self.expected_images,
-        }
+        codecs = sorted({file.suffix.lower()[1:] for file in self._files})
+        return self._described("images", ", ".join(codecs))
 
     @property
     def files(self) -> tuple[Path, ...]:
@@ -185,7 +169,7 @@ class FolderRecording(Recording):
             grey = grey_of(still.pixels, file, self._white)
             if shape is None:
                 shape = grey.shape
-                self._look_at(still, file)
+                self._look_at_first(still, file)
             if grey.shape != shape:
                 raise InputError(
                     f"{file} is {grey.shape[1]}x{grey.shape[0]} but the images before it are "
@@ -193,11 +177,10 @@ class FolderRecording(Recording):
                 )
             yield Image(number, pts, grey)
 
-    def _look_at(self, still: Still, file: Path) -> None:
-        """Note what the first image tells of all."""
-        self._pixel_format, self.stated = pixel_format(still.pixels), still.stated
-        if still.pixels.dtype == np.uint16 and not self._white:
-            self._judge_depth(self._path, int(still.pixels.max()), 16)
+    def _look_at_first(self, still: Still, file: Path) -> None:
+        """Note what the first image and its file tell of all."""
+        self._look_at(still.pixels)
+        self.stated = still.stated
         if still.pages > 1:
             self.warnings += (
                 f"{file} has {still.pages} pages, of which the first is used: split it",

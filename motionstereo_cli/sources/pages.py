@@ -7,8 +7,6 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from motionstereo_cli.errors import InputError
 from motionstereo_cli.files.reading import MAX_PIXELS, sha256_of
 from motionstereo_cli.files.stills import (
@@ -16,9 +14,8 @@ from motionstereo_cli.files.stills import (
     grey_of,
     page_count,
     pages_from,
-    pixel_format,
 )
-from motionstereo_cli.sources.recording import Image, Recording, images
+from motionstereo_cli.sources.recording import Image, StillsRecording, images
 
 #: Files with these suffixes may hold several images.
 SUFFIXES = frozenset({".tif", ".tiff", ".png", ".webp"})
@@ -29,7 +26,7 @@ def has_pages(path: Path) -> bool:
     return path.suffix.lower() in SUFFIXES and page_count(path) > 1
 
 
-class PagesRecording(Recording):
+class PagesRecording(StillsRecording):
     """Images of one file in their order; they have no times, but ``frame_rate`` makes some.
 
     Behind a page that cannot be read all others are lost.
@@ -62,9 +59,6 @@ class PagesRecording(Recording):
         self.frame_rate, self.time_base = frame_rate, 1 / frame_rate if frame_rate else None
         self._start(self._read(), path)
 
-    def close(self) -> None:
-        """Do nothing: the iteration closes the file."""
-
     @property
     def lost(self) -> int:
         """Images behind one that could not be read, and that one."""
@@ -79,18 +73,7 @@ class PagesRecording(Recording):
 
     def describe(self) -> dict[str, Any]:
         """Return what the images are, as JSON-able values."""
-        return {
-            "path": str(self._path),
-            "kind": "pages",
-            "codec": self._path.suffix.lower()[1:],
-            "pixel_format": self._pixel_format,
-            "range": "full",
-            "rotation_deg": 0,
-            "width": self.width,
-            "height": self.height,
-            "frame_rate": str(self.frame_rate) if self.frame_rate else None,
-            "images": self._count,
-        }
+        return self._described("pages", self._path.suffix.lower()[1:])
 
     @property
     def files(self) -> tuple[Path, ...]:
@@ -116,9 +99,8 @@ class PagesRecording(Recording):
             for pixels in pages:
                 grey = grey_of(pixels, self._path, self._white)
                 if shape is None:
-                    shape, self._pixel_format = grey.shape, pixel_format(pixels)
-                    if pixels.dtype == np.uint16 and not self._white:
-                        self._judge_depth(self._path, int(pixels.max()), 16)
+                    shape = grey.shape
+                    self._look_at(pixels)
                 if grey.shape != shape:
                     raise InputError(
                         f"{self._path}: page {number} is {grey.shape[1]}x{grey.shape[0]} but those "

@@ -9,10 +9,14 @@ from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+import numpy as np
+
 from motionstereo_cli.errors import InputError
-from motionstereo_cli.files.stills import Stated
+from motionstereo_cli.files.stills import Stated, pixel_format
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from motionstereo_cli.types import Grey
 
 
@@ -172,6 +176,38 @@ class Recording(ABC):
     @abstractmethod
     def close(self) -> None:
         """Give back what is open."""
+
+
+class StillsRecording(Recording):
+    """What recordings from files of still images have in common."""
+
+    _path: Path
+    _white: int
+    _pixel_format: str
+
+    def close(self) -> None:
+        """Do nothing: no file stays open."""
+
+    def _look_at(self, pixels: NDArray[Any]) -> None:
+        """Note what the pixels of the first image tell of all."""
+        self._pixel_format = pixel_format(pixels)
+        if pixels.dtype == np.uint16 and not self._white:
+            self._judge_depth(self._path, int(pixels.max()), 16)
+
+    def _described(self, kind: str, codec: str) -> dict[str, Any]:
+        """Return what :meth:`describe` says."""
+        return {
+            "path": str(self._path),
+            "kind": kind,
+            "codec": codec,
+            "pixel_format": self._pixel_format,
+            "range": "full",
+            "rotation_deg": 0,
+            "width": self.width,
+            "height": self.height,
+            "frame_rate": str(self.frame_rate) if self.frame_rate else None,
+            "images": self.expected_images,
+        }
 
 
 def images(count: int) -> str:

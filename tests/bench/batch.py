@@ -25,6 +25,7 @@ from pathlib import Path
 
 from bench.clips import Clip, rendered, repeated
 from bench.markdown import table
+from bench.preloads import killer_of
 from motionstereo_cli.batch.pieces import Piece, join_pieces, run_piece
 from motionstereo_cli.batch.plan import RunPlan
 from motionstereo_cli.batch.run import Watcher
@@ -34,17 +35,6 @@ WORKERS = 2
 _COMMAND = (sys.executable, "-m", "motionstereo_cli")
 _PATIENCE_S = 600.0
 _PR_SET_CHILD_SUBREAPER = 36
-
-#: Loaded by each worker: one recording ends the process that works on it.
-_KILLER = """
-import os, signal
-from motionstereo_cli.batch import worker
-def killing(plan, watcher, run=worker.run):
-    if "killer" in plan.left:
-        os.kill(os.getpid(), signal.SIGKILL)
-    return run(plan, watcher)
-worker.run = killing
-"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -216,7 +206,7 @@ def hard(clip: Clip, size: Size, folder: Path) -> Iterator[Row]:
     rows.append((corrupt, clip.paths[1], clip.rig_file, "corrupt1"))
     manifest, out = _manifest(folder / "hard.csv", rows), folder / "hard"
     preload = folder / "killer.py"
-    preload.write_text(_KILLER)
+    preload.write_text(killer_of("killer"))
     environment = {"DASK_DISTRIBUTED__WORKER__PRELOAD": str(preload)}
     begun = Started(_batch(manifest, out), **environment)
     _wait_for(out, size.good // 4)
