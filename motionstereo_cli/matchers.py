@@ -1,17 +1,27 @@
 """The matchers: from two memories to disparity.
 
-A new matcher is a file of ``stages``, and a row in :data:`MATCHERS`.
+A new matcher is a file of ``stages``, a function here, and a row in ``settings.py``.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+import numpy as np
+
+from motionstereo_cli.memory import Memory, age_of, blurred, keys_of
+from motionstereo_cli.settings import Settings
+from motionstereo_cli.stages.balance import balanced
+from motionstereo_cli.stages.borders import hidden_filled, trimmed
+from motionstereo_cli.stages.cleaning import filled, without_speckles
+from motionstereo_cli.stages.confidence import confidence, confidence_by_margin
+from motionstereo_cli.stages.dense import ROWS, match_dense, smoothed, weights_of
+from motionstereo_cli.stages.regions import match_regions
+from motionstereo_cli.stages.residual import residual
+from motionstereo_cli.stages.trails import match_trails
+
 if TYPE_CHECKING:
-    from motionstereo_cli.memory import Memory
-    from motionstereo_cli.settings import Settings
     from motionstereo_cli.types import Real
 
     #: Disparity, and what makes its confidence: it takes time, and few ask for it.
@@ -19,12 +29,6 @@ if TYPE_CHECKING:
 
 
 def _trails(right: Memory, left: Memory, settings: Settings) -> Found:
-    from motionstereo_cli.memory import age_of, blurred, keys_of
-    from motionstereo_cli.stages.cleaning import filled, without_speckles
-    from motionstereo_cli.stages.confidence import confidence
-    from motionstereo_cli.stages.residual import residual
-    from motionstereo_cli.stages.trails import match_trails
-
     s, wanted = settings, keys_of(right, settings)
     disparity, votes = match_trails(
         wanted,
@@ -41,16 +45,6 @@ def _trails(right: Memory, left: Memory, settings: Settings) -> Found:
 
 
 def _dense(right: Memory, left: Memory, settings: Settings) -> Found:
-    import numpy as np
-
-    from motionstereo_cli.memory import age_of, keys_of
-    from motionstereo_cli.stages.balance import balanced
-    from motionstereo_cli.stages.borders import hidden_filled, trimmed
-    from motionstereo_cli.stages.cleaning import filled, without_speckles
-    from motionstereo_cli.stages.confidence import confidence_by_margin
-    from motionstereo_cli.stages.dense import ROWS, match_dense, smoothed, weights_of
-    from motionstereo_cli.stages.trails import match_trails
-
     s, wanted = settings, keys_of(right, settings)
     charged = wanted > 0
     proposed, _ = match_trails(
@@ -76,42 +70,17 @@ def _dense(right: Memory, left: Memory, settings: Settings) -> Found:
 
 
 def _regions(right: Memory, left: Memory, settings: Settings) -> Found:
-    import numpy as np
-
-    from motionstereo_cli.memory import keys_of
-    from motionstereo_cli.stages.regions import match_regions
-
     s = settings
     disparity = match_regions(keys_of(right, s), keys_of(left, s), s.max_disparity)
     return disparity, lambda: np.full_like(disparity, np.nan)
 
 
-@dataclass(frozen=True, slots=True)
-class Matcher:
-    """How two memories become disparity.
-
-    Attributes:
-        what: what it does, in a few words for users.
-        match: takes the right and the left memory and the settings; returns the disparity in px
-            of each charged right pixel and what makes its confidence 0..1, both (height, width)
-            float32, NaN = unknown.
-        knows_confidence: whether it gives a confidence; without, all of it is NaN.
-    """
-
-    what: str
-    match: Callable[[Memory, Memory, Settings], Found]
-    knows_confidence: bool = True
-
-
-MATCHERS = {
-    "trails": Matcher("pair runs of equal charge by their ends", _trails),
-    "dense": Matcher(
-        "semi-global matching of what both views show now, trails where grey does not tell",
-        _dense,
-    ),
-    "regions": Matcher(
-        "largest connected region of equal charge at each displacement",
-        _regions,
-        knows_confidence=False,
-    ),
+#: By the name that users give, as :data:`~motionstereo_cli.settings.MATCHERS` describes them. Each
+#: takes the right and the left memory and the settings; it returns the disparity in px of each
+#: charged right pixel and what makes its confidence 0..1, both (height, width) float32, NaN =
+#: unknown.
+MATCH: dict[str, Callable[[Memory, Memory, Settings], Found]] = {
+    "trails": _trails,
+    "dense": _dense,
+    "regions": _regions,
 }

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from motionstereo_cli.errors import SettingsError
-from motionstereo_cli.matchers import MATCHERS
+from motionstereo_cli.matchers import MATCH
 from motionstereo_cli.memory import Memory, age_of, in_mirror, mirrored, see
 from motionstereo_cli.robot.guide import Guide, guide_of
 from motionstereo_cli.robot.tracker import Tracker, Tracks
@@ -280,7 +280,7 @@ def _match(
     right: Memory, left: Memory, settings: Settings, *, with_confidence: bool
 ) -> tuple[Real, Real | None]:
     s = settings
-    disparity, confidence = MATCHERS[s.matcher].match(right, left, s)
+    disparity, confidence = MATCH[s.matcher](right, left, s)
     chance = confidence() if with_confidence or s.min_confidence > 0 else None
     if s.min_confidence > 0 or s.max_age < FOREVER:
         dropped = age_of(right, s) > s.max_age

@@ -7,10 +7,9 @@ dataclasses declared with :func:`param`, here and in ``simulate``.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 from motionstereo_cli.errors import SettingsError
-from motionstereo_cli.matchers import MATCHERS
 from motionstereo_cli.params import checked, param
 
 #: The largest range of disparities that a run takes, in px.
@@ -21,6 +20,29 @@ FOREVER = 254
 
 #: What ``--max-disparity auto`` is until the range is measured.
 AUTO = 0
+
+
+class Matcher(NamedTuple):
+    """What a matcher is to users; its function is in ``matchers.py`` under the same name.
+
+    Attributes:
+        what: what it does, in a few words.
+        knows_confidence: whether it gives a confidence; without, all of it is NaN.
+    """
+
+    what: str
+    knows_confidence: bool = True
+
+
+MATCHERS = {
+    "trails": Matcher("pair runs of equal charge by their ends"),
+    "dense": Matcher(
+        "semi-global matching of what both views show now, trails where grey does not tell"
+    ),
+    "regions": Matcher(
+        "largest connected region of equal charge at each displacement", knows_confidence=False
+    ),
+}
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
-
-    from motionstereo_cli.pipeline import State
 
     Grey = NDArray[np.uint8]
     MatchKeys = NDArray[np.uint16]
@@ -228,7 +226,7 @@ class FrameResult:
     steering: Steering
     charged: float
     matched: float
-    state: State | None = None
+    state: Any = None
     pose: Pose | None = None
     objects: tuple[MovingObject, ...] = ()
     moving_points: tuple[NDArray[np.float64], Grey] | None = None

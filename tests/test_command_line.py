@@ -27,8 +27,9 @@ from motionstereo_cli.__main__ import main
 from motionstereo_cli.batch.plan import RunPlan
 from motionstereo_cli.batch.run import run as run_library
 from motionstereo_cli.commands import cli
-from motionstereo_cli.commands.messages import foretelling, say
+from motionstereo_cli.commands.messages import say
 from motionstereo_cli.commands.options import settings_options
+from motionstereo_cli.commands.progress import foretelling
 from motionstereo_cli.errors import OutputError
 from motionstereo_cli.files.video import VideoWriter
 from motionstereo_cli.params import param, params

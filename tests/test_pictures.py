@@ -22,9 +22,9 @@ from motionstereo_cli.files.lettering import (
 )
 from motionstereo_cli.settings import Settings
 from motionstereo_cli.sinks import OUTPUTS, RunContext
+from motionstereo_cli.sinks.drawing import depth_colours
 from motionstereo_cli.sinks.legend import strip
 from motionstereo_cli.sinks.preview import heading_text, preview_picture, with_heading
-from motionstereo_cli.sinks.previews import depth_colours
 from motionstereo_cli.sinks.scale import DepthScale
 from motionstereo_cli.sinks.settings import OutputSettings
 from motionstereo_cli.types import FrameResult, Rig, Steering, StereoFrame

@@ -29,8 +29,8 @@ from motionstereo_cli.files.video import Indexed, SegmentedVideo, VideoWriter, t
 from motionstereo_cli.params import params
 from motionstereo_cli.settings import Settings
 from motionstereo_cli.sinks import DEFAULT_OUTPUTS, OUTPUTS, RunContext, available
+from motionstereo_cli.sinks.drawing import depth_colours
 from motionstereo_cli.sinks.images import depth_png, disparity_png
-from motionstereo_cli.sinks.previews import depth_colours
 from motionstereo_cli.sinks.scale import palette
 from motionstereo_cli.sinks.settings import OutputSettings
 from motionstereo_cli.sinks.steering import SteeringFile, SteeringStream

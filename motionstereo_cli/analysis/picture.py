@@ -13,8 +13,8 @@ from motionstereo_cli.analysis.compare import WorstImage, differing
 from motionstereo_cli.errors import SettingsError
 from motionstereo_cli.files.lettering import DARK, colour_key, titled
 from motionstereo_cli.sinks import RECORD
+from motionstereo_cli.sinks.drawing import depth_colours
 from motionstereo_cli.sinks.legend import strip
-from motionstereo_cli.sinks.previews import depth_colours
 from motionstereo_cli.sinks.scale import DepthScale
 
 if TYPE_CHECKING:

@@ -40,6 +40,10 @@ _STATUS = {
 _LINES: ContextVar[JsonLines | None] = ContextVar("lines", default=None)
 
 
+_WARM_UP_FRAMES = 4
+_WORTH_SAYING_S = 5
+
+
 class JsonLines:
     """Tells a program how far it is, a JSON object a line.
 
@@ -211,3 +215,36 @@ def _opened(path: Path | None) -> JsonLines:
         return JsonLines(path.open("w", encoding="utf-8"), aside=True)
     except OSError as error:
         raise OutputError(f"cannot write {path}: {error.strerror or error}") from error
+
+
+def foretelling(frames: int, bar: Bar) -> Callable[[], None]:
+    """Return a function to call after each frame; soon after the first it says how long all take.
+
+    It says nothing if that is less than some seconds.
+
+    Args:
+        frames: how many frames there will be, about.
+        bar: advances with each frame.
+    """
+    times_s = []
+
+    def advance() -> None:
+        bar.update()
+        times_s.append(time.perf_counter())
+        # The first frames take longer: they load.
+        if len(times_s) == 2 * _WARM_UP_FRAMES:
+            frame_s = (times_s[-1] - times_s[_WARM_UP_FRAMES - 1]) / _WARM_UP_FRAMES
+            rest_s = frame_s * (frames - len(times_s))
+            if rest_s >= _WORTH_SAYING_S:
+                bar.say("note", f"about {frames} frames, which take {_duration(rest_s)}")
+
+    return advance
+
+
+def _duration(seconds: float) -> str:
+    """Return a time in words, as exact as an estimate can be."""
+    if seconds < 90:
+        return f"about {max(round(seconds, -1), 10):.0f} s"
+    if seconds < 5400:
+        return f"about {seconds / 60:.0f} minutes"
+    return f"about {seconds / 3600:.1f} hours"

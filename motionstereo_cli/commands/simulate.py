@@ -8,9 +8,9 @@ from typing import Any
 import click
 
 from motionstereo_cli.commands.grouped import GroupedCommand
-from motionstereo_cli.commands.messages import foretelling, say
+from motionstereo_cli.commands.messages import say
 from motionstereo_cli.commands.options import config_files, settings_options
-from motionstereo_cli.commands.progress import Bar, progress_options
+from motionstereo_cli.commands.progress import Bar, foretelling, progress_options
 from motionstereo_cli.simulate.settings import SimulateSettings
 
 

@@ -26,9 +26,9 @@ from motionstereo_cli.simulate.drive_world import DriveWorld, Shot
 from motionstereo_cli.simulate.plan import Plan, plan_sheet
 from motionstereo_cli.simulate.settings import ROBOT_RADIUS_M
 from motionstereo_cli.sinks import RunContext
+from motionstereo_cli.sinks.drawing import depth_picture, grey_picture, reference_view
 from motionstereo_cli.sinks.map import MapFiles
 from motionstereo_cli.sinks.preview import framed, with_heading
-from motionstereo_cli.sinks.previews import depth_picture, grey_picture, reference_view
 from motionstereo_cli.sinks.steering import SteeringFile
 from motionstereo_cli.types import FrameResult, Pose, StereoFrame
 

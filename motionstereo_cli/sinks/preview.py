@@ -10,13 +10,8 @@ import cv2
 import numpy as np
 
 from motionstereo_cli.files.lettering import DARK, GAP_PX, titled
+from motionstereo_cli.sinks.drawing import depth_picture, depth_scale, grey_picture, reference_view
 from motionstereo_cli.sinks.legend import strip, time_text
-from motionstereo_cli.sinks.previews import (
-    depth_picture,
-    depth_scale,
-    grey_picture,
-    reference_view,
-)
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -16,7 +16,7 @@ from motionstereo_cli.pipeline import match
 from motionstereo_cli.settings import PRESETS, Settings
 from motionstereo_cli.simulate.scenes import render_scene
 from motionstereo_cli.simulate.settings import SimulateSettings
-from motionstereo_cli.sinks.previews import depth_colours
+from motionstereo_cli.sinks.drawing import depth_colours
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
