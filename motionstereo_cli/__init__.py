@@ -6,12 +6,12 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from motionstereo_cli.errors import MotionStereoError
+    from motionstereo_cli.method.settings import Settings
     from motionstereo_cli.pipeline import process
     from motionstereo_cli.rig.calibration import rectify_source
     from motionstereo_cli.rig.poses import read_poses
     from motionstereo_cli.rig.rig_file import read_rig
     from motionstereo_cli.rig.settings import PoseSettings
-    from motionstereo_cli.settings import Settings
     from motionstereo_cli.sources.opening import open_stereo
     from motionstereo_cli.sources.settings import InputSettings, adapted_rig
     from motionstereo_cli.types import FrameResult, Rig, Steering, StereoFrame
@@ -42,7 +42,7 @@ _MODULES = {
     "rig.poses": ("read_poses",),
     "rig.rig_file": ("read_rig",),
     "rig.settings": ("PoseSettings",),
-    "settings": ("Settings",),
+    "method.settings": ("Settings",),
     "sources.settings": ("InputSettings", "adapted_rig"),
     "sources.opening": ("open_stereo",),
     "types": ("FrameResult", "Rig", "Steering", "StereoFrame"),

@@ -19,12 +19,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from motionstereo_cli.errors import SettingsError
-from motionstereo_cli.matchers import MATCH
-from motionstereo_cli.memory import Memory, age_of, in_mirror, mirrored, see
+from motionstereo_cli.method.depth import depth
+from motionstereo_cli.method.matching import MATCH
+from motionstereo_cli.method.memory import Memory, age_of, in_mirror, mirrored, see
+from motionstereo_cli.method.settings import AUTO, FOREVER, Settings
 from motionstereo_cli.robot.guide import Guide, guide_of
 from motionstereo_cli.robot.tracker import Tracker, Tracks
-from motionstereo_cli.settings import AUTO, FOREVER, Settings
-from motionstereo_cli.stages.depth import depth
 from motionstereo_cli.types import FrameResult, MovingObject, Pose, Rig, Steering, StereoFrame
 
 if TYPE_CHECKING:

@@ -12,10 +12,10 @@ from recordings import encode
 
 from motionstereo_cli import Settings, process
 from motionstereo_cli.__main__ import main
-from motionstereo_cli.batch.auto import with_range
-from motionstereo_cli.batch.plan import RunPlan
-from motionstereo_cli.batch.run import Watcher, run
 from motionstereo_cli.errors import SettingsError
+from motionstereo_cli.runs.disparity_range import with_range
+from motionstereo_cli.runs.plan import RunPlan
+from motionstereo_cli.runs.run import Watcher, run
 
 DISPARITY, ADVISED = 36, 48
 

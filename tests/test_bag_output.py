@@ -10,13 +10,14 @@ from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 
 from motionstereo_cli.__main__ import main
+from motionstereo_cli.method.settings import Settings
 from motionstereo_cli.pipeline import process
-from motionstereo_cli.settings import Settings
 from motionstereo_cli.simulate.settings import SimulateSettings
 from motionstereo_cli.simulate.write import simulate
-from motionstereo_cli.sinks import OUTPUTS, RunContext
 from motionstereo_cli.sinks.bag import TOPICS
 from motionstereo_cli.sinks.images import depth_png
+from motionstereo_cli.sinks.outputs import OUTPUTS
+from motionstereo_cli.sinks.sink import RunContext
 from motionstereo_cli.types import Rig, StereoFrame
 
 RIG = Rig(width=64, height=48, focal_px=50.0, baseline_m=0.1, cx=31.5, cy=23.5, doffs=2.0)

@@ -17,8 +17,6 @@ from bench.preloads import killer_of
 from motionstereo_cli.__main__ import main
 from motionstereo_cli.batch.manifest import matched, plans, read_manifest
 from motionstereo_cli.batch.pieces import behind_damage, join_pieces, pieces_of, run_piece
-from motionstereo_cli.batch.plan import RunPlan
-from motionstereo_cli.batch.run import Watcher, run
 from motionstereo_cli.batch.status import (
     COLUMNS,
     Status,
@@ -26,14 +24,16 @@ from motionstereo_cli.batch.status import (
     read_status,
     write_status,
 )
-from motionstereo_cli.batch.worker import work
+from motionstereo_cli.batch.task import work
 from motionstereo_cli.commands.batch import plan_of
 from motionstereo_cli.errors import InputError, SettingsError
 from motionstereo_cli.files.atomic import write_whole
-from motionstereo_cli.settings import Settings
+from motionstereo_cli.method.settings import Settings
+from motionstereo_cli.runs.plan import RunPlan
+from motionstereo_cli.runs.run import Watcher, run
 from motionstereo_cli.simulate.settings import SimulateSettings
 from motionstereo_cli.simulate.write import simulate
-from motionstereo_cli.sinks import OUTPUTS
+from motionstereo_cli.sinks.outputs import OUTPUTS
 
 pytest.importorskip("distributed")
 

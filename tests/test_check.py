@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 
 from motionstereo_cli.__main__ import main
-from motionstereo_cli.analysis.advice import advised, as_toml
-from motionstereo_cli.analysis.check import WINDOW_FRAMES, check, watched
-from motionstereo_cli.analysis.findings import CheckReport, Finding
-from motionstereo_cli.analysis.mounting import Mounting
+from motionstereo_cli.check.advice import advised, as_toml
+from motionstereo_cli.check.findings import CheckReport, Finding
+from motionstereo_cli.check.measure import WINDOW_FRAMES, check, watched
+from motionstereo_cli.check.mounting import Mounting
 from motionstereo_cli.simulate.scenes import render_scene
 from motionstereo_cli.simulate.settings import SimulateSettings
 from motionstereo_cli.sources.settings import InputSettings

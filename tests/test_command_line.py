@@ -24,17 +24,17 @@ import numpy as np
 import pytest
 
 from motionstereo_cli.__main__ import main
-from motionstereo_cli.batch.plan import RunPlan
-from motionstereo_cli.batch.run import run as run_library
 from motionstereo_cli.commands import cli
 from motionstereo_cli.commands.messages import say
 from motionstereo_cli.commands.options import settings_options
 from motionstereo_cli.commands.progress import foretelling
 from motionstereo_cli.errors import OutputError
 from motionstereo_cli.files.video import VideoWriter
+from motionstereo_cli.method.settings import Settings
 from motionstereo_cli.params import param, params
-from motionstereo_cli.settings import Settings
-from motionstereo_cli.sinks import OUTPUTS
+from motionstereo_cli.runs.plan import RunPlan
+from motionstereo_cli.runs.run import run as run_library
+from motionstereo_cli.sinks.outputs import OUTPUTS
 
 COMMAND = [sys.executable, "-m", "motionstereo_cli"]
 #: Outputs that need poses as well.
@@ -227,7 +227,7 @@ def test_a_shorter_side_ends_the_run_with_a_warning_and_exit_code_3(run_args, ca
 
 CUT_AT_FRAME_7 = """
 import os, signal, sys
-import motionstereo_cli.batch.run as library
+import motionstereo_cli.runs.run as library
 from motionstereo_cli.__main__ import main
 
 whole = library.process
@@ -425,7 +425,7 @@ def test_an_unexpected_error_is_one_line_unless_debugging(run_args, monkeypatch,
     def broken(*args: object, **options: object) -> None:
         raise ZeroDivisionError("by nought")
 
-    monkeypatch.setattr("motionstereo_cli.batch.run.process", broken)
+    monkeypatch.setattr("motionstereo_cli.runs.run.process", broken)
     assert main([*run_args, "--save", "steering"]) == 1
     assert capsys.readouterr().err == "error: internal: ZeroDivisionError: by nought\n"
     monkeypatch.setenv("MOTIONSTEREO_DEBUG", "1")

@@ -15,17 +15,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from motionstereo_cli.analysis.compare import (
+from motionstereo_cli.errors import InputError, SettingsError
+from motionstereo_cli.evaluation.compare import (
     Compared,
     Report,
     WorstImage,
     compare,
 )
-from motionstereo_cli.analysis.compare_report import format_json, format_junit, format_table
-from motionstereo_cli.analysis.picture import draw_worst
-from motionstereo_cli.analysis.settings import CompareSettings
-from motionstereo_cli.errors import InputError, SettingsError
-from motionstereo_cli.sinks.reading import read_table
+from motionstereo_cli.evaluation.compare_picture import draw_worst
+from motionstereo_cli.evaluation.compare_report import format_json, format_junit, format_table
+from motionstereo_cli.evaluation.settings import CompareSettings
+from motionstereo_cli.sinks.read_back import read_table
 
 STEERING = """\
 frame,pts,time_s,status,steer,steer_rad,depth_m,nearest_m,charged,matched

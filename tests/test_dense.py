@@ -8,10 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from motionstereo_cli.stages.balance import balanced
-from motionstereo_cli.stages.borders import hidden_filled, trimmed
-from motionstereo_cli.stages.contrast import contrast, noise_of
-from motionstereo_cli.stages.dense import match_dense, semi_global, weights_of
+from motionstereo_cli.method.balance import balanced
+from motionstereo_cli.method.borders import hidden_filled, trimmed
+from motionstereo_cli.method.contrast import contrast, noise_of
+from motionstereo_cli.method.dense import match_dense, semi_global, weights_of
 
 everywhere = np.ones((48, 96), np.bool_)
 nothing_proposed = np.full((24, 96), np.nan, np.float32)

@@ -14,7 +14,7 @@ from bench import drive as bench
 from motionstereo_cli.__main__ import main
 from motionstereo_cli.commands import cli
 from motionstereo_cli.errors import MotionStereoError, SettingsError
-from motionstereo_cli.settings import Settings
+from motionstereo_cli.method.settings import Settings
 from motionstereo_cli.simulate.camera import FloorPose, stereo_cameras
 from motionstereo_cli.simulate.corridor import Corridor
 from motionstereo_cli.simulate.drive import OUTPUTS, driven

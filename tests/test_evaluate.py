@@ -15,13 +15,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from motionstereo_cli.analysis.evaluate import Comparison, FramePair, evaluate, tally
-from motionstereo_cli.analysis.evaluate_report import draw_errors, format_table
 from motionstereo_cli.errors import InputError
-from motionstereo_cli.files.images import encode_pfm, encode_png, encode_tiff
+from motionstereo_cli.evaluation.evaluate import Comparison, FramePair, evaluate, tally
+from motionstereo_cli.evaluation.evaluate_report import draw_errors, format_table
+from motionstereo_cli.files.encode import encode_pfm, encode_png, encode_tiff
 from motionstereo_cli.rig import write_rig
 from motionstereo_cli.sinks.images import depth_png, disparity_png
-from motionstereo_cli.sinks.reading import Maps
+from motionstereo_cli.sinks.read_back import Maps
 from motionstereo_cli.types import Rig
 
 NAN = math.nan

@@ -8,6 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from motionstereo_cli.compiled import free_space as loops
+from motionstereo_cli.method.settings import Settings
+from motionstereo_cli.robot.course import steadied
 from motionstereo_cli.robot.free_space import (
     FreeSpace,
     Ground,
@@ -17,8 +19,6 @@ from motionstereo_cli.robot.free_space import (
     way_ahead,
 )
 from motionstereo_cli.robot.guide import ImageGuide
-from motionstereo_cli.robot.heading import steadied
-from motionstereo_cli.settings import Settings
 from motionstereo_cli.types import Rig
 
 NAN = np.float32(np.nan)

@@ -39,14 +39,14 @@ from test_compare import RECORD, STEERING, written
 from test_rig import VALUES, rig_file
 
 from motionstereo_cli.__main__ import main
-from motionstereo_cli.analysis.compare import compare
-from motionstereo_cli.analysis.evaluate import Comparison
-from motionstereo_cli.batch.folder import prepare
 from motionstereo_cli.errors import MotionStereoError
+from motionstereo_cli.evaluation.compare import compare
+from motionstereo_cli.evaluation.evaluate import Comparison
 from motionstereo_cli.rig import format_rig, read_rig
 from motionstereo_cli.rig.calibration import read_calibration
 from motionstereo_cli.rig.poses import read_poses
-from motionstereo_cli.sinks.reading import Maps, read_table
+from motionstereo_cli.runs.folder import prepare
+from motionstereo_cli.sinks.read_back import Maps, read_table
 from motionstereo_cli.sources.folder import FolderRecording
 from motionstereo_cli.types import Rig
 

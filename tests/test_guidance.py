@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from motionstereo_cli.robot.guide import MapGuide
-from motionstereo_cli.robot.heading import (
+from motionstereo_cli.method.settings import Settings
+from motionstereo_cli.robot.course import (
     DIRECTIONS_RAD,
     Course,
     free_distances,
@@ -14,6 +14,7 @@ from motionstereo_cli.robot.heading import (
     travelled,
     wrapped,
 )
+from motionstereo_cli.robot.guide import MapGuide
 from motionstereo_cli.robot.local_map import (
     CELL_M,
     CELLS,
@@ -25,7 +26,6 @@ from motionstereo_cli.robot.local_map import (
     profile,
     seen,
 )
-from motionstereo_cli.settings import Settings
 from motionstereo_cli.types import Pose, Rig
 
 NAN = np.float32(np.nan)

@@ -17,26 +17,26 @@ import cv2
 import numpy as np
 import pytest
 
-import motionstereo_cli.batch.run as run_module
+import motionstereo_cli.runs.run as run_module
 from motionstereo_cli.__main__ import main
-from motionstereo_cli.batch.checkpoint import (
+from motionstereo_cli.errors import BusyError, OutputError, SettingsError
+from motionstereo_cli.files import targets
+from motionstereo_cli.files.atomic import part_of, write_whole
+from motionstereo_cli.files.lock import locked
+from motionstereo_cli.method.memory import Memory
+from motionstereo_cli.method.settings import Settings
+from motionstereo_cli.pipeline import State
+from motionstereo_cli.runs.checkpoint import (
     STATE_TYPES,
     check_kinds,
     check_state,
     read_checkpoint,
     write_checkpoint,
 )
-from motionstereo_cli.batch.contents import CHECKPOINT
-from motionstereo_cli.batch.plan import RunPlan
-from motionstereo_cli.batch.run import run
-from motionstereo_cli.batch.totals import Totals
-from motionstereo_cli.errors import BusyError, OutputError, SettingsError
-from motionstereo_cli.files import targets
-from motionstereo_cli.files.atomic import part_of, write_whole
-from motionstereo_cli.files.lock import locked
-from motionstereo_cli.memory import Memory
-from motionstereo_cli.pipeline import State
-from motionstereo_cli.settings import Settings
+from motionstereo_cli.runs.folder_files import CHECKPOINT
+from motionstereo_cli.runs.open_outputs import Totals
+from motionstereo_cli.runs.plan import RunPlan
+from motionstereo_cli.runs.run import run
 
 FRAMES, HEIGHT, WIDTH = 9, 32, 48
 RIG = f"width: {WIDTH}\nheight: {HEIGHT}\nfocal_px: 40\nbaseline_m: 0.1\ncx: 23.5\ncy: 15.5\n"

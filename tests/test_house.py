@@ -33,20 +33,23 @@ def room(path):
 
 #: Files of ``robot`` that know arrays and numbers only; the others join them and keep state.
 PURE_ROBOT = {
-    *("free_space.py", "heading.py", "local_map.py", "fused_map.py", "objects.py", "points.py"),
+    *("free_space.py", "course.py", "local_map.py", "fused_map.py", "objects.py", "points.py"),
 }
+#: Files of ``method`` that join its stages.
+JOINTS = {"matching.py", "memory.py", "settings.py"}
 PURE = [
     path
     for path in MODULES
-    if room(path) == "stages" or (room(path) == "robot" and path.name in PURE_ROBOT)
+    if (room(path) == "method" and path.name not in JOINTS)
+    or (room(path) == "robot" and path.name in PURE_ROBOT)
 ]
 #: What each room may import of the package besides itself; "" is the modules at the root.
-GROUND = {"errors", "types", "compiled", "params", "settings", "matchers"}
+GROUND = {"errors", "types", "compiled", "params", "method"}
 MAY_IMPORT = {
     "files": {"compiled", "errors", "types"},
-    "sources": {"errors", "types", "params", "settings", "files", "rig"},
-    "rig": {"errors", "types", "params", "settings", "files", "sources"},
-    "sinks": GROUND | {"files", "rig", "robot", "stages"},
+    "sources": {"errors", "types", "params", "files", "rig"},
+    "rig": {"errors", "types", "params", "files", "sources"},
+    "sinks": GROUND | {"files", "rig", "robot"},
 }
 
 
@@ -70,7 +73,8 @@ def joins(rooms):
 
 
 def test_only_the_pipeline_its_memories_and_matchers_join_stages():
-    assert joins(["stages."]) == {"matchers.py", "memory.py", "pipeline.py"}
+    stages = [f"method.{path.stem}" for path in PURE if room(path) == "method"]
+    assert joins(stages) == {"method/matching.py", "method/memory.py", "pipeline.py"}
 
 
 def test_only_the_files_of_robot_that_keep_state_join_its_pure_ones():
@@ -81,11 +85,11 @@ def test_only_the_files_of_robot_that_keep_state_join_its_pure_ones():
         "robot/mapper.py",
         "robot/tracker.py",
     } | {
-        "batch/checkpoint.py",  # it names what is kept from frame to frame
+        "runs/checkpoint.py",  # it names what is kept from frame to frame
         "batch/pieces.py",  # it hands on what pieces found
         "sinks/map.py",
         "sinks/points.py",
-        "simulate/plan.py",
+        "simulate/drive_plan.py",
     }
 
 

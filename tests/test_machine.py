@@ -4,8 +4,8 @@ import os
 
 import pytest
 
-from motionstereo_cli import machine
-from motionstereo_cli.batch.run import default_jobs
+from motionstereo_cli.runs import cores as machine
+from motionstereo_cli.runs.run import default_jobs
 
 
 @pytest.fixture

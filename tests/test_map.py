@@ -15,10 +15,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bench import map as bench
-from motionstereo_cli.batch.folder import prepare
 from motionstereo_cli.commands import cli
 from motionstereo_cli.errors import OutputError, SettingsError
 from motionstereo_cli.files.atomic import part_of
+from motionstereo_cli.method.settings import Settings
 from motionstereo_cli.robot.fused_map import (
     OCCUPIED,
     Grid,
@@ -32,17 +32,18 @@ from motionstereo_cli.robot.fused_map import (
 )
 from motionstereo_cli.robot.mapper import Floor, Mapper
 from motionstereo_cli.robot.points import in_world, points
-from motionstereo_cli.settings import Settings
+from motionstereo_cli.runs.folder import prepare
 from motionstereo_cli.simulate.camera import Pose as RobotPose
 from motionstereo_cli.simulate.camera import stereo_cameras
 from motionstereo_cli.simulate.corridor import FRAMES_PER_SIDE, Corridor
+from motionstereo_cli.simulate.drive_plan import Plan
 from motionstereo_cli.simulate.drive_world import DriveWorld
-from motionstereo_cli.simulate.plan import Plan
 from motionstereo_cli.simulate.settings import DriveSettings
-from motionstereo_cli.sinks import OUTPUTS, RunContext
 from motionstereo_cli.sinks.map import map_png, map_sheet, map_yaml
+from motionstereo_cli.sinks.outputs import OUTPUTS
 from motionstereo_cli.sinks.points import encode_ply
 from motionstereo_cli.sinks.settings import OutputSettings
+from motionstereo_cli.sinks.sink import RunContext
 from motionstereo_cli.types import FrameResult, Pose, Rig, Steering, StereoFrame
 
 RIG = Rig(width=160, height=120, focal_px=140.0, baseline_m=0.12, cx=79.5, cy=59.5)

@@ -8,9 +8,9 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from motionstereo_cli.compiled import trails
-from motionstereo_cli.stages.cleaning import filled, without_speckles
-from motionstereo_cli.stages.regions import match_regions
-from motionstereo_cli.stages.trails import match_trails
+from motionstereo_cli.method.cleaning import filled, without_speckles
+from motionstereo_cli.method.regions import match_regions
+from motionstereo_cli.method.trails import match_trails
 
 rows = arrays(np.uint16, (5, 13), elements=st.integers(0, 3), fill=st.nothing())
 

@@ -16,6 +16,7 @@ from hypothesis.extra.numpy import arrays
 
 from bench import objects as bench
 from motionstereo_cli.commands import cli
+from motionstereo_cli.method.settings import Settings
 from motionstereo_cli.robot import objects
 from motionstereo_cli.robot.assignment import assignment
 from motionstereo_cli.robot.guide import MapGuide, nearest_contact
@@ -29,9 +30,9 @@ from motionstereo_cli.robot.objects import (
     trust,
 )
 from motionstereo_cli.robot.tracker import MAX_CONTACT_S, Tracker, Tracks
-from motionstereo_cli.settings import Settings
 from motionstereo_cli.simulate.settings import SimulateSettings
-from motionstereo_cli.sinks import OUTPUTS, RunContext
+from motionstereo_cli.sinks.outputs import OUTPUTS
+from motionstereo_cli.sinks.sink import RunContext
 from motionstereo_cli.types import FrameResult, MovingObject, Pose, Rig, Steering, StereoFrame
 
 WIDTH = 160

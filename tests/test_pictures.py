@@ -20,13 +20,14 @@ from motionstereo_cli.files.lettering import (
     text_width,
     titled,
 )
-from motionstereo_cli.settings import Settings
-from motionstereo_cli.sinks import OUTPUTS, RunContext
+from motionstereo_cli.method.settings import Settings
 from motionstereo_cli.sinks.drawing import depth_colours
 from motionstereo_cli.sinks.legend import strip
+from motionstereo_cli.sinks.outputs import OUTPUTS
 from motionstereo_cli.sinks.preview import heading_text, preview_picture, with_heading
 from motionstereo_cli.sinks.scale import DepthScale
 from motionstereo_cli.sinks.settings import OutputSettings
+from motionstereo_cli.sinks.sink import RunContext
 from motionstereo_cli.types import FrameResult, Rig, Steering, StereoFrame
 
 HEIGHT, WIDTH = 60, 96

@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 
 from motionstereo_cli.errors import SettingsError
-from motionstereo_cli.memory import keys_of, see
+from motionstereo_cli.method.bands import band_table
+from motionstereo_cli.method.charge import permanency
+from motionstereo_cli.method.memory import keys_of, see
+from motionstereo_cli.method.motion import motion
+from motionstereo_cli.method.settings import PRESETS, Settings
 from motionstereo_cli.pipeline import process
-from motionstereo_cli.settings import PRESETS, Settings
 from motionstereo_cli.simulate.scenes import render_scene
 from motionstereo_cli.simulate.settings import SimulateSettings
-from motionstereo_cli.stages.bands import band_table
-from motionstereo_cli.stages.charge import permanency
-from motionstereo_cli.stages.motion import motion
 from motionstereo_cli.types import Rig, StereoFrame
 
 RIG = Rig(width=160, height=96, focal_px=140, baseline_m=0.12, cx=79.5, cy=47.5)

@@ -13,12 +13,12 @@ import yaml
 
 import motionstereo_cli
 from motionstereo_cli.__main__ import main
-from motionstereo_cli.analysis.findings import RULES
+from motionstereo_cli.check.findings import RULES
 from motionstereo_cli.commands import cli
 from motionstereo_cli.commands.grouped import grouped
 from motionstereo_cli.commands.help import pages, readable, subject
-from motionstereo_cli.sinks import DEFAULT_OUTPUTS, OUTPUTS
-from motionstereo_cli.sinks.steering import HEADER
+from motionstereo_cli.sinks.outputs import DEFAULT_OUTPUTS, OUTPUTS
+from motionstereo_cli.sinks.steering_table import HEADER
 
 ROOT = Path(__file__).parent.parent
 README = ROOT / "README.md"

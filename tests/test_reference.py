@@ -5,10 +5,10 @@ import math
 import numpy as np
 import pytest
 
+from motionstereo_cli.method.settings import Settings
 from motionstereo_cli.pipeline import process
 from motionstereo_cli.robot.guide import ImageGuide, MapGuide
 from motionstereo_cli.robot.local_map import CELL_M
-from motionstereo_cli.settings import Settings
 from motionstereo_cli.simulate.scenes import render_scene
 from motionstereo_cli.simulate.settings import SimulateSettings
 from motionstereo_cli.types import Pose, Rig, StereoFrame

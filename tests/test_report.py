@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from motionstereo_cli.__main__ import main
 from motionstereo_cli.report.run_page import run_page
 from motionstereo_cli.report.series import kept_rows, tracks
-from motionstereo_cli.sinks.steering import HEADER
+from motionstereo_cli.sinks.steering_table import HEADER
 
 SAVED = "steering,depth,charge,depth-video,objects"
 NASTY = "</script><script>alert(1)<b>&amp;"

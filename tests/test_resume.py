@@ -17,16 +17,16 @@ import numpy as np
 import pytest
 
 from motionstereo_cli.__main__ import main
-from motionstereo_cli.batch.checkpoint import STATE_TYPES, loads, read_checkpoint
-from motionstereo_cli.batch.contents import CHECKPOINT
-from motionstereo_cli.batch.interrupts import finishing
 from motionstereo_cli.errors import OutputError
 from motionstereo_cli.files.atomic import part_of
 from motionstereo_cli.files.lock import locked
 from motionstereo_cli.files.video import SegmentedVideo, VideoWriter
+from motionstereo_cli.method.settings import Settings
 from motionstereo_cli.pipeline import State, process
-from motionstereo_cli.settings import Settings
-from motionstereo_cli.sinks import OUTPUTS
+from motionstereo_cli.runs.checkpoint import STATE_TYPES, loads, read_checkpoint
+from motionstereo_cli.runs.folder_files import CHECKPOINT
+from motionstereo_cli.runs.interrupts import finishing
+from motionstereo_cli.sinks.outputs import OUTPUTS
 from motionstereo_cli.sinks.writers import TableFile
 from motionstereo_cli.types import Pose, Rig, StereoFrame
 
@@ -39,8 +39,8 @@ RIG = Rig(width=WIDTH, height=HEIGHT, focal_px=80.0, baseline_m=0.1, cx=47.5, cy
 #: Runs the command and kills its own process: before a frame, or before the step that is named.
 KILLED = """
 import os, signal, sys
-import motionstereo_cli.batch.folder as folder
-import motionstereo_cli.batch.run as library
+import motionstereo_cli.runs.folder as folder
+import motionstereo_cli.runs.run as library
 from motionstereo_cli.__main__ import main
 
 when = sys.argv[1]
@@ -129,7 +129,7 @@ def test_a_killed_run_goes_on(command, undisturbed, tmp_path, capsys, monkeypatc
     assert killed.returncode == -signal.SIGKILL
     assert (out / "run.json").exists() == (when == "clear")
     if when == "clear":
-        monkeypatch.delattr("motionstereo_cli.batch.run.process")  # nothing is left to do
+        monkeypatch.delattr("motionstereo_cli.runs.run.process")  # nothing is left to do
     assert main([*args, "--resume"]) == 0
     assert contents(out) == contents(undisturbed)
     assert table.read_bytes() == (undisturbed.parent / "table.csv").read_bytes()

@@ -10,8 +10,8 @@ import cv2
 import numpy as np
 import pytest
 
-from motionstereo_cli.analysis.compare import compare
-from motionstereo_cli.analysis.compare_report import format_table
+from motionstereo_cli.evaluation.compare import compare
+from motionstereo_cli.evaluation.compare_report import format_table
 
 SAMPLE = Path(__file__).parent.parent / "sample_data"
 COMMAND = Path(sys.executable).with_name("motionstereo")

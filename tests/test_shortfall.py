@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from motionstereo_cli.analysis.shortfall import shortfall
+from motionstereo_cli.check.shortfall import shortfall
 
 
 def views(disparity):

@@ -20,21 +20,22 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from motionstereo_cli.batch.contents import head
-from motionstereo_cli.batch.folder import complete, prepare, tidy
 from motionstereo_cli.errors import OutputError, SettingsError
 from motionstereo_cli.files.atomic import part_of, reported, segment_of, write_whole
-from motionstereo_cli.files.images import encode_pfm, encode_png
+from motionstereo_cli.files.encode import encode_pfm, encode_png
 from motionstereo_cli.files.video import Indexed, SegmentedVideo, VideoWriter, table_of
+from motionstereo_cli.method.settings import Settings
 from motionstereo_cli.params import params
-from motionstereo_cli.settings import Settings
-from motionstereo_cli.sinks import DEFAULT_OUTPUTS, OUTPUTS, RunContext, available
+from motionstereo_cli.runs.folder import complete, prepare, tidy
+from motionstereo_cli.runs.folder_files import head
+from motionstereo_cli.runs.threaded_sink import Threaded
 from motionstereo_cli.sinks.drawing import depth_colours
 from motionstereo_cli.sinks.images import depth_png, disparity_png
+from motionstereo_cli.sinks.outputs import DEFAULT_OUTPUTS, OUTPUTS, available
 from motionstereo_cli.sinks.scale import palette
 from motionstereo_cli.sinks.settings import OutputSettings
-from motionstereo_cli.sinks.steering import SteeringFile, SteeringStream
-from motionstereo_cli.sinks.threaded import Threaded
+from motionstereo_cli.sinks.sink import RunContext
+from motionstereo_cli.sinks.steering_table import SteeringFile, SteeringStream
 from motionstereo_cli.types import FrameResult, Rig, Steering, StereoFrame
 
 BLIND = Steering("blind", None, None, None, None)
@@ -406,7 +407,7 @@ from fractions import Fraction
 from pathlib import Path
 import numpy as np
 from motionstereo_cli.errors import OutputError
-from motionstereo_cli.files.images import encode_png
+from motionstereo_cli.files.encode import encode_png
 from motionstereo_cli.files.video import VideoWriter
 video = VideoWriter(Path(sys.argv[1]), Fraction(1, 25))
 noise = np.random.default_rng(0)

@@ -6,14 +6,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+from motionstereo_cli.method.bands import band_table, bands, blur
+from motionstereo_cli.method.charge import accumulate, age, permanency
+from motionstereo_cli.method.confidence import confidence
+from motionstereo_cli.method.depth import depth
+from motionstereo_cli.method.match_keys import match_keys
+from motionstereo_cli.method.motion import motion
+from motionstereo_cli.method.residual import residual
 from motionstereo_cli.robot.free_space import quantiles, strip_borders
-from motionstereo_cli.stages.bands import band_table, bands, blur
-from motionstereo_cli.stages.charge import accumulate, age, permanency
-from motionstereo_cli.stages.confidence import confidence
-from motionstereo_cli.stages.depth import depth
-from motionstereo_cli.stages.match_keys import match_keys
-from motionstereo_cli.stages.motion import motion
-from motionstereo_cli.stages.residual import residual
 
 NAN = float("nan")
 

@@ -15,7 +15,7 @@ from recordings import COUNT, folder, number_in, scene
 
 from motionstereo_cli.errors import InputError, SettingsError
 from motionstereo_cli.files.stills import DamagedImageError, read_still
-from motionstereo_cli.sinks.reading import Maps
+from motionstereo_cli.sinks.read_back import Maps
 from motionstereo_cli.sources import open_stereo
 from motionstereo_cli.sources.folder import FolderRecording
 from motionstereo_cli.sources.settings import InputSettings

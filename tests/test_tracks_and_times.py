@@ -19,7 +19,7 @@ from recordings import COUNT, FULL, LIMITED, Images, encode, folder, number_in, 
 from test_limits import called, moving
 
 from motionstereo_cli.errors import InputError, SettingsError
-from motionstereo_cli.sinks import check_video_size
+from motionstereo_cli.sinks.outputs import check_video_size
 from motionstereo_cli.sources import open_stereo, pipe
 from motionstereo_cli.sources.h264 import Head
 from motionstereo_cli.sources.luma import grey_levels

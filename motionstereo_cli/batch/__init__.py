@@ -1,1 +1,1 @@
-"""A run and its output folder."""
+"""Many recordings: the manifest, the workers, and the status of each recording."""

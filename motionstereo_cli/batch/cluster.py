@@ -13,9 +13,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from motionstereo_cli.batch.record import versions
 from motionstereo_cli.errors import InputError
-from motionstereo_cli.machine import usable_cores
+from motionstereo_cli.runs.cores import usable_cores
+from motionstereo_cli.runs.record import versions
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -111,7 +111,7 @@ def _started(cluster: Cluster, tasks: int, say: Callable[[str, str], object]) ->
     from distributed import Client, LocalCluster
     from distributed.utils import get_mp_context
 
-    get_mp_context().set_forkserver_preload(["distributed", "motionstereo_cli.batch.worker"])
+    get_mp_context().set_forkserver_preload(["distributed", "motionstereo_cli.batch.task"])
     cores = usable_cores()
     workers = min(cluster.workers or cores, tasks)
     if workers > cores:

@@ -12,10 +12,10 @@ from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
-from motionstereo_cli.batch.plan import RunPlan
 from motionstereo_cli.errors import InputError, MotionStereoError
 from motionstereo_cli.files.reading import MAX_TABLE_BYTES, read_text
 from motionstereo_cli.params import near_match
+from motionstereo_cli.runs.plan import RunPlan
 
 #: Columns that are no options of ``run``.
 _OWN = ("left", "right", "out")

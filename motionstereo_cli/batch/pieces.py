@@ -27,12 +27,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from motionstereo_cli.batch.checkpoint import Reader
-from motionstereo_cli.batch.contents import FolderKind
-from motionstereo_cli.batch.folder import RunFolder, record_of
-from motionstereo_cli.batch.plan import RunPlan
-from motionstereo_cli.batch.record import Job, RunReport, identity_of, outcome, report_of, report_on
-from motionstereo_cli.batch.run import Watcher, add_table, inputs_of, job_of, opened
 from motionstereo_cli.errors import NO_FRAMES, InputError, OutputError, SettingsError
 from motionstereo_cli.files.atomic import part_of, reported
 from motionstereo_cli.files.video import join
@@ -49,8 +43,14 @@ from motionstereo_cli.pipeline import (
 from motionstereo_cli.robot.free_space import FreeSpace
 from motionstereo_cli.robot.guide import ImageProfile, MapProfile
 from motionstereo_cli.robot.mapper import Mapper
-from motionstereo_cli.sinks import OUTPUTS
-from motionstereo_cli.sinks.previews import beginning
+from motionstereo_cli.runs.checkpoint import Reader
+from motionstereo_cli.runs.folder import RunFolder, record_of
+from motionstereo_cli.runs.folder_files import FolderKind
+from motionstereo_cli.runs.plan import RunPlan
+from motionstereo_cli.runs.record import Job, RunReport, identity_of, outcome, report_of, report_on
+from motionstereo_cli.runs.run import Watcher, add_table, inputs_of, job_of, opened
+from motionstereo_cli.sinks.outputs import OUTPUTS
+from motionstereo_cli.sinks.videos import beginning
 from motionstereo_cli.sources import open_stereo
 from motionstereo_cli.types import FrameResult, Steering, StereoFrame
 

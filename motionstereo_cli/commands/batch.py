@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from motionstereo_cli.batch.plan import RunPlan
 from motionstereo_cli.commands.grouped import GroupedCommand
 from motionstereo_cli.commands.messages import say
 from motionstereo_cli.commands.progress import lines, progress_options
 from motionstereo_cli.commands.run import run_options
 from motionstereo_cli.errors import DAMAGED_EXIT_CODE, INTERRUPTED_EXIT_CODE, SettingsError
+from motionstereo_cli.runs.plan import RunPlan
 
 if TYPE_CHECKING:
     from motionstereo_cli.batch.manifest import Entry
@@ -103,8 +103,8 @@ def batch(
     for all recordings, those of a row for its own. The same command again does what is not done.
     """
     from motionstereo_cli.batch.cluster import Cluster
+    from motionstereo_cli.batch.coordinator import BatchWatcher, run_batch
     from motionstereo_cli.batch.manifest import plans
-    from motionstereo_cli.batch.many import BatchWatcher, run_batch
 
     shared, inputs = _apart(given)
     tls = {key: cluster.pop(f"tls_{key}") for key in ("ca", "cert", "key")}

@@ -16,12 +16,12 @@ from motionstereo_cli.commands.options import (
     input_options,
     rig_options,
 )
+from motionstereo_cli.method.settings import MAX_DISPARITY, Settings
 from motionstereo_cli.params import params
-from motionstereo_cli.settings import MAX_DISPARITY, Settings
 from motionstereo_cli.sources.settings import InputSettings
 
 if TYPE_CHECKING:
-    from motionstereo_cli.analysis.findings import CheckReport
+    from motionstereo_cli.check.findings import CheckReport
     from motionstereo_cli.sources import StereoSource
 
 
@@ -64,7 +64,7 @@ def check(
     """
     from tqdm import tqdm
 
-    from motionstereo_cli.analysis.check import check as check_library
+    from motionstereo_cli.check.measure import check as check_library
     from motionstereo_cli.errors import DAMAGED_EXIT_CODE, NO_FRAMES, InputError
     from motionstereo_cli.rig.calibration import rectify_source
     from motionstereo_cli.sources import open_stereo
@@ -96,7 +96,7 @@ def _write(
     path: Path, report: CheckReport, source: StereoSource, rig: tuple[Path, ...], unit: str | None
 ) -> None:
     """Write what is advised, and say how to use it."""
-    from motionstereo_cli.analysis.advice import advised, as_toml
+    from motionstereo_cli.check.advice import advised, as_toml
     from motionstereo_cli.files.targets import write_output
 
     names = [str(name) for name in source.paths]

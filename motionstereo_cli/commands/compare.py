@@ -8,12 +8,12 @@ from typing import Any
 
 import click
 
-from motionstereo_cli.analysis.settings import COLUMN_TOLERANCE, CompareSettings
 from motionstereo_cli.commands.forms import print_form, write_files
 from motionstereo_cli.commands.grouped import GroupedCommand
 from motionstereo_cli.commands.messages import say
 from motionstereo_cli.commands.options import config_files, settings_options
 from motionstereo_cli.errors import DIFFERENT_EXIT_CODE
+from motionstereo_cli.evaluation.settings import COLUMN_TOLERANCE, CompareSettings
 
 _FILE = click.Path(dir_okay=False, path_type=Path)
 
@@ -77,10 +77,10 @@ def compare(
 
     from tqdm import tqdm
 
-    from motionstereo_cli.analysis import compare_report
-    from motionstereo_cli.analysis.compare import compare as compare_library
-    from motionstereo_cli.analysis.picture import draw_worst
-    from motionstereo_cli.files.images import encode_png
+    from motionstereo_cli.evaluation import compare_report
+    from motionstereo_cli.evaluation.compare import compare as compare_library
+    from motionstereo_cli.evaluation.compare_picture import draw_worst
+    from motionstereo_cli.files.encode import encode_png
     from motionstereo_cli.files.targets import check_targets, write_output
 
     inputs = (actual, golden, *config_files())

@@ -12,7 +12,7 @@ from motionstereo_cli.commands.grouped import GroupedCommand
 from motionstereo_cli.commands.messages import say
 from motionstereo_cli.commands.options import processing_options, world_options
 from motionstereo_cli.commands.progress import Bar, foretelling, progress_options
-from motionstereo_cli.settings import Settings
+from motionstereo_cli.method.settings import Settings
 from motionstereo_cli.simulate.settings import DriveSettings
 
 

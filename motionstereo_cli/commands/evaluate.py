@@ -13,7 +13,7 @@ from motionstereo_cli.commands.messages import say
 from motionstereo_cli.commands.options import config_files, config_option
 
 if TYPE_CHECKING:
-    from motionstereo_cli.analysis.evaluate import Comparison, Report
+    from motionstereo_cli.evaluation.evaluate import Comparison, Report
 
 _KIND = click.Choice(["disparity", "depth"])
 _TABLE = click.Path(dir_okay=False, allow_dash=True, path_type=Path)
@@ -76,13 +76,13 @@ def evaluate(
 
     from tqdm import tqdm
 
-    from motionstereo_cli.analysis import evaluate_report
-    from motionstereo_cli.analysis.evaluate import Comparison
-    from motionstereo_cli.analysis.evaluate import evaluate as evaluate_library
-    from motionstereo_cli.files.images import encode_png
+    from motionstereo_cli.evaluation import evaluate_report
+    from motionstereo_cli.evaluation.evaluate import Comparison
+    from motionstereo_cli.evaluation.evaluate import evaluate as evaluate_library
+    from motionstereo_cli.files.encode import encode_png
     from motionstereo_cli.files.targets import check_targets, write_output
     from motionstereo_cli.rig import read_rig
-    from motionstereo_cli.sinks.reading import Maps
+    from motionstereo_cli.sinks.read_back import Maps
 
     comparison = Comparison(
         Maps(result, out_kind),

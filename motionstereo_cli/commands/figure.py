@@ -10,7 +10,7 @@ from motionstereo_cli.commands.grouped import GroupedCommand
 from motionstereo_cli.commands.messages import say
 from motionstereo_cli.commands.options import config_files, input_options, processing_options
 from motionstereo_cli.errors import DAMAGED_EXIT_CODE
-from motionstereo_cli.settings import Settings
+from motionstereo_cli.method.settings import Settings
 from motionstereo_cli.sources.settings import InputSettings
 
 
@@ -57,8 +57,8 @@ def figure(
     right image (the left one with --reference left), its bands, its permanency memory, and the
     depth, bright where near and black where unknown.
     """
-    from motionstereo_cli.analysis.figure import draw_figure
-    from motionstereo_cli.files.images import encode_png
+    from motionstereo_cli.evaluation.figure import draw_figure
+    from motionstereo_cli.files.encode import encode_png
     from motionstereo_cli.files.targets import check_target, write_output
     from motionstereo_cli.sources import open_stereo
 

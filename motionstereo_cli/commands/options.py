@@ -14,9 +14,9 @@ from click.shell_completion import CompletionItem
 from motionstereo_cli.commands.grouped import GROUPS, GroupedOption
 from motionstereo_cli.errors import InputError, SettingsError
 from motionstereo_cli.files.reading import read_bytes
+from motionstereo_cli.method.settings import PRESETS, Settings
 from motionstereo_cli.params import Param, near_match, params
 from motionstereo_cli.rig.settings import PoseSettings
-from motionstereo_cli.settings import PRESETS, Settings
 from motionstereo_cli.simulate.settings import DriveSettings
 from motionstereo_cli.sinks.settings import OutputSettings
 from motionstereo_cli.sources.settings import InputSettings

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from motionstereo_cli.batch.plan import RunPlan
 from motionstereo_cli.commands.grouped import GroupedCommand, GroupedOption
 from motionstereo_cli.commands.messages import say
 from motionstereo_cli.commands.options import (
@@ -22,10 +21,11 @@ from motionstereo_cli.commands.options import (
 )
 from motionstereo_cli.commands.progress import Bar, progress_options
 from motionstereo_cli.errors import DAMAGED_EXIT_CODE, INTERRUPTED_EXIT_CODE
-from motionstereo_cli.sinks import DEFAULT_OUTPUTS, OUTPUTS
+from motionstereo_cli.runs.plan import RunPlan
+from motionstereo_cli.sinks.outputs import DEFAULT_OUTPUTS, OUTPUTS
 
 if TYPE_CHECKING:
-    from motionstereo_cli.batch.record import RunReport
+    from motionstereo_cli.runs.record import RunReport
 
 
 def _names(_: click.Context, __: click.Parameter, lists: tuple[str, ...]) -> tuple[str, ...]:
@@ -112,11 +112,11 @@ def run(**given: Any) -> int:
     """
     plan = RunPlan(**given, reads=config_files())
 
-    from motionstereo_cli.machine import prepare
+    from motionstereo_cli.runs.cores import prepare
 
     prepare()
-    from motionstereo_cli.batch.run import Watcher
-    from motionstereo_cli.batch.run import run as library
+    from motionstereo_cli.runs.run import Watcher
+    from motionstereo_cli.runs.run import run as library
 
     with Bar(quiet=_shares_terminal(plan)) as bar:
         report = library(plan, Watcher(bar.say, bar.begin, bar.update))

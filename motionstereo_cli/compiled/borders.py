@@ -1,4 +1,4 @@
-"""Where objects end: the loops of :mod:`motionstereo_cli.stages.borders`."""
+"""Where objects end: the loops of :mod:`motionstereo_cli.method.borders`."""
 
 import cython
 import numpy as np
@@ -26,7 +26,7 @@ class Scene:
 @cython.cclass
 @cython.dataclasses.dataclass
 class Limits:
-    """See the constants of :mod:`motionstereo_cli.stages.borders`."""
+    """See the constants of :mod:`motionstereo_cli.method.borders`."""
 
     leap: cython.float
     reach: cython.int
@@ -37,7 +37,7 @@ class Limits:
 
 
 def trim(scene: Scene, limits: Limits, result: cython.float[:, ::1]) -> None:
-    """Trim objects: see :func:`motionstereo_cli.stages.borders.trimmed`."""
+    """Trim objects: see :func:`motionstereo_cli.method.borders.trimmed`."""
     x: cython.int
     y: cython.int
     disparity: cython.const[cython.float][:, ::1] = scene.disparity
@@ -149,7 +149,7 @@ def fill_hidden(
     max_leap: cython.float,
     result: cython.float[:, ::1],
 ) -> None:
-    """Fill what is hidden: see :func:`motionstereo_cli.stages.borders.hidden_filled`."""
+    """Fill what is hidden: see :func:`motionstereo_cli.method.borders.hidden_filled`."""
     x: cython.int
     y: cython.int
     column: cython.int

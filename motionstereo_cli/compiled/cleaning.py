@@ -1,4 +1,4 @@
-"""Speckles and gaps: the loops of :mod:`motionstereo_cli.stages.cleaning`."""
+"""Speckles and gaps: the loops of :mod:`motionstereo_cli.method.cleaning`."""
 
 import cython
 import numpy as np
@@ -124,7 +124,7 @@ def fill(
     gap_px: cython.int,
     result: cython.float[:, ::1],
 ) -> None:
-    """Fill gaps in rows: see :func:`motionstereo_cli.stages.cleaning.filled`."""
+    """Fill gaps in rows: see :func:`motionstereo_cli.method.cleaning.filled`."""
     x: cython.int
     y: cython.int
     column: cython.int

@@ -1,4 +1,4 @@
-"""The chance of each disparity: the loop of :mod:`motionstereo_cli.stages.confidence`."""
+"""The chance of each disparity: the loop of :mod:`motionstereo_cli.method.confidence`."""
 
 import cython
 import numpy as np

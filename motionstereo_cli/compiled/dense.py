@@ -1,4 +1,4 @@
-"""Semi-global matching: the loops of :mod:`motionstereo_cli.stages.dense`.
+"""Semi-global matching: the loops of :mod:`motionstereo_cli.method.dense`.
 
 Costs are int16, and the innermost loops run over disparities, along the memory: compilers turn
 them into vector instructions.
@@ -57,7 +57,7 @@ class Workspace:
 @cython.cclass
 @cython.dataclasses.dataclass
 class Weights:
-    """What the costs are made of; see :mod:`motionstereo_cli.stages.dense`."""
+    """What the costs are made of; see :mod:`motionstereo_cli.method.dense`."""
 
     max_grey: cython.short
     max_slope: cython.short

@@ -1,4 +1,4 @@
-"""The match key of each pixel: the loops of :mod:`motionstereo_cli.stages.match_keys`."""
+"""The match key of each pixel: the loops of :mod:`motionstereo_cli.method.match_keys`."""
 
 import cython
 

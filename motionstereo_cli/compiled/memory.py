@@ -1,4 +1,4 @@
-"""Motion and the permanency memory in one pass: the loop of :mod:`motionstereo_cli.memory`."""
+"""Motion and permanency in one pass: the loop of :mod:`motionstereo_cli.method.memory`."""
 
 import cython
 

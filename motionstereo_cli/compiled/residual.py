@@ -1,4 +1,4 @@
-"""The difference of the views: the loops of :mod:`motionstereo_cli.stages.residual`."""
+"""The difference of the views: the loops of :mod:`motionstereo_cli.method.residual`."""
 
 import cython
 import numpy as np
@@ -44,7 +44,7 @@ def residual(
     work: Workspace,
     result: cython.float[:, ::1],
 ) -> None:
-    """Fill in the residual: see :func:`motionstereo_cli.stages.residual.residual`."""
+    """Fill in the residual: see :func:`motionstereo_cli.method.residual.residual`."""
     y: cython.int
     height: cython.int = cython.cast(cython.int, disparity.shape[0])
     with cython.nogil:

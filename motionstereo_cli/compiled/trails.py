@@ -1,4 +1,4 @@
-"""Trails found, paired, elected and painted: the loops of :mod:`motionstereo_cli.stages.trails`."""
+"""Trails found, paired, elected and painted: the loops of :mod:`motionstereo_cli.method.trails`."""
 
 import cython
 import numpy as np
@@ -81,7 +81,7 @@ def match(
     disparity: cython.float[:, ::1],
     agreement: cython.float[:, ::1],
 ) -> None:
-    """Match two images of match keys: see :func:`motionstereo_cli.stages.trails.match_trails`.
+    """Match two images of match keys: see :func:`motionstereo_cli.method.trails.match_trails`.
 
     Args:
         right, left: match keys, (height, width) uint16, 0 = at rest.

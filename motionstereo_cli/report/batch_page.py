@@ -14,9 +14,9 @@ import numpy as np
 
 from motionstereo_cli.errors import InputError
 from motionstereo_cli.report import PAGE
-from motionstereo_cli.report.folder import Results, Steering, read_results
 from motionstereo_cli.report.pictures import Picture, address_of, poster
 from motionstereo_cli.report.render import render
+from motionstereo_cli.report.run_folder import Results, Steering, read_results
 from motionstereo_cli.report.series import kept_rows
 
 #: The table that the command batch leaves in its folder.

@@ -16,7 +16,7 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from motionstereo_cli.sinks.reading import Maps
+    from motionstereo_cli.sinks.read_back import Maps
     from motionstereo_cli.sinks.scale import DepthScale
 
 _JPEG_QUALITY = 80

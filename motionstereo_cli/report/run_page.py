@@ -12,13 +12,13 @@ import cv2
 import numpy as np
 
 from motionstereo_cli.errors import InputError, SettingsError
-from motionstereo_cli.report.folder import FRAME_S, Results, Steering, read_results
 from motionstereo_cli.report.pictures import Picture, address_of, encoded, histogram, poster
 from motionstereo_cli.report.render import render
+from motionstereo_cli.report.run_folder import FRAME_S, Results, Steering, read_results
 from motionstereo_cli.report.series import LATER_S, SOON_S, plotted, tracks
 from motionstereo_cli.report.words import changed, command, troubles
-from motionstereo_cli.sinks import OUTPUTS
-from motionstereo_cli.sinks.reading import Maps
+from motionstereo_cli.sinks.outputs import OUTPUTS
+from motionstereo_cli.sinks.read_back import Maps
 from motionstereo_cli.sinks.scale import DepthScale
 
 #: Widths of pictures within the page in px.

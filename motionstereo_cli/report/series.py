@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from motionstereo_cli.report.folder import FRAME_S, Steering
+from motionstereo_cli.report.run_folder import FRAME_S, Steering
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

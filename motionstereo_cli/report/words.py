@@ -6,10 +6,10 @@ import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
+from motionstereo_cli.method.settings import Settings
 from motionstereo_cli.params import Param, params
 from motionstereo_cli.rig.settings import PoseSettings
-from motionstereo_cli.settings import Settings
-from motionstereo_cli.sinks import DEFAULT_OUTPUTS
+from motionstereo_cli.sinks.outputs import DEFAULT_OUTPUTS
 from motionstereo_cli.sinks.settings import OutputSettings
 from motionstereo_cli.sources.settings import InputSettings
 

@@ -28,7 +28,7 @@ from motionstereo_cli.rig.rectify import (
     rig_of,
     transforms_of,
 )
-from motionstereo_cli.rig.slam import read_ros
+from motionstereo_cli.rig.ros_and_orbslam import read_ros
 from motionstereo_cli.rig.turned import is_vertical, turned
 from motionstereo_cli.types import Rig
 

@@ -21,7 +21,7 @@ from motionstereo_cli.rig.cameras import Pair, rectified_pair
 from motionstereo_cli.rig.devices import read_depthai, read_zed
 from motionstereo_cli.rig.opencv import read_opencv
 from motionstereo_cli.rig.rig_file import parse_rig
-from motionstereo_cli.rig.slam import read_euroc, read_kalibr, read_orb_slam, read_ros
+from motionstereo_cli.rig.ros_and_orbslam import read_euroc, read_kalibr, read_orb_slam, read_ros
 from motionstereo_cli.rig.values import Source
 from motionstereo_cli.types import Rig
 

@@ -14,20 +14,21 @@ from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
 
 import numpy as np
 
-from motionstereo_cli.robot.free_space import (
-    FreeSpace,
-    find_ground,
-    free_space,
-    nearest,
-    way_ahead,
-)
-from motionstereo_cli.robot.heading import (
+from motionstereo_cli.method.settings import Settings
+from motionstereo_cli.robot.course import (
     DIRECTIONS_RAD,
     Course,
     free_distances,
     plan,
     steadied,
     travelled,
+)
+from motionstereo_cli.robot.free_space import (
+    FreeSpace,
+    find_ground,
+    free_space,
+    nearest,
+    way_ahead,
 )
 from motionstereo_cli.robot.local_map import (
     CELL_M,
@@ -39,7 +40,6 @@ from motionstereo_cli.robot.local_map import (
     profile,
     seen,
 )
-from motionstereo_cli.settings import Settings
 from motionstereo_cli.types import MovingObject, Pose, Rig, Steering
 
 if TYPE_CHECKING:

@@ -30,7 +30,7 @@ from motionstereo_cli.robot.points import in_world, points
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from motionstereo_cli.settings import Settings
+    from motionstereo_cli.method.settings import Settings
     from motionstereo_cli.types import FrameResult, Grey, Pose, Rig
 
     Points = NDArray[np.float64]

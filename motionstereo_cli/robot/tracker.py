@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from motionstereo_cli.method.settings import Settings
 from motionstereo_cli.robot.free_space import MIN_KNOWN_SHARE
 from motionstereo_cli.robot.objects import (
     Observation,
@@ -19,7 +20,6 @@ from motionstereo_cli.robot.objects import (
     regions,
     trust,
 )
-from motionstereo_cli.settings import Settings
 from motionstereo_cli.types import (
     MovingObject,
     Pose,

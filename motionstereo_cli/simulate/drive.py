@@ -13,23 +13,23 @@ import cv2
 import numpy as np
 
 from motionstereo_cli import __version__
-from motionstereo_cli.batch.contents import FolderKind
-from motionstereo_cli.batch.folder import RunFolder
 from motionstereo_cli.files.atomic import write_whole
-from motionstereo_cli.files.images import encode_png
+from motionstereo_cli.files.encode import encode_png
 from motionstereo_cli.files.video import VideoWriter
+from motionstereo_cli.method.settings import Settings
 from motionstereo_cli.pipeline import process
 from motionstereo_cli.rig import write_rig
 from motionstereo_cli.rig.poses import HEAD, format_pose
-from motionstereo_cli.settings import Settings
+from motionstereo_cli.runs.folder import RunFolder
+from motionstereo_cli.runs.folder_files import FolderKind
+from motionstereo_cli.simulate.drive_plan import Plan, plan_sheet
 from motionstereo_cli.simulate.drive_world import DriveWorld, Shot
-from motionstereo_cli.simulate.plan import Plan, plan_sheet
 from motionstereo_cli.simulate.settings import ROBOT_RADIUS_M
-from motionstereo_cli.sinks import RunContext
 from motionstereo_cli.sinks.drawing import depth_picture, grey_picture, reference_view
 from motionstereo_cli.sinks.map import MapFiles
 from motionstereo_cli.sinks.preview import framed, with_heading
-from motionstereo_cli.sinks.steering import SteeringFile
+from motionstereo_cli.sinks.sink import RunContext
+from motionstereo_cli.sinks.steering_table import SteeringFile
 from motionstereo_cli.types import FrameResult, Pose, StereoFrame
 
 if TYPE_CHECKING:

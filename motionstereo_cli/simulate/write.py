@@ -7,13 +7,13 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
-from motionstereo_cli.batch.contents import FolderKind
-from motionstereo_cli.batch.folder import RunFolder
 from motionstereo_cli.files.atomic import make_folder, write_whole
-from motionstereo_cli.files.images import encode_png
+from motionstereo_cli.files.encode import encode_png
 from motionstereo_cli.files.video import VideoWriter
 from motionstereo_cli.rig import write_rig
 from motionstereo_cli.rig.poses import HEAD, format_pose
+from motionstereo_cli.runs.folder import RunFolder
+from motionstereo_cli.runs.folder_files import FolderKind
 from motionstereo_cli.simulate.scenes import render_scene
 from motionstereo_cli.simulate.settings import SimulateSettings
 from motionstereo_cli.sinks.images import disparity_png

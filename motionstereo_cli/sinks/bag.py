@@ -11,14 +11,14 @@ import numpy as np
 
 from motionstereo_cli.errors import OutputError
 from motionstereo_cli.files.atomic import open_new, part_of, reported
-from motionstereo_cli.files.images import encode_png
+from motionstereo_cli.files.encode import encode_png
 from motionstereo_cli.files.segments import Segments
 from motionstereo_cli.sinks.images import depth_png, known_depth_m
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from motionstereo_cli.sinks import RunContext
+    from motionstereo_cli.sinks.sink import RunContext
     from motionstereo_cli.types import FrameResult, MovingObject, Rig
 
 #: Frames of REP 103 and 105: x right, y down, z forward; and x forward, y left, z up.

@@ -16,7 +16,7 @@ from motionstereo_cli.sinks.scale import FARTHEST, DepthScale, palette
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from motionstereo_cli.sinks import RunContext
+    from motionstereo_cli.sinks.sink import RunContext
     from motionstereo_cli.types import FrameResult, Grey, Real
 
 #: Steps in which disparities are told apart for their colours, and how many there are at most.

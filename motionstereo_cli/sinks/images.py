@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from motionstereo_cli.compiled.pictures import to_uint16
-from motionstereo_cli.files.images import encode_pfm, encode_png, encode_tiff
+from motionstereo_cli.files.encode import encode_pfm, encode_png, encode_tiff
 from motionstereo_cli.sinks.writers import FilesMark, NumberedFiles
 from motionstereo_cli.types import FrameResult
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from motionstereo_cli.sinks import RunContext
+    from motionstereo_cli.sinks.sink import RunContext
     from motionstereo_cli.types import Real
 
 _UINT16_MAX = 65535

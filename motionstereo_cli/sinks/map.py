@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from motionstereo_cli.files.atomic import part_of, write_whole
-from motionstereo_cli.files.images import encode_png
+from motionstereo_cli.files.encode import encode_png
 from motionstereo_cli.files.lettering import LIGHT, colour_key, length_bar, titled
 from motionstereo_cli.robot.mapper import Floor, Mapper, Surroundings
 from motionstereo_cli.sinks.points import encode_ply
@@ -18,7 +18,7 @@ from motionstereo_cli.types import FrameResult
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from motionstereo_cli.sinks import RunContext
+    from motionstereo_cli.sinks.sink import RunContext
 
 _FREE = 254
 _OCCUPIED = 0

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from motionstereo_cli.sinks import RunContext
+    from motionstereo_cli.sinks.sink import RunContext
     from motionstereo_cli.types import FrameResult
 
 

@@ -14,7 +14,7 @@ from motionstereo_cli.types import FrameResult
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from motionstereo_cli.sinks import RunContext
+    from motionstereo_cli.sinks.sink import RunContext
     from motionstereo_cli.types import Grey
 
 _PLY_TYPES = {np.dtype(np.float32): "float", np.dtype(np.float64): "double"}

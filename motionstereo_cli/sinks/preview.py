@@ -16,7 +16,7 @@ from motionstereo_cli.sinks.legend import strip, time_text
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from motionstereo_cli.sinks import RunContext
+    from motionstereo_cli.sinks.sink import RunContext
     from motionstereo_cli.types import FrameResult, Steering
 
 #: Panels wider than this are made smaller.

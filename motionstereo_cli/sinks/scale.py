@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import cv2
 import numpy as np
 
-from motionstereo_cli.settings import Settings
+from motionstereo_cli.method.settings import Settings
 from motionstereo_cli.sinks.settings import OutputSettings
 from motionstereo_cli.types import Rig
 

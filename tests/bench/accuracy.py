@@ -21,14 +21,14 @@ from tqdm import tqdm
 
 from bench.markdown import table
 from bench.peers import stereo_bm, stereo_sgbm
-from motionstereo_cli.analysis.evaluate import FramePair, Score, Tally, tally
+from motionstereo_cli.evaluation.evaluate import FramePair, Score, Tally, tally
 from motionstereo_cli.files.video import VideoWriter
-from motionstereo_cli.memory import Memory, mirrored, see
+from motionstereo_cli.method.memory import Memory, mirrored, see
+from motionstereo_cli.method.settings import Settings
 from motionstereo_cli.pipeline import match
-from motionstereo_cli.settings import Settings
 from motionstereo_cli.simulate.scenes import render_scene
 from motionstereo_cli.simulate.settings import SimulateSettings
-from motionstereo_cli.sinks.reading import Maps
+from motionstereo_cli.sinks.read_back import Maps
 from motionstereo_cli.sources import open_stereo
 
 if TYPE_CHECKING:

@@ -27,8 +27,8 @@ from bench.clips import Clip, rendered, repeated
 from bench.markdown import table
 from bench.preloads import killer_of
 from motionstereo_cli.batch.pieces import Piece, join_pieces, run_piece
-from motionstereo_cli.batch.plan import RunPlan
-from motionstereo_cli.batch.run import Watcher
+from motionstereo_cli.runs.plan import RunPlan
+from motionstereo_cli.runs.run import Watcher
 from motionstereo_cli.simulate.settings import SimulateSettings
 
 WORKERS = 2

@@ -18,8 +18,8 @@ from tqdm import tqdm
 
 from bench.markdown import table
 from bench.peers import stereo_bm, stereo_sgbm
+from motionstereo_cli.method.settings import Settings
 from motionstereo_cli.robot.guide import MapGuide
-from motionstereo_cli.settings import Settings
 from motionstereo_cli.simulate.drive import driven
 from motionstereo_cli.simulate.drive_world import DriveWorld, Shot
 from motionstereo_cli.simulate.settings import ROBOT_RADIUS_M, DriveSettings

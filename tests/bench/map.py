@@ -19,8 +19,8 @@ import numpy as np
 from tqdm import tqdm
 
 from bench.markdown import table
+from motionstereo_cli.method.settings import Settings
 from motionstereo_cli.robot.mapper import Mapper
-from motionstereo_cli.settings import Settings
 from motionstereo_cli.simulate.drive import driven
 from motionstereo_cli.simulate.drive_world import DriveWorld, Shot
 from motionstereo_cli.simulate.settings import ROBOT_RADIUS_M, DriveSettings

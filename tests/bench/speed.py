@@ -32,14 +32,14 @@ from bench.clips import Clip, first_frames, rendered, repeated
 from bench.peers import bm_matcher, sgbm_matcher
 from bench.speed_report import format_markdown, goals
 from bench.timing import Cost, Samples, core_count, installed_mb, on_cores, python
-from motionstereo_cli import memory, pipeline
-from motionstereo_cli.batch.record import versions
+from motionstereo_cli import pipeline
 from motionstereo_cli.errors import MotionStereoError
+from motionstereo_cli.method import matching, memory
+from motionstereo_cli.method.settings import Settings
 from motionstereo_cli.robot.guide import ImageGuide
 from motionstereo_cli.robot.tracker import Tracker
-from motionstereo_cli.settings import Settings
+from motionstereo_cli.runs.record import versions
 from motionstereo_cli.simulate.settings import SimulateSettings
-from motionstereo_cli.stages import balance, cleaning, confidence, dense, residual, trails
 
 if TYPE_CHECKING:
     from motionstereo_cli.types import Grey, Rig, StereoFrame
@@ -172,15 +172,13 @@ def stage_clock() -> Iterator[dict[str, float]]:
         (ImageGuide, "profile", "ImageGuide.profile"),
         (ImageGuide, "steer", "ImageGuide.steer"),
     ]
-    # Where they are looked up: the matchers import their stages when they run.
+    # Where they are looked up.
     looked_up = {
         memory: ("blur", "bands", "motion", "permanency", "accumulate", "match_keys"),
-        trails: ("match_trails",),
-        balance: ("balanced",),
-        dense: ("match_dense",),
-        residual: ("residual",),
-        cleaning: ("without_speckles", "filled"),
-        confidence: ("confidence",),
+        matching: (
+            *("match_trails", "balanced", "match_dense", "residual"),
+            *("without_speckles", "filled", "confidence"),
+        ),
         pipeline: ("depth",),
     }
     for owner, names in looked_up.items():

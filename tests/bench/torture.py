@@ -31,10 +31,10 @@ from bench.clips import Clip, rendered, repeated
 from bench.damage import DAMAGES, encoded, seen_in_image, seen_in_video
 from bench.hostile import hostile
 from bench.markdown import table
-from motionstereo_cli.batch.plan import RunPlan
-from motionstereo_cli.batch.run import Watcher, run
+from motionstereo_cli.runs.plan import RunPlan
+from motionstereo_cli.runs.run import Watcher, run
 from motionstereo_cli.simulate.settings import SimulateSettings
-from motionstereo_cli.sinks import OUTPUTS
+from motionstereo_cli.sinks.outputs import OUTPUTS
 
 #: A child that runs for so long hangs, whatever else the machine does.
 _PATIENCE_S = 60.0

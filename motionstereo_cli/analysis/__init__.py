@@ -1,1 +1,0 @@
-"""What is measured of recordings and of results."""

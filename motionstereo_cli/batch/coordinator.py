@@ -1,0 +1,336 @@
+"""Many recordings, on this machine or a cluster, by Dask.
+
+The truth lies on the disk: a ``run.json`` where a recording is done, a status file beside each
+folder. Futures only say when to look, so that a batch whose client or workers were killed goes on
+from what is there.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import hashlib
+import itertools
+import json
+import math
+import os
+import time
+from collections import Counter, deque
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from motionstereo_cli.batch.cluster import Cluster, client_of, threads_of
+from motionstereo_cli.batch.pieces import Piece, behind_damage, pieces_of
+from motionstereo_cli.batch.status import (
+    DONE,
+    FAILED,
+    Status,
+    format_statuses,
+    read_status,
+    write_status,
+)
+from motionstereo_cli.batch.task import work
+from motionstereo_cli.errors import InputError, MotionStereoError
+from motionstereo_cli.files.atomic import write_whole
+from motionstereo_cli.files.lock import locked
+from motionstereo_cli.runs.cores import usable_cores
+from motionstereo_cli.runs.disparity_range import Say, with_range
+from motionstereo_cli.runs.plan import RunPlan
+from motionstereo_cli.sinks.outputs import RECORD
+
+if TYPE_CHECKING:
+    from distributed import Client, Future
+
+#: The table of all recordings.
+TABLE = "batch.csv"
+#: Topic of the words of workers on how far they are.
+_PROGRESS = "motionstereo-frames"
+#: The table is renewed at most once in this time, in s.
+_RENEW_S = 1.0
+#: The workers are counted at most once in this time, in s.
+_ASK_S = 2.0
+
+
+@dataclass(frozen=True, slots=True)
+class BatchWatcher:
+    """Who hears how a batch goes.
+
+    Attributes:
+        say: called with a kind, ``note`` or ``warning``, and a line.
+        frames: called with how many more frames are done.
+        ended: called with what became of each recording.
+    """
+
+    say: Callable[[str, str], object]
+    frames: Callable[[int], object]
+    ended: Callable[[Status], object]
+
+
+def run_batch(
+    plans: Mapping[str, RunPlan],
+    out: Path,
+    cluster: Cluster,
+    watcher: BatchWatcher,
+    *,
+    retry_failed: bool = False,
+    pieces: int | None = None,
+) -> list[Status]:
+    """Process recordings, and return what became of each, in order.
+
+    What is done is not done again; what failed is only tried again with ``retry_failed``.
+
+    Args:
+        plans: what to do for each recording, by the name of its folder under ``out``.
+        out: folder of the batch.
+        cluster: where to work.
+        watcher: who hears how it goes.
+        retry_failed: try those again that failed or were lost.
+        pieces: into how many pieces each recording is cut; None: as many as keep all workers busy
+            where there are fewer recordings than workers, and the recordings can be cut.
+
+    Raises:
+        SettingsError: a recording cannot be done in pieces, and pieces were asked for.
+        InputError: the cluster cannot be reached, or its versions differ.
+        OutputError: the folder of the batch cannot be written.
+        KeyboardInterrupt: it was interrupted; the recordings under way have left checkpoints.
+    """
+    with locked(out):
+        batch = _Batch(plans, out, watcher)
+        waiting = [name for name in plans if batch.to_do(name, retry_failed=retry_failed)]
+        if waiting:
+            asked = pieces is not None
+
+            def items(workers: int) -> list[Item]:
+                count = pieces or math.ceil(workers / len(waiting))
+                each = (
+                    _items(name, plans[name], count, watcher.say, asked=asked) for name in waiting
+                )
+                return list(itertools.chain.from_iterable(each))
+
+            # No more processes are started than there are tasks.
+            tasks = items(cluster.workers or usable_cores()) if cluster.local else []
+            with client_of(cluster, len(tasks), watcher.say) as client:
+                threads = threads_of(client)
+                jobs = max(usable_cores() // threads, 1) if cluster.local else 1
+                batch.process(client, tasks or items(threads), jobs)
+        batch.renew(at_once=True)
+        return batch.statuses
+
+
+@dataclass(frozen=True, slots=True)
+class Item:
+    """A task: a recording, a piece of one, or the joining of its pieces.
+
+    Attributes:
+        name: the recording.
+        piece: which piece.
+        pieces: all pieces of the recording; empty where it is not cut.
+        max_disparity: the range of all pieces, where it was measured.
+        seek: whether the piece may begin at a seek.
+    """
+
+    name: str
+    piece: Piece | None = None
+    pieces: tuple[Piece, ...] | None = None
+    max_disparity: int | None = None
+    seek: bool = True
+
+
+def _items(name: str, plan: RunPlan, count: int, say: Say, *, asked: bool) -> list[Item]:
+    """Return the tasks of a recording that can be done at once."""
+
+    def named(kind: str, text: str) -> None:
+        say(kind, f"{name}: {text}")
+
+    if count > 1:
+        try:
+            pieces = tuple(pieces_of(plan, count))
+            if len(pieces) > 1:
+                measured = with_range(plan, named).settings.max_disparity
+                return [Item(name, piece, pieces, measured) for piece in pieces]
+        except MotionStereoError:
+            if asked:
+                raise
+            # As one, which says what is wrong.
+    return [Item(name)]
+
+
+class _Batch:
+    """The recordings of a batch, and what is known of each."""
+
+    def __init__(self, plans: Mapping[str, RunPlan], out: Path, watcher: BatchWatcher) -> None:
+        self._out, self._watcher, self._given = out, watcher, plans
+        self._plans = {name: plan.as_json() for name, plan in plans.items()}
+        self._hashes = {name: _hash(plan) for name, plan in self._plans.items()}
+        self._known = {name: read_status(out, name) for name in plans}
+        self._stop = out / f".stop-{os.getpid()}"
+        self._renewed_s = 0.0
+
+    @property
+    def statuses(self) -> list[Status]:
+        return list(self._known.values())
+
+    def to_do(self, name: str, *, retry_failed: bool) -> bool:
+        known = self._known[name]
+        same = known.plan == self._hashes[name]
+        if same and known.status in DONE and (self._out / name / RECORD).is_file():
+            return False
+        return retry_failed or not (same and known.status in FAILED)
+
+    def process(self, client: Client, items: Iterable[Item], jobs: int) -> None:
+        """Keep each worker busy with one task at a time, until all were tried."""
+        from distributed import as_completed
+
+        waiting = deque(items)
+        left = Counter(item.name for item in waiting)
+        self._known |= {name: Status(name) for name in left}
+        client.subscribe_topic(_PROGRESS, lambda event: self._watcher.frames(event[1]))
+        self._stop.unlink(missing_ok=True)
+        ended = as_completed()
+        under_way: dict[object, Item] = {}
+        room = _Room(client)
+
+        def fill() -> None:
+            # No more at a time than there are workers: all tasks that a worker holds are
+            # suspects when it dies.
+            while waiting and len(under_way) < room.tasks:
+                item = waiting.popleft()
+                if self._known[item.name].status not in FAILED:
+                    if item.piece is not None:
+                        self._begin(item.name)
+                    future = self._submit(client, item, jobs)
+                    under_way[future.key] = item
+                    ended.add(future)
+
+        try:
+            fill()
+            for future in ended:
+                item = under_way.pop(future.key)
+                left[item.name] -= 1
+                if item.piece is None or not self._went_well(item, future):
+                    self._note(item.name, future)
+                elif not left[item.name]:
+                    following = self._following(item)
+                    waiting.extendleft(reversed(following))
+                    left[item.name] = len(following)
+                future.release()
+                fill()
+        except KeyboardInterrupt:
+            self._stop.touch()
+            for future in ended:  # what is under way leaves its checkpoints
+                self._note(under_way[future.key].name, future)
+            raise
+        finally:
+            self._stop.unlink(missing_ok=True)
+            with contextlib.suppress(OSError):
+                self.renew(at_once=True)
+
+    def _begin(self, name: str) -> None:
+        """Say once that a recording in pieces is running: they would contradict each other."""
+        if self._known[name].status != "running":
+            self._known[name] = Status(name, "running", plan=self._hashes[name])
+            write_status(self._out, self._known[name])
+
+    def _following(self, item: Item) -> list[Item]:
+        """Return what is to be done when all pieces of a recording are: some again, or joining."""
+        pieces = item.pieces or ()
+        if again := behind_damage(self._given[item.name], pieces):
+            self._watcher.say(
+                "note",
+                f"{item.name}: behind damage, {len(again)} of {len(pieces)} pieces are made again "
+                "by decoding from the start",
+            )
+            return [dataclasses.replace(item, piece=piece, seek=False) for piece in again]
+        return [dataclasses.replace(item, piece=None)]
+
+    def _went_well(self, item: Item, future: Future) -> bool:
+        return future.status == "finished" and read_status(self._out, item.name).status == "running"
+
+    def _submit(self, client: Client, item: Item, jobs: int) -> Future:
+        plan = self._plans[item.name]
+        measured = {} if item.max_disparity is None else {"max_disparity": item.max_disparity}
+        settings = {**plan["settings"], **measured}
+        task = {
+            "plan": {**plan, "jobs": plan["jobs"] or jobs, "settings": settings},
+            "out": str(self._out),
+            "name": item.name,
+            "hash": self._hashes[item.name],
+            "stop": str(self._stop),
+            "piece": item.piece,
+            "pieces": item.pieces if item.piece is None else None,
+            "seek": item.seek,
+        }
+        # Dask keeps what it knows of each kind of task, which is what the first word says.
+        key = ("motionstereo", f"{item.name}-{item.piece}-{item.seek}-{os.getpid()}")
+        future: Future = client.submit(_work, task, key=key, pure=False)
+        return future
+
+    def _note(self, name: str, future: Future) -> None:
+        status = read_status(self._out, name)
+        if future.status in ("error", "lost", "cancelled"):
+            status = self._unended(name, status, future)
+        self._known[name] = status
+        self._watcher.ended(status)
+        self.renew()
+
+    def _unended(self, name: str, status: Status, future: Future) -> Status:
+        """Return the status of a recording that did not say itself how it ended."""
+        from distributed.scheduler import KilledWorker
+
+        error = future.exception() if future.status == "error" else None
+        if error is None:
+            raise InputError(
+                "the scheduler has gone: the same command goes on once it is there again"
+            )
+        lost = isinstance(error, KilledWorker)
+        reason = "it ended the process that worked on it, twice" if lost else str(error)
+        status = dataclasses.replace(
+            status,
+            status="lost" if lost else "failed",
+            reason=reason.splitlines()[0] if reason else type(error).__name__,
+            plan=self._hashes[name],
+        )
+        write_status(self._out, status)
+        return status
+
+    def renew(self, *, at_once: bool = False) -> None:
+        """Write the table of all recordings again, when it is due."""
+        if at_once or time.monotonic() > self._renewed_s + _RENEW_S:
+            write_whole(self._out / TABLE, format_statuses(self.statuses))
+            self._renewed_s = time.monotonic()
+
+
+class _Room:
+    """How many tasks the workers do at a time; it takes a while to ask."""
+
+    def __init__(self, client: Client) -> None:
+        self._client = client
+        self._tasks, self._asked_s = 0, -math.inf
+
+    @property
+    def tasks(self) -> int:
+        if time.monotonic() > self._asked_s + _ASK_S:
+            self._tasks, self._asked_s = threads_of(self._client), time.monotonic()
+        return self._tasks
+
+
+def _hash(plan: Mapping[str, Any]) -> str:
+    # How fast, and whether to replace what is there, changes nothing in the results.
+    said = {key: value for key, value in plan.items() if key not in ("jobs", "resume", "overwrite")}
+    return hashlib.sha256(json.dumps(said, sort_keys=True).encode()).hexdigest()[:16]
+
+
+def _work(task: Mapping[str, Any]) -> None:
+    """Work on a task in a worker of Dask."""
+    from distributed import get_worker
+
+    worker, done = get_worker(), 0
+
+    def tell(frames: int) -> None:
+        nonlocal done
+        worker.log_event(_PROGRESS, frames - done)
+        done = frames
+
+    work(task, tell)

@@ -1,0 +1,125 @@
+"""One recording of a batch, on whatever machine it is worked on."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import socket
+import time
+import traceback
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from motionstereo_cli.batch.pieces import Piece, join_pieces, run_piece
+from motionstereo_cli.batch.status import Status, write_status
+from motionstereo_cli.errors import BusyError, MotionStereoError
+from motionstereo_cli.runs.plan import RunPlan
+from motionstereo_cli.runs.record import RunReport
+from motionstereo_cli.runs.run import Watcher, run
+
+#: Time between two looks at whether to stop, and two words on how far it is, in s.
+_LOOK_S = 0.5
+#: A process that was killed may hold a folder for so long until the system ends its children.
+_BUSY_S = 60.0
+
+
+def work(
+    task: Mapping[str, Any],
+    tell: Callable[[int], object] = lambda frames: None,
+) -> None:
+    """Process a recording as ``run --resume`` does, or a piece of it.
+
+    The status file says what came of it. A piece writes it only if it failed: that its recording
+    is running, who gives out the pieces has said.
+
+    Args:
+        task: ``plan`` as :meth:`~motionstereo_cli.runs.plan.RunPlan.as_json` gives it, ``out``,
+            ``name``, ``hash`` of the plan, and ``stop``: a file whose presence asks to leave a
+            checkpoint and end. ``piece``: the first frame of a piece and the one after its last;
+            ``pieces``: all of them, to be joined; None for a whole recording. ``seek``: whether
+            a piece may begin at a seek.
+        tell: called now and then with the number of frames done.
+    """
+    out, stop = Path(task["out"]), Path(task["stop"])
+    worker = f"{socket.gethostname()}:{os.getpid()}"
+    status = Status(task["name"], "running", worker=worker, plan=task["hash"])
+    if stop.exists():
+        return
+    piece, pieces = task["piece"], task["pieces"]
+    if piece is None:
+        write_status(out, status)
+    log = out / f"{task['name']}.log"
+    with log.open("a", encoding="utf-8") as lines:
+
+        def say(kind: str, text: str) -> None:
+            print(f"{kind}: {text}", file=lines, flush=True)
+
+        started_s = time.monotonic()
+        try:
+            plan = RunPlan.of_json(task["plan"])
+            # The frames that are joined were told when they were made.
+            pulse = _Pulse(stop, tell if pieces is None else lambda _: None)
+            watcher = Watcher(say, progress=pulse)
+            if piece is not None:
+                run_piece(plan, Piece(*piece), watcher, seek=task["seek"])
+                return
+            joined = None if pieces is None else [Piece(*each) for each in pieces]
+            report = _run(plan, joined, watcher)
+            status = _ended(status, report)
+            for line in report.damage:
+                say("warning", line)
+        except KeyboardInterrupt:  # within a piece, which is started again
+            status = dataclasses.replace(status, status="interrupted")
+        except MotionStereoError as error:
+            status = dataclasses.replace(status, status="failed", reason=str(error))
+        except Exception as error:
+            say("error", traceback.format_exc())
+            reason = f"internal: {type(error).__name__}: {error}"
+            status = dataclasses.replace(status, status="failed", reason=reason)
+        seconds = status.seconds or time.monotonic() - started_s
+        status = dataclasses.replace(status, seconds=seconds)
+        say("note" if not status.reason else "error", f"{status.status} {status.reason}".strip())
+    write_status(out, status)
+
+
+def _run(plan: RunPlan, pieces: Sequence[Piece] | None, watcher: Watcher) -> RunReport:
+    until_s = time.monotonic() + _BUSY_S
+    while True:
+        try:
+            return run(plan, watcher) if pieces is None else join_pieces(plan, pieces, watcher)
+        except BusyError:
+            if time.monotonic() > until_s:
+                raise
+            time.sleep(_LOOK_S)
+
+
+def _ended(status: Status, report: RunReport) -> Status:
+    how = "interrupted" if report.interrupted else "damaged" if report.damage else "done"
+    return dataclasses.replace(
+        status,
+        status=how,
+        frames=report.frames,
+        seconds=report.wall_s,
+        charged=report.charged,
+        matched=report.matched,
+        damage=len(report.damage),
+    )
+
+
+class _Pulse:
+    """Called after each frame: tells how many there were, and ends the run when asked to."""
+
+    def __init__(self, stop: Path, tell: Callable[[int], object]) -> None:
+        self._stop, self._tell = stop, tell
+        self._frames, self._next_s = 0, 0.0
+
+    def __call__(self) -> None:
+        self._frames += 1
+        now_s = time.monotonic()
+        if now_s < self._next_s:
+            return
+        self._next_s = now_s + _LOOK_S
+        self._tell(self._frames)
+        if self._stop.exists():
+            raise KeyboardInterrupt

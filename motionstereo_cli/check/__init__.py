@@ -1,0 +1,1 @@
+"""Measure a recording: whether its views are in step, rectified and equally bright."""

@@ -1,0 +1,314 @@
+"""What is wrong with a stereo recording, before it costs an hour.
+
+A few windows of consecutive frames are looked at closely: features (SIFT) are matched between the
+views, and followed over time in the left one (Lucas-Kanade). All else is statistics on these
+matches. How far the views are out of step comes only from the rows: in rectified views a feature
+lies on one row in both, so where the right view is n frames ahead of the left one, and a feature
+moves down by v px a frame, it lies n v px lower in the right view. n is the slope of that line.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from typing import TYPE_CHECKING, Any
+
+import cv2
+import numpy as np
+
+from motionstereo_cli.check.features import NO_MATCHES, Matches, Window, joined
+from motionstereo_cli.check.findings import DARK_GREY, CheckReport, Finding
+from motionstereo_cli.check.mounting import Mounting, mounted
+from motionstereo_cli.check.synchrony import Fit, fit_rows, step_or_drift
+from motionstereo_cli.method.settings import MAX_DISPARITY
+from motionstereo_cli.types import StereoFrame
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from motionstereo_cli.types import Grey, Rig
+
+    Column = NDArray[np.float64]
+
+#: Frames in a window, those of them in which features are matched, and windows in a recording.
+WINDOW_FRAMES = 16
+MAX_WINDOWS = 5
+_MOMENTS = (3, 5, 7, 9, 11)
+_FEW_MOMENTS = (4, 8, 12)
+
+#: Images are looked at in at most this width, in px; at the start of a run in half their own, but
+#: not less than the quick one.
+_FEATURE_WIDTH = 640
+_QUICK_WIDTH = 320
+_MOTION_WIDTH = 160
+
+
+#: Windows in which one pair of images is looked at for how the cameras stand.
+_MOUNTED_WINDOWS = 2
+#: Mean difference in grey levels of neighbouring pixels below which an image is blank.
+_MIN_TEXTURE = 0.2
+#: Disparities above minus this count as not negative.
+_ZERO_PX = 0.5
+#: A pixel moves where its grey level changes by more; an image where this share of it does.
+_MOTION_GREY = 6
+_MOVING_SHARE = 5e-3
+
+
+def check(
+    frames: Iterable[StereoFrame],
+    max_disparity: int,
+    *,
+    expected_frames: int | None = None,
+    rig: Rig | None = None,
+    progress: Callable[[], object] = lambda: None,
+) -> CheckReport:
+    """Look at windows spread over a recording, and at the motion in all of it.
+
+    Args:
+        frames: stereo frames of one size.
+        max_disparity: range that the processing is to look in, in px.
+        expected_frames: how many frames there are, None if unknown.
+        rig: what a calibration says of the frames; None without one.
+        progress: called after each frame.
+    """
+    checker = _Checker(starts(expected_frames), _MOMENTS)
+    for frame in frames:
+        checker.see(frame)
+        progress()
+    return checker.report(max_disparity, rig)
+
+
+def watched(
+    frames: Iterable[StereoFrame],
+    max_disparity: int,
+    say: Callable[[Finding], object],
+    *,
+    rig: Rig | None = None,
+) -> Iterator[StereoFrame]:
+    """Yield the frames as they come, and say what is wrong once the first window has gone by.
+
+    Where that is dark, the window is the first one in the light.
+
+    No frame is held back or read twice.
+    """
+    checker, left_to_see, in_the_dark = _new_watch(), WINDOW_FRAMES, False
+    for frame in frames:
+        if in_the_dark and not _is_dark(frame):
+            # Only the opening was dark: what follows is looked at instead.
+            checker, left_to_see, in_the_dark = _new_watch(), WINDOW_FRAMES, False
+        if left_to_see:
+            checker.see(frame)
+            left_to_see -= 1
+            if not left_to_see:
+                in_the_dark = _is_dark(frame)
+                if not in_the_dark:
+                    _tell(checker, max_disparity, rig, say)
+        yield frame
+    if left_to_see or in_the_dark:
+        _tell(checker, max_disparity, rig, say)
+
+
+def advised_range(sample: Iterable[StereoFrame]) -> CheckReport:
+    """Return what windows of a recording, one after the other, tell of disparities."""
+    windows = range(0, MAX_WINDOWS * WINDOW_FRAMES, WINDOW_FRAMES)
+    checker = _Checker(windows, _MOMENTS)
+    for frame in sample:
+        checker.see(frame)
+    return checker.report(MAX_DISPARITY, None)
+
+
+def _new_watch() -> _Checker:
+    return _Checker([0], _FEW_MOMENTS, quick=True)
+
+
+def _is_dark(frame: StereoFrame) -> bool:
+    return bool(np.percentile(frame.left[::4, ::4], 99.9) < DARK_GREY)
+
+
+def _tell(
+    checker: _Checker, max_disparity: int, rig: Rig | None, say: Callable[[Finding], object]
+) -> None:
+    for finding in checker.report(max_disparity, rig).findings:
+        if finding.name != "few-matches":  # so little seen is no reason to interrupt a run
+            say(finding)
+
+
+def starts(expected_frames: int | None) -> Sequence[int]:
+    """Return the frames at which windows begin.
+
+    They are evenly spread, or ever farther apart where no end is known.
+    """
+    if expected_frames is None:
+        return [0, *(100 * 4**i for i in range(MAX_WINDOWS - 1))]
+    room = max(expected_frames - WINDOW_FRAMES, 0)
+    count = max(1, min(MAX_WINDOWS, expected_frames // WINDOW_FRAMES))
+    return [room * i // max(count - 1, 1) for i in range(count)]
+
+
+class _Checker:
+    """Takes in frames; keeps small copies of those in windows, and the motion of all."""
+
+    def __init__(
+        self, starts: Sequence[int], moments: Sequence[int], *, quick: bool = False
+    ) -> None:
+        self._starts = starts
+        self._moments = moments
+        self._quick = quick
+        self._windows: list[Window] = []
+        self._moved: tuple[list[float], list[float]] = ([], [])
+        self._last: tuple[tuple[Grey, Grey], ...] = ()
+        self._frames = 0
+        self._scale = 1.0
+
+    def see(self, frame: StereoFrame) -> None:
+        number, self._frames = self._frames, self._frames + 1
+        sides = (frame.left, frame.right)
+        now = (_for_motion(frame.left), _for_motion(frame.right))
+        looked_at = tuple(zip(sides, now, strict=True))
+        for moved, image, last in zip(self._moved, looked_at, self._last, strict=False):
+            moved.append(_moved_share(*image, *last))
+        self._last = looked_at
+        if number in self._starts:
+            self._windows.append(Window(number, self._moments))
+        if self._windows and number < self._windows[-1].start + WINDOW_FRAMES:
+            left, right = (_shrunk(side, self._feature_width(frame)) for side in sides)
+            self._scale = frame.left.shape[1] / left.shape[1]
+            self._windows[-1].left.append(left)
+            self._windows[-1].right.append(right)
+
+    def _feature_width(self, frame: StereoFrame) -> int:
+        if not self._quick:
+            return _FEATURE_WIDTH
+        half: int = frame.left.shape[1] // 2
+        return min(_FEATURE_WIDTH, max(_QUICK_WIDTH, half))
+
+    def report(self, max_disparity: int, rig: Rig | None) -> CheckReport:
+        report = CheckReport(
+            max_disparity, self._frames, calibrated=rig is not None, **_motion(*self._moved)
+        )
+        if not self._windows:
+            return report
+        matches = [window.matches(0) for window in self._windows]
+        step, drift = step_or_drift(self._windows, matches)
+        if step is not None and step.whole:  # rows and disparities once that is put right
+            matches = [window.matches(step.whole) for window in self._windows]
+        seen = joined(matches)
+        rows = fit_rows(seen, self._windows[0].shape)
+        agreed = NO_MATCHES if rows is None else seen.where(rows.chosen)
+        return dataclasses.replace(
+            report,
+            ahead_frames=None if step is None else step.frames,
+            step_frames=0 if step is None else step.whole,
+            drift=drift,
+            matches=len(seen),
+            mounted=self._mounted(),
+            **_light(self._windows),
+            **_alignment(rows, seen, self._windows[0].shape, self._scale),
+            **_disparities(agreed, self._scale, max_disparity, rig.doffs if rig else 0.0),
+        )
+
+    def _mounted(self) -> Mounting | None:
+        """Look at one pair of images of the first windows."""
+        middles = [(each, len(each.left) // 2) for each in self._windows[:_MOUNTED_WINDOWS]]
+        return mounted(
+            [window.left[t] for window, t in middles], [window.right[t] for window, t in middles]
+        )
+
+
+def _light(windows: Sequence[Window]) -> dict[str, Any]:
+    """Return how bright images are, and how much alike the views."""
+    pairs = [(window.left[-1], window.right[-1]) for window in windows]
+    brightest = max(int(np.percentile(image, 99.9)) for pair in pairs for image in pair)
+    apart = np.mean([np.mean(cv2.absdiff(left, right)) for left, right in pairs])
+    aside = np.mean([np.mean(cv2.absdiff(left[:, 1:], left[:, :-1])) for left, _ in pairs])
+    alike = float(apart / aside) if aside > _MIN_TEXTURE else None
+    return {"brightest": brightest, "alike": alike}
+
+
+def _shrunk(grey: Grey, width: int) -> Grey:
+    if grey.shape[1] <= width:
+        return grey
+    size = (width, max(1, round(grey.shape[0] * width / grey.shape[1])))
+    return np.asarray(cv2.resize(grey, size, interpolation=cv2.INTER_AREA), np.uint8)
+
+
+#: Share that moves where an image is not the last one, but hardly differs.
+_HARDLY = 1e-9
+
+
+def _for_motion(grey: Grey) -> Grey:
+    # Small and blurred: a sensor's noise and a codec's are gone, objects that move are not.
+    return np.asarray(cv2.blur(_shrunk(grey, _MOTION_WIDTH), (3, 3)), np.uint8)
+
+
+def _moved_share(image: Grey, small: Grey, last: Grey, last_small: Grey) -> float:
+    """Return the share of the small image that has changed; 0 only if the image is the last one."""
+    if np.array_equal(image, last):
+        return 0.0
+    return max(float(np.mean(cv2.absdiff(small, last_small) > _MOTION_GREY)), _HARDLY)
+
+
+def _repeated(moved: Column, other: Column) -> NDArray[np.bool_]:
+    """Return where an image repeats the last one: nothing moves, but in the other view or around.
+
+    Args:
+        moved, other: (n,) shares of this view and the other one that move, n = frames - 1.
+    """
+    around = np.pad(moved, 1)
+    moving = np.maximum(other, np.minimum(around[:-2], around[2:])) > _MOVING_SHARE
+    repeated: NDArray[np.bool_] = (moved == 0) & moving
+    return repeated
+
+
+def _motion(left: Sequence[float], right: Sequence[float]) -> dict[str, Any]:
+    """Return what the shares that move in each view, a frame each, say of motion."""
+    if not left:
+        return {}
+    moved = {"left": np.array(left), "right": np.array(right)}
+    found: dict[str, Any] = {"moving": float((moved["left"].mean() + moved["right"].mean()) / 2)}
+    for side, other in (("left", "right"), ("right", "left")):
+        images = np.flatnonzero(_repeated(moved[side], moved[other]))
+        found[f"repeated_{side}"] = len(images)
+        found[f"first_repeated_{side}"] = int(images[0]) + 1 if len(images) else None
+    return found
+
+
+def _alignment(
+    rows: Fit | None, matches: Matches, shape: tuple[int, ...], scale: float
+) -> dict[str, Any]:
+    """Return how far the rows of the views are apart; nothing where too few matches tell."""
+    if rows is None:
+        return {}
+    still = matches.lower - rows.step * matches.down
+    off = np.abs(still[rows.chosen]) * scale
+    shift, turn, size = rows.terms[:3]
+    # The same over the whole image, because features may lie in its middle only.
+    x, y = np.meshgrid(np.linspace(-1, 1, 21), np.linspace(-1, 1, 21) * shape[0] / shape[1])
+    image_px = np.percentile(np.abs(shift + turn * x + size * y), 90) * scale
+    return {
+        "misaligned_px": float(np.median(off)),
+        "misaligned_p90_px": float(np.percentile(off, 90)),
+        "misaligned_image_px": float(image_px),
+        "shifted_px": float(shift * scale),
+        "turned_deg": math.degrees(math.atan(turn / (shape[1] / 2))),
+    }
+
+
+def _disparities(
+    matches: Matches, scale: float, max_disparity: int, doffs: float
+) -> dict[str, Any]:
+    """Return the range of disparities and grey of matches; nothing where there are none."""
+    if not len(matches):
+        return {}
+    disparity = matches.disparity * scale
+    low, high = (float(value) for value in np.percentile(disparity, [2, 98]))
+    return {
+        "disparity_low_px": low,
+        "disparity_high_px": high,
+        "advised_max_disparity": min(max(16, 16 * math.ceil(1.1 * high / 16)), MAX_DISPARITY),
+        "behind": float(np.mean(disparity + doffs < -_ZERO_PX)),
+        "negative": float(np.mean(disparity < -_ZERO_PX)),
+        "beyond": float(np.mean(disparity > max_disparity)),
+        "grey_difference": float(np.median(matches.grey)),
+    }

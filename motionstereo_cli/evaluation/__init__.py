@@ -1,0 +1,1 @@
+"""Judge results: against the truth, and against an earlier run."""

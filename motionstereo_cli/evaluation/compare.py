@@ -1,0 +1,395 @@
+"""Whether a run gives what an earlier one gave: for regression tests.
+
+GOLDEN is what a run wrote, or a part of it. Of images only those that GOLDEN has are compared;
+tables are compared whole. What GOLDEN has and ACTUAL lacks is a difference, and so is a file
+that cannot be read.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from motionstereo_cli.errors import InputError, SettingsError
+from motionstereo_cli.evaluation.settings import COLUMN_TOLERANCE, CompareSettings
+from motionstereo_cli.sinks.outputs import OUTPUTS, RECORD
+from motionstereo_cli.sinks.read_back import Maps, read_record, read_table, shortened
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from motionstereo_cli.types import Real
+
+#: Parts of run.json that may differ silently, or with a note, from machine to machine.
+_IGNORED = frozenset(
+    {"program", "outputs", "sums", "table", "options", "shares", "warnings", "damage", "timing"}
+)
+_NOTED = frozenset({"versions", "inputs", "files"})
+
+#: What a difference of exactly the tolerance may exceed it by: in a table's decimals, in float32 m.
+_ROUNDING = 1e-9
+_ROUNDING_M = 1e-5
+
+
+@dataclass(frozen=True, slots=True)
+class Difference:
+    """One thing that differs in an output.
+
+    Attributes:
+        what: a column, a setting, ``pixels``, ``size``, ``rows``, ``frames``, ``files``.
+        found: in words, at its worst.
+        count: in how many rows, frames or files.
+        first_frame, worst_frame: where it is first, and where worst; None if in no frame.
+        worst: the difference there, in the column's unit or as share of the pixels; infinite
+            where it is no number.
+    """
+
+    what: str
+    found: str
+    count: int
+    first_frame: int | None
+    worst_frame: int | None
+    worst: float
+
+
+@dataclass(slots=True)
+class Compared:
+    """An output of GOLDEN beside that of ACTUAL.
+
+    Attributes:
+        name: its path in the folders.
+        unit: what is counted in it.
+        compared: how many of these were compared.
+        differences: by what differs.
+    """
+
+    name: str
+    unit: str
+    compared: int = 0
+    differences: dict[str, Difference] = field(default_factory=dict)
+
+    def differ(
+        self, what: str, found: str, frame: int | None = None, worst: float = math.inf
+    ) -> None:
+        """Note a difference in a frame; the worst of a kind is kept, the others are counted."""
+        former = self.differences.get(what, Difference(what, found, 0, frame, frame, worst))
+        if worst > former.worst:
+            former = replace(former, found=found, worst_frame=frame, worst=worst)
+        self.differences[what] = replace(former, count=former.count + 1)
+
+
+class WorstImage(NamedTuple):
+    """The two images that differ most.
+
+    Attributes:
+        name: output and frame.
+        actual, golden: (height, width) float32 disparity in px or depth in m, NaN = unknown.
+        tolerance: in the same unit.
+        share: of the pixels that differ, 0..1.
+    """
+
+    name: str
+    actual: Real
+    golden: Real
+    tolerance: float
+    share: float
+
+
+@dataclass(frozen=True, slots=True)
+class Report:
+    """What a comparison found.
+
+    Attributes:
+        outputs: everything that GOLDEN has.
+        notes: what differs and does not count, or was not compared, one line each.
+        worst_image: None where no two images differ by more than the tolerance.
+    """
+
+    outputs: tuple[Compared, ...]
+    notes: tuple[str, ...]
+    worst_image: WorstImage | None
+
+    @property
+    def differs(self) -> bool:
+        """Whether there is any difference."""
+        return any(output.differences for output in self.outputs)
+
+
+def compare(
+    actual: Path,
+    golden: Path,
+    settings: CompareSettings | None = None,
+    *,
+    tolerances: Mapping[str, float] | None = None,
+    progress: Callable[[], object] = lambda: None,
+) -> Report:
+    """Compare the results of a run with golden ones, an image of each at a time in memory.
+
+    Args:
+        actual: folder that ``run`` wrote.
+        golden: the same of an earlier run, or a part of it.
+        settings: how far images may differ; the defaults if None.
+        tolerances: how far numbers of tables may differ, by column, beside
+            :data:`~motionstereo_cli.method.settings.COLUMN_TOLERANCE`.
+        progress: called after each image.
+
+    Raises:
+        InputError: ``actual`` is not what a run wrote, ``golden`` has nothing to compare, or they
+            are the same folder.
+        SettingsError: no table of ``golden`` has a column that a tolerance is given for.
+    """
+    if not (actual / RECORD).is_file():
+        raise InputError(
+            f"{actual} has no {RECORD}, so no run was completed there: check the path, or run again"
+        )
+    if golden.resolve() == actual.resolve():
+        raise InputError(f"{actual} and {golden} are the same folder: give two")
+    comparison = _Comparison(
+        actual,
+        golden,
+        settings or CompareSettings(),
+        {**COLUMN_TOLERANCE, **(tolerances or {})},
+        progress,
+    )
+    report = comparison.report()
+    if not any(output.compared or output.differences for output in report.outputs):
+        raise InputError(f"{golden} has nothing that run writes: check the path")
+    for column in tolerances or {}:
+        if column not in comparison.columns:
+            known = ", ".join(sorted(comparison.columns & COLUMN_TOLERANCE.keys()))
+            raise SettingsError(
+                f"--tolerance: no table of {golden} has a column {column!r}: "
+                f"choose from {known or 'none, because there is no table'}"
+            )
+    return report
+
+
+class _Comparison:
+    def __init__(
+        self,
+        actual: Path,
+        golden: Path,
+        settings: CompareSettings,
+        tolerances: Mapping[str, float],
+        progress: Callable[[], object],
+    ) -> None:
+        self._actual, self._golden = actual, golden
+        self._settings, self._tolerances = settings, tolerances
+        self._progress = progress
+        self._notes: list[str] = []
+        self._worst: WorstImage | None = None
+        self.columns: set[str] = set()
+
+    def report(self) -> Report:
+        outputs = {}
+        self._frames = _frames_of(self._golden)
+        for save in OUTPUTS.values():
+            path = self._golden / save.path
+            if save.kind in ("disparity", "depth"):
+                if path.parent.is_dir() and save.shown not in outputs:
+                    outputs[save.shown] = self._maps(save.shown)
+            elif save.kind == "table":
+                if path.exists():
+                    outputs[save.path] = self._table(save.path)
+            elif files := sorted(self._golden.glob(save.path.replace("{:06d}", "*"))):
+                outputs[save.shown] = self._presence(save.shown, files)
+        if (self._golden / RECORD).exists():
+            outputs[RECORD] = self._record()
+        return Report(tuple(outputs.values()), tuple(self._notes), self._worst)
+
+    def _table(self, name: str) -> Compared:
+        output = Compared(name, "rows")
+        try:
+            golden = read_table(self._golden / name)
+            self.columns.update(golden.columns)
+            actual = read_table(self._actual / name)
+        except InputError as error:
+            output.differ("files", str(error))
+            return output
+        for column in golden.columns:
+            if column not in actual.columns:
+                output.differ(column, "the column is missing")
+        for column in actual.columns:
+            if column not in golden.columns:
+                output.differ(column, "the column is not in golden")
+        shared = [column for column in golden.columns if column in actual.columns]
+        if shared != [column for column in actual.columns if column in golden.columns]:
+            output.differ("columns", "they are in another order")
+        for key in sorted(golden.rows.keys() | actual.rows.keys()):
+            if key in golden.rows and key in actual.rows:
+                for column in shared:
+                    self._cell(output, key[0], column, actual.rows[key], golden.rows[key])
+                output.compared += 1
+            else:
+                output.differ("rows", "missing" if key in golden.rows else "not in golden", key[0])
+        return output
+
+    def _cell(
+        self,
+        output: Compared,
+        frame: int,
+        column: str,
+        actual: Mapping[str, str],
+        golden: Mapping[str, str],
+    ) -> None:
+        mine, theirs = actual[column], golden[column]
+        if mine == theirs:
+            return
+        tolerance = self._tolerances.get(column)
+        error = math.inf if tolerance is None else _distance(mine, theirs)
+        if tolerance is None or error - tolerance > _ROUNDING:
+            found = f"{_shown(mine)}, golden {_shown(theirs)}"
+            if math.isfinite(error):
+                found = f"{mine}, golden {theirs} (tolerance {tolerance:g})"
+            output.differ(column, found, frame, error)
+
+    def _maps(self, name: str) -> Compared:
+        output = Compared(name, "images")
+        try:
+            golden = Maps(self._golden / name)
+            actual = Maps(self._actual / name)
+        except InputError as error:
+            output.differ("files", str(error))
+            return output
+        if golden.kind == "disparity":
+            tolerance, shown = self._settings.tolerance_px, f"{self._settings.tolerance_px:g} px"
+        else:
+            tolerance = self._settings.tolerance_mm / 1000
+            shown = f"{self._settings.tolerance_mm:g} mm"
+        for frame in golden.files:
+            self._progress()
+            if frame not in actual.files:
+                output.differ("frames", "missing", frame)
+                continue
+            try:
+                mine, theirs = actual.read(frame), golden.read(frame)
+            except InputError as error:
+                output.differ("files", str(error), frame)
+                continue
+            if mine.shape != theirs.shape:
+                found = f"{_size(mine)}, golden {_size(theirs)}"
+                output.differ("size", found, frame)
+                continue
+            output.compared += 1
+            share = float(np.mean(differing(mine, theirs, tolerance) | _in_only_one(mine, theirs)))
+            if share > (self._worst.share if self._worst else 0):
+                self._worst = WorstImage(f"{name} frame {frame}", mine, theirs, tolerance, share)
+            if share > self._settings.max_differing:
+                found = (
+                    f"{share:.2%} are over {shown} off or known in only one "
+                    f"(tolerance {self._settings.max_differing:.2%})"
+                )
+                output.differ("pixels", found, frame, share)
+        # Of golden there may be a part, but frames that its run did not have are too many.
+        for frame in actual.files:
+            if not self._in_golden(frame, golden):
+                output.differ("frames", "not in golden", frame)
+        return output
+
+    def _in_golden(self, frame: int, golden: Maps) -> bool:
+        """Return whether the golden run had a frame, whether or not its image is there."""
+        if frame in golden.files:
+            return True
+        whole = list(golden.files) == list(range(len(golden.files)))
+        return not whole if self._frames is None else frame < self._frames
+
+    def _record(self) -> Compared:
+        output = Compared(RECORD, "values")
+        try:
+            actual, golden = (
+                dict(_leaves(read_record(folder / RECORD)))
+                for folder in (self._actual, self._golden)
+            )
+        except InputError as error:
+            output.differ("files", str(error))
+            return output
+        for name, theirs in golden.items():
+            section = name.partition(".")[0]
+            if section in _IGNORED or (section in _NOTED and name.endswith(".path")):
+                continue
+            output.compared += section not in _NOTED
+            if name in actual and _same(actual[name], theirs):
+                continue
+            if name in actual:
+                mine = _shown(actual[name])
+            else:
+                mine = "given" if any(key.startswith(f"{name}.") for key in actual) else "missing"
+            found = f"{mine}, golden {_shown(theirs)}"
+            if section in _NOTED:
+                self._notes.append(f"{name} is {found}")
+            else:
+                output.differ(name, found)
+        for name in actual.keys() - golden.keys():
+            section = name.partition(".")[0]
+            # Of the record, too, there may be a part: what a section that is there has is all.
+            there = any(key.startswith(f"{section}.") for key in golden)
+            if there and section not in _IGNORED | _NOTED:
+                output.differ(name, f"{_shown(actual[name])}, not in golden")
+        return output
+
+    def _presence(self, name: str, files: list[Path]) -> Compared:
+        output = Compared(name, "files", len(files))
+        for file in files:
+            path = file.relative_to(self._golden)
+            if not (self._actual / path).is_file():
+                output.differ("files", f"{path} is missing")
+        self._notes.append(f"{name} has to be there, what is in it is not compared")
+        return output
+
+
+def _frames_of(golden: Path) -> int | None:
+    """Return how many frames a golden run had, None where it does not say."""
+    try:
+        return int(read_record(golden / RECORD)["counts"]["written"])
+    except (InputError, LookupError, TypeError, ValueError):
+        return None
+
+
+def differing(actual: Real, golden: Real, tolerance: float) -> NDArray[np.bool_]:
+    """Return where two images differ by more than a tolerance; what is unknown does not."""
+    return np.asarray(np.abs(actual - golden) > tolerance + _ROUNDING_M)  # NaN is not
+
+
+def _in_only_one(actual: Real, golden: Real) -> NDArray[np.bool_]:
+    return np.asarray(np.isnan(actual) != np.isnan(golden))
+
+
+def _distance(one: str, other: str) -> float:
+    """Return how far two cells are apart, infinite where either is no finite number."""
+    try:
+        distance = abs(float(one) - float(other))
+    except ValueError:
+        return math.inf
+    return distance if math.isfinite(distance) else math.inf
+
+
+def _leaves(record: dict[str, Any]) -> Iterator[tuple[str, Any]]:
+    """Yield the values of nested dicts and lists with their dotted names, in order."""
+    waiting: list[tuple[str, Any]] = [*reversed(record.items())]
+    while waiting:
+        name, value = waiting.pop()
+        if isinstance(value, list):
+            value = dict(enumerate(value))
+        if isinstance(value, dict):
+            waiting += [(f"{name}.{key}", inner) for key, inner in reversed(value.items())]
+        else:
+            yield name, value
+
+
+def _same(one: object, other: object) -> bool:
+    if isinstance(one, float) and isinstance(other, float):
+        return math.isclose(one, other, rel_tol=1e-6, abs_tol=_ROUNDING)  # a rig is computed
+    return one == other
+
+
+def _shown(value: object) -> str:
+    return "unknown" if value == "" else shortened(value)
+
+
+def _size(image: Real) -> str:
+    return f"{image.shape[1]}x{image.shape[0]}"

@@ -1,0 +1,95 @@
+"""The picture of a comparison: the two images that differ most, and where they differ."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from motionstereo_cli.errors import SettingsError
+from motionstereo_cli.evaluation.compare import WorstImage, differing
+from motionstereo_cli.files.lettering import DARK, colour_key, titled
+from motionstereo_cli.sinks.drawing import depth_colours
+from motionstereo_cli.sinks.legend import strip
+from motionstereo_cli.sinks.outputs import RECORD
+from motionstereo_cli.sinks.scale import DepthScale
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from motionstereo_cli.types import Real
+
+_MIN_WIDTH_PX = 640
+
+# RGB
+_SAME, _OFF, _ACTUAL_ONLY, _GOLDEN_ONLY = (
+    (90, 90, 90),
+    (230, 40, 40),
+    (250, 220, 60),
+    (60, 190, 230),
+)
+
+
+def draw_worst(worst: WorstImage, golden: Path | None = None) -> NDArray[np.uint8]:
+    """Return a picture: actual, golden, and where they differ, with titles, scale and key.
+
+    Depth has the colours that it has in ``depth.mp4``.
+
+    Args:
+        worst: the images.
+        golden: the folder that says what scale ``depth.mp4`` has; where it does not, that of the
+            images themselves.
+
+    Returns:
+        (height, width, 3) uint8 RGB.
+    """
+    actual, expected = worst.actual, worst.golden
+    is_depth = worst.name.startswith("depth")
+    scale = _recorded(golden, is_depth) or _scale_of(np.stack([actual, expected]), is_depth)
+    panels = []
+    for values in (actual, expected):
+        px = np.float32(scale.px_m) / values if is_depth and scale.px_m else values + scale.doffs
+        panels.append(depth_colours(px, scale.near_px, scale.far_px, scale.colours))
+    difference = np.zeros((*actual.shape, 3), np.uint8)
+    difference[~np.isnan(actual) & ~np.isnan(expected)] = _SAME
+    difference[differing(actual, expected, worst.tolerance)] = _OFF
+    difference[~np.isnan(actual) & np.isnan(expected)] = _ACTUAL_ONLY
+    difference[np.isnan(actual) & ~np.isnan(expected)] = _GOLDEN_ONLY
+
+    titles = ("Actual", "Golden", f"Difference: {worst.share:.2%}")
+    body = titled([*panels, difference], titles, DARK)
+    widening = max(_MIN_WIDTH_PX - body.shape[1], 0)
+    margin = np.full((len(body), widening, 3), DARK.ground, np.uint8)
+    body = titled([np.concatenate([body, margin], axis=1)], [worst.name], DARK)
+    entries = (
+        (_SAME, "the same"),
+        (_OFF, "off"),
+        (_ACTUAL_ONLY, "known in actual only"),
+        (_GOLDEN_ONLY, "known in golden only"),
+        ((0, 0, 0), "unknown"),
+    )
+    width = body.shape[1]
+    return np.concatenate([body, strip(width, scale), colour_key(width, entries, DARK)])
+
+
+def _recorded(golden: Path | None, is_depth: bool) -> DepthScale | None:
+    """Return the scale that a run's record tells, None where it does not."""
+    if golden is not None:
+        with contextlib.suppress(OSError, ValueError, TypeError, LookupError, SettingsError):
+            scale = DepthScale.recorded(json.loads((golden / RECORD).read_bytes()))
+            if scale.px_m or not is_depth:
+                return scale
+    return None
+
+
+def _scale_of(values: Real, is_depth: bool) -> DepthScale:
+    """Return the scale that fits images."""
+    known = values[~np.isnan(values)]
+    if not len(known):
+        return DepthScale(64, 1, None, "turbo")
+    low, high = np.quantile(known, [0.01, 0.99]).tolist()
+    near_px, far_px = (1 / low, 1 / high) if is_depth else (high, max(low, 1e-3))
+    return DepthScale(max(near_px, 2 * far_px), far_px, 1.0 if is_depth else None, "turbo")

@@ -1,0 +1,81 @@
+"""What a comparison of runs found, as a table to read, JSON and JUnit XML."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+import xml.etree.ElementTree as ET
+from dataclasses import asdict
+from typing import Any
+
+from motionstereo_cli.evaluation.compare import Difference, Report
+
+
+def format_table(report: Report) -> str:
+    """Return what differs as a table to read, or one line if nothing does."""
+    if not report.differs:
+        facts = (f"{output.name} ({output.compared} {output.unit})" for output in report.outputs)
+        return f"no difference in {', '.join(facts)}\n"
+    rows = [("output", "what", "count", "first", "worst", "found")]
+    for output in report.outputs:
+        for item in output.differences.values():
+            frames = (
+                "-" if frame is None else str(frame)
+                for frame in (item.first_frame, item.worst_frame)
+            )
+            rows.append((output.name, item.what, str(item.count), *frames, item.found))  # type: ignore[arg-type]
+    widths = [max(map(len, column)) for column in list(zip(*rows, strict=True))[:-1]]
+    return "".join(
+        f"{name:<{widths[0]}}  {what:<{widths[1]}}  {count:>{widths[2]}}  {first:>{widths[3]}}  "
+        f"{worst:>{widths[4]}}  {found}\n"
+        for name, what, count, first, worst, found in rows
+    )
+
+
+def format_json(report: Report) -> str:
+    """Return the report as JSON; null where a difference is no number or in no frame."""
+
+    def known(item: Difference) -> dict[str, Any]:
+        return {**asdict(item), "worst": item.worst if math.isfinite(item.worst) else None}
+
+    content = {
+        "differs": report.differs,
+        "outputs": [
+            {
+                "name": output.name,
+                "unit": output.unit,
+                "compared": output.compared,
+                "differences": [known(item) for item in output.differences.values()],
+            }
+            for output in report.outputs
+        ],
+        "notes": report.notes,
+    }
+    return json.dumps(content, indent=2, allow_nan=False) + "\n"
+
+
+def format_junit(report: Report) -> str:
+    """Return the report as JUnit XML, a test case for each output."""
+    failed = [output for output in report.outputs if output.differences]
+    suite = ET.Element(
+        "testsuite",
+        name="motionstereo compare",
+        tests=str(len(report.outputs)),
+        failures=str(len(failed)),
+        errors="0",
+        skipped="0",
+    )
+    for output in report.outputs:
+        case = ET.SubElement(suite, "testcase", classname="motionstereo.compare", name=output.name)
+        if output.differences:
+            message = f"differs in {', '.join(output.differences)}"
+            failure = ET.SubElement(case, "failure", type="difference", message=_xml(message))
+            failure.text = _xml(format_table(Report((output,), (), None)))
+    text: bytes = ET.tostring(suite, encoding="utf-8", xml_declaration=True)
+    return f"{text.decode()}\n"
+
+
+def _xml(text: str) -> str:
+    """Return the text without the characters that XML cannot have."""
+    return re.sub("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]", "?", text)

@@ -1,0 +1,322 @@
+"""How far disparity or depth is from the truth, in the measures the field uses.
+
+Images compared are of one view; a run's are of the right one unless it ran with --reference left.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from motionstereo_cli.errors import InputError
+from motionstereo_cli.sinks.read_back import Maps, numbered_files, read_mask, size_of
+from motionstereo_cli.types import Rig
+
+if TYPE_CHECKING:
+    from motionstereo_cli.types import Real
+
+
+#: Errors in px above which a disparity is bad.
+BAD_PX = (0.5, 1.0, 2.0, 3.0)
+
+#: Depths count up to here, as is the custom on KITTI since Eigen et al. (2014): a disparity near
+#: 0 would otherwise outweigh all others.
+FAR_M = 80.0
+
+
+#: The median comes from a histogram: exact for disparities in 1/256 px, and up to 256 px.
+_BINS_PER_PX = 256
+_BINS = 65536
+
+
+class FramePair(NamedTuple):
+    """One frame of both sides, (height, width) float32 each, NaN = unknown or not counted.
+
+    Attributes:
+        found_px, truth_px: disparity in px.
+        found_m, truth_m: depth in m; None where no rig is known.
+    """
+
+    found_px: Real
+    truth_px: Real
+    found_m: Real | None = None
+    truth_m: Real | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Score:
+    """What the evaluation found out about a frame, or about all pixels of all frames together.
+
+    Shares are 0..1 and, except coverage, of the pixels that have both truth and a result. A
+    measure of no pixel at all is NaN.
+
+    Attributes:
+        frame: its number; None for all frames together.
+        truth_pixels: how many pixels have truth and are not masked out.
+        both_pixels: how many of these have a result.
+        coverage: both_pixels / truth_pixels.
+        bad_0_5, bad_1, bad_2, bad_3: share whose disparity is wrong by more than 0.5, 1, 2, 3 px:
+            the bad-pixel measure B of Scharstein and Szeliski, "A Taxonomy and Evaluation of
+            Dense Two-Frame Stereo Correspondence Algorithms" (2002), section 5.1.
+        d1: share wrong by more than 3 px and by more than 5 % of the truth, the outliers of KITTI
+            2015: Menze and Geiger, "Object Scene Flow for Autonomous Vehicles" (2015).
+        mean_px, median_px: mean and median of the absolute error of the disparity.
+        rms_px: root of its mean square: R of Scharstein and Szeliski (2002).
+        abs_rel: mean of abs(depth - truth) / truth, of depths up to :data:`FAR_M`: Eigen et al.,
+            "Depth Map Prediction from a Single Image using a Multi-Scale Deep Network" (2014).
+        rmse_m: root of the mean square of depth - truth, of the same pixels and source.
+    """
+
+    frame: int | None
+    truth_pixels: int
+    both_pixels: int
+    coverage: float
+    bad_0_5: float
+    bad_1: float
+    bad_2: float
+    bad_3: float
+    d1: float
+    mean_px: float
+    median_px: float
+    rms_px: float
+    abs_rel: float
+    rmse_m: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Tally:
+    """Sums over pixels, from which a score follows; the sum of tallies is that of all pixels.
+
+    Attributes:
+        truth, both: number of pixels with truth, and with truth and a result.
+        bad: number of pixels wrong by more than each of :data:`BAD_PX`, (4,) int64.
+        outliers: number of pixels that D1 counts.
+        error_px, error_px2: sums of the absolute and of the squared error of the disparity.
+        histogram: number of pixels by absolute error in steps of 1/256 px, int64.
+        depths: number of pixels where both depths are known and the true one counts.
+        error_rel, error_m2: sums of the relative absolute and of the squared error of the depth.
+    """
+
+    truth: int
+    both: int
+    bad: NDArray[np.int64]
+    outliers: int
+    error_px: float
+    error_px2: float
+    histogram: NDArray[np.int64]
+    depths: int
+    error_rel: float
+    error_m2: float
+
+    def __add__(self, other: Tally) -> Tally:
+        return Tally(*(getattr(self, f.name) + getattr(other, f.name) for f in fields(self)))
+
+    def score(self, frame: int | None = None) -> Score:
+        """Return the measures of the pixels counted."""
+        bad_0_5, bad_1, bad_2, bad_3 = (_ratio(int(count), self.both) for count in self.bad)
+        return Score(
+            frame=frame,
+            truth_pixels=self.truth,
+            both_pixels=self.both,
+            coverage=_ratio(self.both, self.truth),
+            bad_0_5=bad_0_5,
+            bad_1=bad_1,
+            bad_2=bad_2,
+            bad_3=bad_3,
+            d1=_ratio(self.outliers, self.both),
+            mean_px=_ratio(self.error_px, self.both),
+            median_px=self._median_px(),
+            rms_px=math.sqrt(_ratio(self.error_px2, self.both)),
+            abs_rel=_ratio(self.error_rel, self.depths),
+            rmse_m=math.sqrt(_ratio(self.error_m2, self.depths)),
+        )
+
+    def _median_px(self) -> float:
+        if not self.both:
+            return math.nan
+        middle = [(self.both + 1) // 2, self.both // 2 + 1]  # two where their number is even
+        steps = np.searchsorted(np.cumsum(self.histogram), middle)
+        return float(steps.mean()) / _BINS_PER_PX
+
+
+def tally(pair: FramePair) -> Tally:
+    """Return the sums over the pixels of a frame."""
+    has_truth = ~np.isnan(pair.truth_px)
+    both = has_truth & ~np.isnan(pair.found_px)
+    truth_px = pair.truth_px[both]
+    error_px = np.abs(pair.found_px[both] - truth_px)
+    steps = np.minimum(np.rint(error_px * _BINS_PER_PX), _BINS - 1).astype(np.int64)
+    depths, error_rel, error_m2 = 0, 0.0, 0.0
+    if pair.found_m is not None and pair.truth_m is not None:
+        compared = ~np.isnan(pair.found_m) & (pair.truth_m <= FAR_M)
+        truth_m = pair.truth_m[compared].astype(np.float64)
+        error_m = np.minimum(pair.found_m[compared], FAR_M) - truth_m
+        depths = len(truth_m)
+        error_rel, error_m2 = float((np.abs(error_m) / truth_m).sum()), float(error_m @ error_m)
+    return Tally(
+        truth=int(np.count_nonzero(has_truth)),
+        both=len(error_px),
+        bad=np.array([np.count_nonzero(error_px > limit) for limit in BAD_PX], np.int64),
+        outliers=int(np.count_nonzero((error_px > 3) & (error_px > 0.05 * truth_px))),
+        error_px=float(error_px.sum(dtype=np.float64)),
+        error_px2=float(np.square(error_px, dtype=np.float64).sum()),
+        histogram=np.bincount(steps, minlength=_BINS),
+        depths=depths,
+        error_rel=error_rel,
+        error_m2=error_m2,
+    )
+
+
+class Comparison:
+    """A result beside its truth, frame by frame.
+
+    Args:
+        out, truth: the two sides.
+        rig: the camera; if None, each side's own rig serves, or else the other's.
+        mask: folder of PNG files; only pixels where they are not 0 count.
+
+    Attributes:
+        numbers: the frames that both sides have, in order.
+        only_out, only_truth: the frames that only one side has.
+        has_depth: a rig is known, so that there are errors in m.
+        views: the cameras whose views both sides are in, None if unknown.
+
+    Raises:
+        InputError: the sides have no frame in common, a mask is missing, or depth has to be
+            converted and there is no rig.
+    """
+
+    def __init__(
+        self, out: Maps, truth: Maps, rig: Rig | None = None, mask: Path | None = None
+    ) -> None:
+        self._out, self._truth = out, truth
+        self._out_rig = rig or out.rig or truth.rig
+        self._truth_rig = rig or truth.rig or out.rig
+        self.has_depth = self._out_rig is not None
+        self.views = (out.reference, truth.reference)
+        if not self.has_depth and "depth" in (out.kind, truth.kind):
+            raise InputError("depth becomes disparity by the rig, and none was found: give --rig")
+        self.numbers = [number for number in truth.files if number in out.files]
+        self.only_out = sorted(out.files.keys() - truth.files.keys())
+        self.only_truth = sorted(truth.files.keys() - out.files.keys())
+        if not self.numbers:
+            raise InputError(
+                f"no frame number is common to {_span(out)} and {_span(truth)}: "
+                "give results and truth of the same frames"
+            )
+        self._masks = None if mask is None else numbered_files(mask, (".png",))
+        for number in self.numbers:
+            if self._masks is not None and number not in self._masks:
+                raise InputError(f"{mask} has no PNG for frame {number}: add it (not 0 = count)")
+
+    def pair(self, number: int) -> FramePair:
+        """Return both sides of a frame.
+
+        Raises:
+            InputError: one side lacks the frame, a file cannot be read, or sizes differ.
+        """
+        if not (number in self._out.files and number in self._truth.files):
+            raise InputError(
+                f"frame {number} is not on both sides: {_span(self._out)}, {_span(self._truth)}"
+            )
+        out, truth = self._out.read(number), self._truth.read(number)
+        self._check_size(self._out.files[number], out)
+        self._check_size(self._truth.files[number], truth)
+        if out.shape != truth.shape:
+            raise InputError(
+                f"{self._out.files[number]} is {size_of(out)} but {self._truth.files[number]} is "
+                f"{size_of(truth)}: give results and truth of the same size"
+            )
+        if self._masks is not None:
+            counted = read_mask(self._masks[number])
+            if counted.shape != truth.shape:
+                raise InputError(
+                    f"{self._masks[number]} is {size_of(counted)} but the truth is "
+                    f"{size_of(truth)}: give masks of the same size"
+                )
+            truth = np.where(counted, truth, np.float32(np.nan))
+        found_px, found_m = _both_kinds(out, self._out.kind, self._out_rig)
+        truth_px, truth_m = _both_kinds(truth, self._truth.kind, self._truth_rig)
+        assert found_px is not None
+        assert truth_px is not None
+        return FramePair(found_px, truth_px, found_m, truth_m)
+
+    def _check_size(self, path: Path, image: Real) -> None:
+        for rig in (self._out_rig, self._truth_rig):
+            if rig is not None and (rig.height, rig.width) != image.shape:
+                raise InputError(
+                    f"{path} is {size_of(image)} but the rig is for {rig.width}x{rig.height}: "
+                    "give the rig of these images with --rig"
+                )
+
+
+@dataclass(frozen=True, slots=True)
+class Report:
+    """Scores of a comparison.
+
+    Attributes:
+        overall: all pixels of all frames together, each pixel counted alike.
+        frames: each frame.
+        only_out, only_truth: how many frames only one side has; they are not scored.
+    """
+
+    overall: Score
+    frames: Sequence[Score]
+    only_out: int
+    only_truth: int
+
+    @property
+    def worst(self) -> Score:
+        """The frame with the most pixels wrong by more than 1 px, else with the most compared."""
+        return max(
+            self.frames,
+            key=lambda s: (s.both_pixels and s.bad_1 * s.both_pixels, s.both_pixels),
+        )
+
+
+def evaluate(comparison: Comparison, progress: Callable[[], object] = lambda: None) -> Report:
+    """Score every frame that both sides have, one at a time in memory.
+
+    Args:
+        comparison: result and truth.
+        progress: called after each frame.
+
+    Raises:
+        InputError: a file cannot be used, or no pixel at all has truth.
+    """
+    total: Tally | None = None
+    frames = []
+    for number in comparison.numbers:
+        sums = tally(comparison.pair(number))
+        frames.append(sums.score(number))
+        total = sums if total is None else total + sums
+        progress()
+    if total is None or not total.truth:
+        raise InputError("no pixel has truth: check the truth, its kind and the mask")
+    return Report(total.score(), frames, len(comparison.only_out), len(comparison.only_truth))
+
+
+def _both_kinds(values: Real, kind: str, rig: Rig | None) -> tuple[Real | None, Real | None]:
+    """Return disparity in px and depth in m; None for the one that would need a rig."""
+    if rig is None:
+        return (values, None) if kind == "disparity" else (None, values)
+    if kind == "depth":
+        return rig.disparity_px(values), values
+    finite = rig.nearness_px(values) > 0  # not at or beyond infinity
+    return values, rig.depth_m(np.where(finite, values, np.float32(np.nan)))
+
+
+def _ratio(part: float, whole: int) -> float:
+    return part / whole if whole else math.nan
+
+
+def _span(maps: Maps) -> str:
+    first, *_ = maps.files
+    *_, last = maps.files
+    return f"{maps.files[first].parent} ({first} to {last})"

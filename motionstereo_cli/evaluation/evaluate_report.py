@@ -1,0 +1,109 @@
+"""The scores of an evaluation as CSV, JSON, a table to read, and a picture of the errors."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import asdict, fields
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from motionstereo_cli.evaluation.evaluate import BAD_PX, FramePair, Report, Score
+
+
+def format_csv(report: Report) -> str:
+    """Return the scores as RFC 4180 CSV, but with LF: one row for each frame, then one for all."""
+    rows = [",".join(item.name for item in fields(Score))]
+    for score in (*report.frames, report.overall):
+        frame, *values = asdict(score).values()
+        cells = ["" if _is_nan(value) else f"{value:.7g}" for value in values]
+        rows.append(",".join(["overall" if frame is None else str(frame), *cells]))
+    return "\n".join(rows) + "\n"
+
+
+def format_json(report: Report) -> str:
+    """Return the report as JSON; null = none."""
+
+    def known(score: Score) -> dict[str, Any]:
+        return {key: None if _is_nan(value) else value for key, value in asdict(score).items()}
+
+    content = {
+        "overall": known(report.overall),
+        "frames": [known(score) for score in report.frames],
+        "only_out": report.only_out,
+        "only_truth": report.only_truth,
+    }
+    return json.dumps(content, indent=2, allow_nan=False) + "\n"
+
+
+def format_table(report: Report) -> str:
+    """Return a table to read: all frames together beside the worst."""
+    worst = report.worst
+    rows = [("", f"{len(report.frames)} frames", f"worst: {worst.frame}")]
+    for item in fields(Score)[1:]:
+        overall, frame = (getattr(score, item.name) for score in (report.overall, worst))
+        rows.append((item.name, _shown(overall), _shown(frame)))
+    return "".join(f"{name:<13}{overall:>14}{frame:>14}\n" for name, overall, frame in rows)
+
+
+_STEPS_BGR = (
+    ("within 0.5 px", (149, 54, 49)),
+    ("within 1 px", (209, 173, 116)),
+    ("within 2 px", (144, 224, 254)),
+    ("within 3 px", (67, 109, 244)),
+    ("over 3 px", (38, 0, 165)),
+)
+
+
+_UNKNOWN_BGR = (0, 0, 0)
+
+
+_NO_TRUTH_BGR = (64, 64, 64)
+
+
+_ENTRY_PX = 120
+
+
+_LINE_PX = 18
+
+
+def draw_errors(pair: FramePair) -> NDArray[np.uint8]:
+    """Return a picture of the errors of the disparity, with a legend below.
+
+    Blue is right and red is wrong, in the steps of :data:`BAD_PX`; black has no result, dark grey
+    has no truth or is masked out.
+
+    Returns:
+        (height + legend, width, 3) uint8 BGR; widened where the legend needs it.
+    """
+    error_px = np.abs(pair.found_px - pair.truth_px)
+    palette = np.array([bgr for _, bgr in _STEPS_BGR], np.uint8)
+    picture = palette[np.searchsorted(BAD_PX, np.nan_to_num(error_px))]
+    picture[np.isnan(pair.found_px)] = _UNKNOWN_BGR
+    picture[np.isnan(pair.truth_px)] = _NO_TRUTH_BGR
+
+    entries = (*_STEPS_BGR, ("unknown", _UNKNOWN_BGR), ("no truth", _NO_TRUTH_BGR))
+    per_line = max(picture.shape[1] // _ENTRY_PX, 1)
+    lines = math.ceil(len(entries) / per_line)
+    width = max(picture.shape[1], _ENTRY_PX)
+    legend = np.full((lines * _LINE_PX + 4, width, 3), 255, np.uint8)
+    for index, (label, bgr) in enumerate(entries):
+        x, y = index % per_line * _ENTRY_PX + 4, index // per_line * _LINE_PX + 5
+        cv2.rectangle(legend, (x, y), (x + 11, y + 11), bgr, cv2.FILLED)
+        origin = (x + 17, y + 10)
+        cv2.putText(legend, label, origin, cv2.FONT_HERSHEY_SIMPLEX, 0.4, (0, 0, 0), 1, cv2.LINE_AA)
+    widened = np.pad(picture, ((0, 0), (0, width - picture.shape[1]), (0, 0)), constant_values=255)
+    return np.vstack([widened, legend])
+
+
+def _is_nan(value: object) -> bool:
+    return isinstance(value, float) and math.isnan(value)
+
+
+def _shown(value: float) -> str:
+    if _is_nan(value):
+        return "-"
+    return str(value) if isinstance(value, int) else f"{value:.4f}"

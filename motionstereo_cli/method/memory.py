@@ -1,0 +1,132 @@
+"""What one camera remembers, and how the next image changes it: equations (2) to (4)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+from typing import TYPE_CHECKING, TypeVar
+
+import numpy as np
+
+from motionstereo_cli.compiled import memory as loops
+from motionstereo_cli.method.bands import band_table, bands, blur
+from motionstereo_cli.method.charge import accumulate, age, permanency
+from motionstereo_cli.method.contrast import contrast
+from motionstereo_cli.method.match_keys import match_keys
+from motionstereo_cli.method.motion import motion
+from motionstereo_cli.method.settings import Settings
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from motionstereo_cli.types import Grey, MatchKeys
+
+_T = TypeVar("_T", bound=np.generic)
+
+_band_table = cache(band_table)
+
+
+@dataclass(frozen=True, slots=True)
+class Memory:
+    """What one camera knows after an image.
+
+    Attributes:
+        grey: the image, (height, width) uint8.
+        contrast: what bands are taken from: the image or its local contrast, blurred.
+        bands: its grey-level bands 1..n, (height, width) uint8, or uint16 for 256 bands.
+        moved: where the band has just changed, (height, width) bool.
+        charge: charge of each pixel, (height, width) uint8.
+    """
+
+    grey: Grey
+    contrast: Grey
+    bands: NDArray[np.uint8 | np.uint16]
+    moved: NDArray[np.bool_]
+    charge: Grey
+
+
+def see(memory: Memory | None, image: Grey, settings: Settings) -> Memory:
+    """Return the memory after the next image; at the first, nothing has moved and all is at rest.
+
+    In permanency mode, what was before is forgotten ceil((Chmax - Chmin) / D) frames later.
+
+    Args:
+        memory: what was known before; None at the first image.
+        image: (height, width) uint8.
+        settings: parameters of bands, motion and charge.
+    """
+    s = settings
+    local = blur(contrast(image, s.contrast_px, s.contrast_floor), s.blur_px)
+    banded = bands(local, _band_table(s.bands, s.grey_min, s.grey_max))
+    if memory is None:
+        at_rest = np.full_like(image, s.charge_min)
+        return Memory(image, local, banded, np.zeros(image.shape, np.bool_), at_rest)
+    if s.charge_mode == "permanency" and banded.dtype == np.uint8:
+        return Memory(image, local, banded, *_moved_and_charge(memory, local, banded, s))
+    moved = motion(banded, memory.bands, local, memory.contrast, s.min_jump)
+    limits = {"charge_max": s.charge_max, "charge_min": s.charge_min}
+    if s.charge_mode == "permanency":
+        charge = permanency(memory.charge, moved, leak=s.charge_leak, **limits)
+    else:
+        gains = {"gain": s.charge_gain, "leak": s.charge_leak}
+        charge = accumulate(memory.charge, moved, **gains, **limits)
+    return Memory(image, local, banded, moved, charge)
+
+
+def _moved_and_charge(
+    memory: Memory, local: Grey, banded: NDArray[np.uint8 | np.uint16], settings: Settings
+) -> tuple[NDArray[np.bool_], Grey]:
+    """Return :func:`motion` and :func:`permanency` in one pass."""
+    s = settings
+    moved, charge = np.empty(local.shape, np.bool_), np.empty(local.shape, np.uint8)
+    before = (memory.contrast, memory.bands, memory.charge)
+    grey_before, band_before, charge_before, grey, band = (
+        np.ravel(each) for each in (*before, local, banded)
+    )
+    loops.permanency(
+        *(grey, grey_before, band, band_before, charge_before),
+        *(s.min_jump, s.charge_max, s.charge_min, s.charge_leak),
+        *(moved.view(np.uint8).ravel(), charge.ravel()),
+    )
+    return moved, charge
+
+
+def age_of(memory: Memory, settings: Settings) -> Grey:
+    """Return the frames since something moved, (height, width) uint8, 255 = forgotten.
+
+    All 0 where there is charge of the general mode, which does not know.
+    """
+    s = settings
+    if s.charge_mode == "general":
+        return np.where(memory.charge > s.charge_min, np.uint8(0), np.uint8(255))
+    limits = {"charge_max": s.charge_max, "charge_min": s.charge_min}
+    return age(memory.charge, leak=s.charge_leak, **limits)
+
+
+def keys_of(memory: Memory, settings: Settings) -> MatchKeys:
+    """Return what has to be equal for pixels to correspond, (height, width) uint16; 0 = rest."""
+    by_band = settings.match_on == "charge-band"
+    return match_keys(memory.charge, settings.charge_min, memory.bands if by_band else None)
+
+
+def blurred(memory: Memory, settings: Settings) -> Grey:
+    """Return the image, blurred, (height, width) uint8."""
+    if settings.contrast_px == 0:
+        return memory.contrast
+    return blur(memory.grey, settings.blur_px)
+
+
+def in_mirror(memory: Memory) -> Memory:
+    """Return what a camera would remember that saw the same in a mirror."""
+    return Memory(
+        mirrored(memory.grey),
+        mirrored(memory.contrast),
+        mirrored(memory.bands),
+        mirrored(memory.moved),
+        mirrored(memory.charge),
+    )
+
+
+def mirrored(image: NDArray[_T]) -> NDArray[_T]:
+    """Return an image with left and right exchanged, (height, width)."""
+    return np.ascontiguousarray(image[:, ::-1])

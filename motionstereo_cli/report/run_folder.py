@@ -1,0 +1,204 @@
+"""What a run left in its folder, complete or not, as tables."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from motionstereo_cli.errors import InputError
+from motionstereo_cli.files.atomic import part_of
+from motionstereo_cli.sinks.outputs import OUTPUTS, RECORD
+from motionstereo_cli.sinks.read_back import read_record, read_table
+from motionstereo_cli.sinks.videos import EPOCH_S
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+#: Columns of the steering table that the page shows over time.
+SERIES = ("steer", "steer_rad", "depth_m", "nearest_m", "charged", "matched")
+
+#: Time from frame to frame in the videos where the source has no time, in s.
+FRAME_S = 1 / 25
+
+#: Parts of a record that have parts themselves.
+_PARTS = ("outputs", "inputs", "settings", "input_settings", "output_settings", "shares")
+
+#: Pixel formats of H.264 that browsers play.
+_PLAYED = ("yuv420p", "yuvj420p")
+
+Rows = list[dict[str, str]]
+
+
+@dataclass(frozen=True, slots=True)
+class Steering:
+    """The steering table.
+
+    Attributes:
+        frames: (n,) numbers of the frames.
+        time_s: (n,) their times; NaN where the source has none.
+        status: the status of each frame, n names.
+        series: :data:`SERIES` by name, (n,) each; NaN = unknown.
+    """
+
+    frames: NDArray[np.int64]
+    time_s: NDArray[np.float64]
+    status: tuple[str, ...]
+    series: Mapping[str, NDArray[np.float64]]
+
+    def __len__(self) -> int:
+        return len(self.status)
+
+    @property
+    def timed(self) -> bool:
+        """Whether the source has times."""
+        return not np.isnan(self.time_s).any()
+
+    @property
+    def places(self) -> NDArray[np.float64]:
+        """The place of each frame on the axis of the plots in s: its time, if the source has it."""
+        return self.time_s if self.timed else np.asarray(self.frames * FRAME_S, np.float64)
+
+    @property
+    def video_begin(self) -> float:
+        """The place on the axis where the videos begin: 0, or the first of times since an epoch."""
+        first = float(self.places[0])
+        return first if first > EPOCH_S else 0.0
+
+    @property
+    def best(self) -> int:
+        """The row of the frame in which most of the image was matched."""
+        return int(np.nan_to_num(self.series["matched"]).argmax())
+
+
+@dataclass(frozen=True, slots=True)
+class Results:
+    """What a run left.
+
+    Attributes:
+        path: its folder.
+        record: what ``run.json`` says or, of a run that is not complete, is going to.
+        complete: the run came to its end.
+    """
+
+    path: Path
+    record: Mapping[str, Any]
+    complete: bool
+
+    def has(self, output: str) -> bool:
+        """Return whether the run was to write an output."""
+        return output in self.record.get("outputs", {})
+
+    @property
+    def height(self) -> int | None:
+        """Height of the images in px: below them a video may have a strip. None if unknown."""
+        source = self.record.get("rig")
+        given = self.record.get("input_settings", {})
+        if not source and not given.get("crop") and given.get("scale", 1.0) == 1.0:
+            both = self.record.get("inputs", {})
+            source = both.get("right") or both.get("left")
+        return int(source["height"]) if source else None
+
+    @property
+    def reference(self) -> str:
+        """The camera whose view the outputs show, ``right`` or ``left``."""
+        return str(self.record.get("settings", {}).get("reference", "right"))
+
+    def video(self, output: str) -> Path:
+        """Return where the video of an output is, if it is there."""
+        return self.path / OUTPUTS[output].path
+
+    def view(self) -> tuple[Path | None, bool]:
+        """Return a video of the reference view, and whether browsers play it.
+
+        That is the run's own or, if it shows the same, the recording.
+        """
+        if self.has("view-video"):
+            return self.video("view-video"), True
+        given = self.record.get("input_settings", {})
+        side = ["left", "right"][(self.reference == "right") != bool(given.get("swap"))]
+        said = self.record.get("inputs", {}).get(side, {})
+        whole = not given.get("crop") and given.get("scale", 1.0) == 1.0
+        if said.get("kind") != "video" or said.get("rotation_deg") or not whole:
+            return None, False
+        path = Path(str(said["path"]))
+        known = said.get("codec") == "h264" and said.get("pixel_format") in _PLAYED
+        return path, known and path.suffix.lower() in (".mp4", ".m4v", ".mov")
+
+    def steering(self) -> Steering | None:
+        """Return the steering table, None where there is none or it is empty.
+
+        Raises:
+            InputError: it cannot be read, or is not such a table.
+        """
+        rows = self._rows("steering") or self._lines("steering-jsonl")
+        return _steering(self.path, rows) if rows else None
+
+    def objects(self) -> Rows | None:
+        """Return the rows of the table of moving objects, None where there is none.
+
+        Raises:
+            InputError: it cannot be read.
+        """
+        return self._rows("objects")
+
+    def _rows(self, output: str) -> Rows | None:
+        path = self._file(output)
+        part = path.suffix == ".part"
+        return list(read_table(path, part=part).rows.values()) if path.is_file() else None
+
+    def _lines(self, output: str) -> Rows | None:
+        path = self._file(output)
+        if not path.is_file():
+            return None
+        try:
+            lines = path.read_text(encoding="utf-8").split("\n")[:-1]
+            rows = [json.loads(line) for line in lines]
+            return [{k: "" if v is None else str(v) for k, v in row.items()} for row in rows]
+        except (OSError, ValueError, AttributeError, RecursionError) as error:
+            raise InputError(f"cannot read the table {path}: {error}") from error
+
+    def _file(self, output: str) -> Path:
+        """Return an output's file or, where it is not complete, the part that there may be."""
+        path = self.path / OUTPUTS[output].path
+        return path if path.exists() else part_of(path)
+
+
+def read_results(path: Path) -> Results:
+    """Return what a run left in a folder.
+
+    Raises:
+        InputError: no run wrote the folder.
+    """
+    for place in (path / RECORD, part_of(path / RECORD)):
+        if place.is_file():
+            record = read_record(place)
+            sound = all(isinstance(record.get(name, {}), dict) for name in _PARTS)
+            if sound and record.get("program") == "motionstereo":
+                return Results(path, record, complete="counts" in record)
+    raise InputError(f"{path} has no {RECORD} of a run: give the folder that run wrote (its --out)")
+
+
+def numbers(texts: Iterable[str]) -> NDArray[np.float64]:
+    """Return the numbers of a column; empty = NaN.
+
+    Raises:
+        ValueError: a cell is no number.
+    """
+    return np.array([float(text) if text else np.nan for text in texts])
+
+
+def _steering(path: Path, rows: Rows) -> Steering:
+    try:
+        return Steering(
+            frames=np.array([int(row["frame"]) for row in rows]),
+            time_s=numbers(row["time_s"] for row in rows),
+            status=tuple(row["status"] for row in rows),
+            series={name: numbers(row[name] for row in rows) for name in SERIES},
+        )
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(f"the steering table in {path} is damaged: {error}") from error

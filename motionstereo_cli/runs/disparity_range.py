@@ -1,0 +1,108 @@
+"""``--max-disparity auto``: the range of disparities is measured before the first frame."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from collections.abc import Callable, Iterable, Iterator
+
+from motionstereo_cli.check.measure import MAX_WINDOWS, WINDOW_FRAMES, advised_range, starts
+from motionstereo_cli.errors import SettingsError
+from motionstereo_cli.files.atomic import part_of
+from motionstereo_cli.method.settings import AUTO, Settings
+from motionstereo_cli.rig.calibration import rectify_source
+from motionstereo_cli.runs.folder_files import RUN, read_record
+from motionstereo_cli.runs.plan import RunPlan
+from motionstereo_cli.sources import StereoSource, open_stereo
+from motionstereo_cli.types import StereoFrame
+
+#: A recording that cannot be read from the middle is decoded up to here.
+_MAX_DECODED_FRAMES = 1000
+
+Say = Callable[[str, str], object]
+
+
+def with_range(plan: RunPlan, say: Say) -> RunPlan:
+    """Return the plan with a measured ``max_disparity`` where it is to be measured.
+
+    The sample is up to five windows of 16 frames spread over the recording, or over its beginning
+    where it cannot be read from the middle. A run that goes on keeps the number it began with.
+
+    Args:
+        plan: the run; of recordings that can be read twice.
+        say: called with a kind, ``note`` or ``warning``, and a line.
+
+    Raises:
+        InputError: the recordings or the calibration cannot be read.
+    """
+    if plan.settings.max_disparity != AUTO:
+        return plan
+    if found := _begun_with(plan):
+        return _settled(plan, found)
+    return _measured(plan, _sample(plan), say)
+
+
+def _sample(plan: RunPlan) -> Iterator[StereoFrame]:
+    for number in range(MAX_WINDOWS):
+        with open_stereo(plan.left, plan.right, plan.input_settings) as source:
+            rectify_source(source, plan.rig, plan.baseline_unit)
+            places = starts(source.expected_frames) if source.expected_frames else [0]
+            if number >= len(places):
+                return
+            begin = places[number]
+            if begin and not source.begin_at(begin) and begin > _MAX_DECODED_FRAMES:
+                return
+            yield from itertools.islice(source, WINDOW_FRAMES)
+
+
+def with_range_of_opening(
+    plan: RunPlan, source: StereoSource, say: Say
+) -> tuple[RunPlan, Iterator[StereoFrame]]:
+    """Do the same for a source that can be read once: its first 16 frames are the sample.
+
+    Returns:
+        The plan, and all frames of the source.
+    """
+    frames = iter(source)
+    if plan.settings.max_disparity != AUTO:
+        return plan, frames
+    opening = list(itertools.islice(frames, WINDOW_FRAMES))
+    return _measured(plan, opening, say), itertools.chain(opening, frames)
+
+
+def _measured(plan: RunPlan, sample: Iterable[StereoFrame], say: Say) -> RunPlan:
+    report = advised_range(sample)
+    if report.advised_max_disparity is None:
+        usual = Settings().max_disparity
+        say(
+            "warning",
+            f"--max-disparity auto: only {report.matches} features agree between left and right, "
+            f"too few to measure: {usual} is taken",
+        )
+        return _settled(plan, usual)
+    say(
+        "note",
+        f"--max-disparity {report.advised_max_disparity}: disparities of "
+        f"{report.disparity_low_px:.1f} to {report.disparity_high_px:.1f} px were measured in "
+        f"{report.frames} frames",
+    )
+    return _settled(plan, report.advised_max_disparity)
+
+
+def _settled(plan: RunPlan, max_disparity: int) -> RunPlan:
+    settings = dataclasses.replace(plan.settings, max_disparity=max_disparity)
+    return dataclasses.replace(plan, settings=settings)
+
+
+def _begun_with(plan: RunPlan) -> int | None:
+    """Return the number that the run was begun with, if it is one to go on with."""
+    if plan.folder is None or not plan.resume:
+        return None
+    record = plan.folder / RUN.record
+    found = read_record(record, RUN) or read_record(part_of(record), RUN) or {}
+    settings = found.get("settings")
+    number = settings.get("max_disparity") if isinstance(settings, dict) else None
+    try:
+        return Settings(max_disparity=number or AUTO).max_disparity
+    except SettingsError:
+        return None  # the record is damaged, and the run will say so

@@ -1,0 +1,282 @@
+"""The output folder: what may be written and removed there, and how it becomes complete."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Self
+
+from motionstereo_cli.errors import OutputError
+from motionstereo_cli.files.atomic import part_of, remove, reported, write_whole
+from motionstereo_cli.files.lock import LOCK, locked
+from motionstereo_cli.report import PAGE, write_report
+from motionstereo_cli.runs.checkpoint import (
+    check_same,
+    read_checkpoint,
+    write_checkpoint,
+)
+from motionstereo_cli.runs.folder_files import (
+    CHECKPOINT,
+    RUN,
+    FolderKind,
+    head,
+    present_of,
+    read_record,
+    remove_empty_folders,
+    sums_of,
+    temporary,
+    up_to,
+    written,
+)
+from motionstereo_cli.runs.open_outputs import Sinks
+
+if TYPE_CHECKING:
+    from motionstereo_cli.pipeline import State
+
+
+class RunFolder(Sinks):
+    """The output folder of a command, from its first file to its last.
+
+    Entering the block locks the folder, and prepares it or finds where to go on. The record is
+    written last, by :meth:`complete`: where it stands, everything beside it is complete. When the
+    block ends before that, the outputs are abandoned: what was done is kept, or nothing is left.
+
+    Args:
+        path: the folder; made where it is missing.
+        outputs: names of what is to be written, from ``kind``.
+        kind: whose folder it is.
+        identity: the :func:`head` of the record and all that the results follow from, as JSON-able
+            values. With ``resume`` it has to be the same as before. None: who wrote it, no more.
+        frames: how many images of a kind there will be; others in their folders do not matter.
+            None: none of others may be there.
+        overwrite: replace what an earlier run wrote; other files are never touched.
+        resume: go on where the same run was ended, or begin if it has not yet.
+        inputs: files and folders that must not be written to.
+        check: raises a ValueError for a state that cannot be of this run.
+
+    Raises:
+        BusyError: another run is writing there.
+        OutputError: the folder cannot be written, is not empty, or is of another run.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        outputs: Sequence[str],
+        kind: FolderKind = RUN,
+        *,
+        identity: Mapping[str, Any] | None = None,
+        frames: int | None = None,
+        overwrite: bool = False,
+        resume: bool = False,
+        inputs: Iterable[Path] = (),
+        check: Callable[[State], object] = bool,
+    ) -> None:
+        super().__init__()
+        self.path = path
+        self._outputs = outputs
+        self._kind = kind
+        self._identity = identity or {"program": kind.program}
+        self._frames = frames
+        self._overwrite = overwrite
+        self._resume = resume
+        self._inputs = tuple(inputs)
+        self._check = check
+        self._lock = contextlib.ExitStack()
+
+    def __enter__(self) -> Self:
+        with contextlib.ExitStack() as held:
+            held.enter_context(locked(self.path))
+            self._begin()
+            self._lock = held.pop_all()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        with self._lock:
+            if self.finished is None:
+                self._keep = self._keep and self._kind.keeps
+                super().__exit__(kind, error, traceback)
+                if not self._complete:
+                    tidy(self.path, self._kind)
+
+    def checkpoint(self) -> None:
+        """Leave what another process needs to go on after this frame.
+
+        Raises:
+            OutputError: it, or what the outputs have so far, cannot be written.
+        """
+        assert self.state is not None
+        path = self.path / CHECKPOINT
+        write_checkpoint(path, self._identity, self.state, self.totals, self._sinks)
+
+    def complete(self, record: Mapping[str, Any]) -> None:
+        """Write the record, after the outputs were closed.
+
+        Args:
+            record: what it says besides the identity.
+
+        Raises:
+            OutputError: it cannot be written.
+        """
+        said = {**self._identity, **record}
+        if self._kind is RUN and "report" in self._outputs:
+            from motionstereo_cli.report.run_page import run_page
+
+            page = self.path / PAGE
+            write_report(page, run_page(self.path, page, said))
+        if self._kind.keeps:
+            with reported(self.path):
+                said["sums"] = {
+                    name: sums_of(self.path, self._kind.outputs[name], said["counts"]["written"])
+                    for name in self._outputs
+                    if name != "report"  # the command report writes it again
+                }
+        complete(self.path, said, self._kind)
+        super().complete(record)
+
+    def _check_sums(self, finished: Mapping[str, Any]) -> None:
+        """Make sure that a complete run is still what it was."""
+        for name, sums in finished.get("sums", {}).items():
+            paths = self._kind.outputs[name]
+            try:
+                same = sums == sums_of(self.path, paths, finished["counts"]["written"])
+            except OSError:
+                same = False
+            if not same:
+                raise OutputError(
+                    f"{self.path} is complete, but {name} is no longer what the run wrote: "
+                    "give --overwrite to start again"
+                )
+
+    def _begin(self) -> None:
+        overwrite = self._overwrite
+        if self._resume:
+            if finished := record_of(self.path, self._kind):
+                check_same(self.path, self._identity, finished)
+                self._check_sums(finished)
+                clear(self.path, self._kind)
+                self.finished = finished
+                return
+            if begun := read_record(part_of(self.path / self._kind.record), self._kind):
+                check_same(self.path, self._identity, begun)
+                overwrite = True
+                self.resumed = True
+                if since := read_checkpoint(self.path / CHECKPOINT, self._identity, self._check):
+                    self.state, self.totals = since.state, since.totals
+                    self._marks, self._keep = since.sinks, True
+                    return
+        prepare(
+            *(self.path, self._outputs, self._kind),
+            identity=self._identity,
+            frames=self._frames,
+            overwrite=overwrite,
+            inputs=self._inputs,
+        )
+
+
+def prepare(
+    out: Path,
+    outputs: Sequence[str],
+    kind: FolderKind = RUN,
+    *,
+    identity: Mapping[str, Any] | None = None,
+    frames: int | None = None,
+    overwrite: bool = False,
+    inputs: Iterable[Path] = (),
+) -> None:
+    """Make the output folder ready.
+
+    With ``overwrite``, exactly the files that an earlier run wrote are removed, as its record
+    has them. A file of others is neither removed nor written over. Killed in between, the
+    folder still says whose the rest is.
+
+    Args:
+        out: the folder; made where it is missing.
+        outputs: names of the outputs.
+        kind: whose folder it is.
+        identity: what the record says while it is incomplete; who wrote it if None.
+        frames: see :class:`RunFolder`.
+        overwrite: accept a folder that is not empty.
+        inputs: files and folders that are read.
+
+    Raises:
+        OutputError: the folder is not empty, cannot be written, or holds an input or someone
+            else's file where something would be written.
+    """
+    record, part = out / kind.record, part_of(out / kind.record)
+    with reported(out):
+        out.mkdir(parents=True, exist_ok=True)
+        if not overwrite and any(path.name != LOCK for path in out.iterdir()):
+            advice = ", or --resume to go on" if kind is RUN and part.exists() else ""
+            raise OutputError(f"{out} is not empty: give another folder, or --overwrite{advice}")
+        former = written(out, kind)
+        paths = [path for name in outputs for path in kind.outputs[name]]
+        present = present_of(out, kind.record)
+        for target in paths:
+            there = present_of(out, target)
+            numbered = "{" in target and frames is not None and (out / target).parent not in there
+            present |= up_to(frames, there) if numbered else there
+        for path in sorted(present - former):
+            if path.is_symlink():
+                raise OutputError(f"{path} is a link: remove it or give another folder")
+            raise OutputError(f"{path} is not from an earlier run: move it or give another folder")
+        taken = {path.resolve() for path in inputs}
+        for path in former.union(out / path for path in paths):
+            for place in (path, path.parent):
+                if place.resolve() in taken:
+                    raise OutputError(f"{place} is an input of this run: give another folder")
+        if record in former:  # no longer complete, and still ours
+            os.replace(record, part)
+        # From the last image to the first: of a run that was cut off, those up to a gap are its.
+        remove(out, sorted(former - {record, part}, reverse=True))
+        remove_empty_folders(out, kind)
+    begun = identity or (head(outputs) if kind is RUN else {"program": kind.program})
+    write_whole(part, kind.format(begun))
+
+
+def complete(out: Path, record: Mapping[str, Any], kind: FolderKind = RUN) -> None:
+    """Write the record of a run that is done.
+
+    Args:
+        out: the folder.
+        record: what to say: the :func:`head`, and at least ``counts.written``, the frames.
+        kind: whose folder it is.
+
+    Raises:
+        OutputError: the record cannot be written.
+    """
+    # The .part stays what it is until all is on the disk: it says that this folder is ours.
+    part = part_of(out / kind.record)
+    write_whole(part, kind.format(record), durable=True)
+    with reported(out / kind.record):
+        os.replace(part, out / kind.record)
+    clear(out, kind)
+
+
+def clear(out: Path, kind: FolderKind = RUN) -> None:
+    """Remove what a complete run needs no more: its checkpoint, and the segments of its videos."""
+    with reported(out):
+        remove(out, sorted(temporary(out, kind)))
+
+
+def record_of(out: Path, kind: FolderKind = RUN) -> dict[str, Any] | None:
+    """Return what a complete run says of itself, None where there is none."""
+    return read_record(out / kind.record, kind)
+
+
+def tidy(out: Path, kind: FolderKind = RUN) -> None:
+    """Remove what a run that failed left, if it left nothing of use."""
+    part = part_of(out / kind.record)
+    with contextlib.suppress(OSError):
+        found = written(out, kind)
+        if found == {part} or not kind.keeps:
+            remove(out, [*sorted(found - {part}, reverse=True), part])
+            remove_empty_folders(out, kind)

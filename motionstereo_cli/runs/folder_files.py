@@ -1,0 +1,167 @@
+"""What commands leave in their output folders, and what of it is there."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import itertools
+import json
+import os
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from motionstereo_cli.files.atomic import is_segment, part_of
+from motionstereo_cli.files.reading import open_regular
+from motionstereo_cli.report import PAGE, is_report
+from motionstereo_cli.runs.checkpoint import frames_of
+from motionstereo_cli.sinks.outputs import OUTPUTS, RECORD
+
+#: What a run needs to go on after its process is gone; removed when it is complete.
+CHECKPOINT = "run.checkpoint"
+
+_NUMBERED = re.compile(r"(\d{6,})(\.[a-z]+)(\.part)?")
+
+
+def _json(record: Mapping[str, Any]) -> bytes:
+    return json.dumps(record, indent=2, allow_nan=False).encode() + b"\n"
+
+
+@dataclass(frozen=True, slots=True)
+class FolderKind:
+    """What a command leaves in its output folder.
+
+    Attributes:
+        program: how its record says who wrote it.
+        record: name of the record, which is written last and removed last.
+        outputs: the files of each output by its name; ``{:06d}`` is the number of a frame.
+        keeps: what was done is kept when it ends early, for another process to go on.
+        format: makes a record.
+        parse: returns what a record says: ``program``, ``outputs`` (by name; all if missing) and,
+            where it is complete, ``counts.written``, the number of frames.
+    """
+
+    program: str
+    record: str
+    outputs: Mapping[str, tuple[str, ...]]
+    keeps: bool = False
+    format: Callable[[Mapping[str, Any]], bytes] = _json
+    parse: Callable[[bytes], Any] = json.loads
+
+
+RUN = FolderKind(
+    "motionstereo", RECORD, {name: each.paths for name, each in OUTPUTS.items()}, keeps=True
+)
+
+
+def head(save: Sequence[str]) -> dict[str, Any]:
+    """Return the beginning of a run's record: who wrote the folder, and what is in it."""
+    outputs = {
+        name: {"path": OUTPUTS[name].path.format(0), "what": OUTPUTS[name].what} for name in save
+    }
+    return {"program": RUN.program, "outputs": outputs}
+
+
+def written(out: Path, kind: FolderKind) -> set[Path]:
+    """Return the files present that earlier runs wrote, complete or not."""
+    written: set[Path] = set()
+    for path in (out / kind.record, part_of(out / kind.record)):
+        record = read_record(path, kind)
+        if record is None:
+            continue
+        try:
+            names = kind.outputs.keys() & record.get("outputs", kind.outputs).keys()
+            frames = int(record["counts"]["written"]) if "counts" in record else None
+        except (ValueError, LookupError, TypeError, AttributeError):
+            continue  # not a record of ours
+        at_least = frames_of(out / CHECKPOINT)
+        written.add(path)
+        written |= temporary(out, kind)
+        for target in (path for name in names for path in kind.outputs[name]):
+            present = present_of(out, target)
+            written |= up_to(frames, present, at_least) if "{" in target else present
+        if kind is RUN and is_report(out / PAGE):
+            written.add(out / PAGE)  # of the command report
+    return written
+
+
+def read_record(path: Path, kind: FolderKind) -> dict[str, Any] | None:
+    """Return what a record says, None where there is none of this kind."""
+    try:
+        if not path.is_file() or path.is_symlink():
+            return None
+        record = kind.parse(path.read_bytes())
+        return record if record["program"] == kind.program else None
+    except (OSError, ValueError, LookupError, TypeError, RecursionError):
+        return None  # not a record of ours
+
+
+def temporary(out: Path, kind: FolderKind) -> set[Path]:
+    """Return the files present that a run needs only until it is complete."""
+    checkpoint = out / CHECKPOINT
+    names = {checkpoint.name, part_of(checkpoint).name, part_of(part_of(out / kind.record)).name}
+    videos = [Path(path) for paths in kind.outputs.values() for path in paths]
+    return {
+        path
+        for path in out.iterdir()
+        if path.name in names or any(is_segment(path.name, video) for video in videos)
+    }
+
+
+def present_of(out: Path, path: str) -> set[Path]:
+    """Return what stands where an output would go, complete or not; a linked folder as such."""
+    target = out / path
+    if "{" not in path:
+        return {place for place in (target, part_of(target)) if os.path.lexists(place)}
+    folder = target.parent
+    if folder.is_dir() and not folder.is_symlink():
+        return {
+            place
+            for place in folder.iterdir()
+            if (match := _NUMBERED.fullmatch(place.name)) and match[2] == target.suffix
+        }
+    return {folder} if os.path.lexists(folder) else set()
+
+
+def up_to(frames: int | None, present: set[Path], at_least: int = 0) -> set[Path]:
+    """Return the images of the first frames; if None, of all at_least and on to the first gap."""
+    matches = {path: _NUMBERED.fullmatch(path.name) for path in present}
+    numbers = {path: int(match[1]) for path, match in matches.items() if match}
+    if frames is None:  # the run was cut off
+        found = set(numbers.values())
+        frames = next(number for number in itertools.count(at_least) if number not in found)
+    return {path for path, number in numbers.items() if number < frames}
+
+
+def remove_empty_folders(out: Path, kind: FolderKind) -> None:
+    """Remove the folders of numbered files that have none."""
+    for paths in kind.outputs.values():
+        folder = (out / paths[0]).parent
+        if folder != out:
+            with contextlib.suppress(OSError):  # missing, not empty, or a link
+                folder.rmdir()
+
+
+def sums_of(out: Path, paths: Sequence[str], frames: int) -> dict[str, Any]:
+    """Return size and SHA-256 of an output.
+
+    That of several files is the hash of the text which ``sha256sum`` prints for them by bare name.
+
+    Raises:
+        OSError: a file cannot be read.
+    """
+    files = [
+        out / path.format(number)
+        for path in paths
+        for number in range(frames if "{" in path else 1)
+    ]
+    size, lines = 0, hashlib.sha256()
+    for file in files:
+        with open_regular(file) as content:
+            digest = hashlib.file_digest(content, "sha256").hexdigest()
+            size += content.tell()
+        lines.update(f"{digest}  {file.name}\n".encode())
+    alone = len(files) == 1 and "{" not in paths[0]
+    return {"bytes": size, "sha256": digest if alone else lines.hexdigest()}

@@ -1,0 +1,154 @@
+"""The open outputs of a command, as one."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+from concurrent.futures import Future
+from dataclasses import dataclass, replace
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Protocol, Self, TypeVar
+
+from motionstereo_cli.errors import OutputError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from motionstereo_cli.pipeline import State
+    from motionstereo_cli.sinks.sink import Sink
+    from motionstereo_cli.types import FrameResult
+
+
+@dataclass(frozen=True, slots=True)
+class Totals:
+    """Sums over the frames so far.
+
+    Attributes:
+        frames: how many there were.
+        charged, matched: sums of the shares of the image with charge and with a disparity.
+    """
+
+    frames: int = 0
+    charged: float = 0.0
+    matched: float = 0.0
+
+    def plus(self, result: FrameResult) -> Totals:
+        """Return the sums with a further frame."""
+        return replace(
+            self,
+            frames=self.frames + 1,
+            charged=self.charged + result.charged,
+            matched=self.matched + result.matched,
+        )
+
+
+class Ends(Protocol):
+    """An output that ends in one of two ways, see :class:`~motionstereo_cli.sinks.sink.Sink`."""
+
+    def close(self) -> None:
+        """Complete the output and give it its final name."""
+
+    def abandon(self, *, keep: bool) -> None:
+        """End early, and keep what was done or remove it."""
+
+
+_Output = TypeVar("_Output", bound=Ends)
+
+
+class Sinks:
+    """Outputs that are completed together or, when the block ends before that, abandoned.
+
+    Attributes:
+        state: all that is kept from frame to frame, None before the first.
+        totals: sums over the frames so far; at first those that an earlier process did.
+        resumed: an earlier process began the same run, and this one continues or starts again.
+        finished: what an earlier process said of itself that did all there is to do; None: none.
+    """
+
+    def __init__(self) -> None:
+        self.state: State | None = None
+        self.totals = Totals()
+        self.resumed = False
+        self.finished: Mapping[str, Any] | None = None
+        self._marks: Mapping[str, Any] = {}
+        self._sinks: dict[str, Sink] = {}
+        self._others: list[Ends] = []
+        self._keep = False
+        self._complete = False
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        if not self._complete:
+            for sink in (*self._sinks.values(), *self._others):
+                with contextlib.suppress(OutputError):  # why the block ends matters more
+                    sink.abandon(keep=self._keep)
+
+    def add(self, name: str, opened: Callable[[Any], Sink]) -> None:
+        """Open an output that gets the result of each frame.
+
+        Args:
+            name: what to call it.
+            opened: makes it from the checkpoint that it goes on from; None: from nothing.
+
+        Raises:
+            OutputError: it cannot be opened, or is not what the checkpoint says.
+        """
+        mark = self._marks.get(name)
+        try:
+            self._sinks[name] = opened(mark)
+        except (TypeError, ValueError, LookupError, AttributeError) as error:
+            if mark is None:
+                raise
+            raise OutputError(
+                f"the checkpoint of {name} makes no sense: --resume cannot go on, give --overwrite"
+            ) from error
+
+    def own(self, output: _Output) -> _Output:
+        """Take an output that is written otherwise, and return it."""
+        self._others.append(output)
+        return output
+
+    def write(self, result: FrameResult) -> None:
+        """Hand the result of a frame to the outputs.
+
+        Raises:
+            OutputError: it cannot be written.
+        """
+        seen = dataclasses.replace(result, state=None)  # what waits for a sink is small
+        for sink in self._sinks.values():
+            sink.write(seen)
+        self.state, self.totals = result.state, self.totals.plus(result)
+        self._keep = True
+
+    def checkpoint(self) -> None:
+        """Do nothing: without a folder there is nothing to go on from."""
+
+    def end_segments(self) -> None:
+        """Have videos go on with a key frame, once all is written so far."""
+        for made in [sink.checkpoint() for sink in self._sinks.values()]:
+            if isinstance(made, Future):
+                made.result()
+
+    def close(self) -> None:
+        """Complete the outputs.
+
+        Raises:
+            OutputError: one cannot be completed.
+        """
+        for sink in (*self._sinks.values(), *self._others):
+            sink.close()
+
+    def complete(self, record: Mapping[str, Any]) -> None:
+        """Say that all is done.
+
+        Args:
+            record: what to say of it.
+        """
+        self._complete = True

@@ -1,0 +1,160 @@
+"""What a run is to do, as plain data."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from motionstereo_cli.errors import SettingsError
+from motionstereo_cli.files.targets import is_stream
+from motionstereo_cli.method.settings import Settings
+from motionstereo_cli.params import near_match
+from motionstereo_cli.rig.settings import PoseSettings
+from motionstereo_cli.sinks.outputs import DEFAULT_OUTPUTS, OUTPUTS
+from motionstereo_cli.sinks.settings import OutputSettings
+from motionstereo_cli.sources.settings import InputSettings
+
+#: Names of standard input and output. Files of that name are ``./-``.
+_STANDARD = "-"
+
+_PATHS = ("out", "poses", "table")
+_PARAMETERS = {
+    "settings": Settings,
+    "input_settings": InputSettings,
+    "output_settings": OutputSettings,
+    "pose_settings": PoseSettings,
+}
+
+
+@dataclass(frozen=True, slots=True)
+class RunPlan:
+    """All that a run follows from: paths and options, which can go to another process.
+
+    Attributes:
+        left: a video file, a folder of images, a pattern of images, or ``-`` for standard input.
+        right: the like; None where ``left`` holds both views.
+        out: folder for the results; ``-`` writes only the steering table, to standard output.
+        rig: calibration files, in any format that ``--rig`` takes; none: no lengths, no angles.
+        baseline_unit: unit of length in the calibration, ``m``, ``cm`` or ``mm``; None = the
+            format's.
+        poses: where the rig was; needs a calibration, of ``rig`` or in a bag.
+        pose_settings: how to understand the poses.
+        save: names of the outputs in ``out``, from :data:`~motionstereo_cli.sinks.outputs.OUTPUTS`.
+        table: a further place for the steering table; ``-`` is standard output, row by row.
+        overwrite: replace the results of an earlier run in ``out``, and a file ``table``.
+        resume: go on where the same run was ended in ``out``, or begin if it has not yet.
+        jobs: frames matched at a time; results do not depend on it. None: the number of cores,
+            1 with a pipe.
+        with_check: look for mistakes in the first frames.
+        settings, input_settings, output_settings: parameters of processing, input and output.
+        reads: further files that were read for the plan, and must not be written to.
+
+    Raises:
+        SettingsError: two of the options contradict each other, or an output has no such name.
+    """
+
+    left: str
+    right: str | None = None
+    out: Path = Path("motionstereo_out")
+    rig: tuple[Path, ...] = ()
+    baseline_unit: str | None = None
+    poses: Path | None = None
+    pose_settings: PoseSettings = field(default_factory=PoseSettings)
+    save: tuple[str, ...] = ()
+    table: Path | None = None
+    overwrite: bool = False
+    resume: bool = False
+    jobs: int | None = None
+    with_check: bool = True
+    settings: Settings = field(default_factory=Settings)
+    input_settings: InputSettings = field(default_factory=InputSettings)
+    output_settings: OutputSettings = field(default_factory=OutputSettings)
+    reads: tuple[Path, ...] = ()
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "out", Path(self.out))
+        for name in ("rig", "reads"):
+            object.__setattr__(self, name, tuple(map(Path, getattr(self, name))))
+        for name in ("poses", "table"):
+            if getattr(self, name) is not None:
+                object.__setattr__(self, name, Path(getattr(self, name)))
+        clashes = {
+            "-o - writes only the steering table: leave --save and --csv out": (
+                self.folder is None and (self.save or self.table)
+            ),
+            "--resume goes on, --overwrite starts again: give one of them": (
+                self.resume and self.overwrite
+            ),
+            "--resume cannot go on with a table on standard output: give a file": (
+                self.resume and self.to_stdout
+            ),
+            f"--resume cannot go on with a table in {self.table}: give a file": (
+                self.resume and self.table and is_stream(self.table)
+            ),
+            "--resume cannot read a pipe again: give files": self.resume and self.from_pipe,
+            f"--jobs cannot be {self.jobs}: give 1 or more": (
+                self.jobs is not None and self.jobs < 1
+            ),
+        }
+        for message, given in clashes.items():
+            if given:
+                raise SettingsError(message)
+        for name in self.save:
+            if name not in OUTPUTS:
+                advice = near_match(name, OUTPUTS) or f": choose from {', '.join(OUTPUTS)}"
+                raise SettingsError(f"--save knows no {name!r}{advice}")
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the plan as JSON-able values, for another process."""
+        return {key: _plain(value) for key, value in dataclasses.asdict(self).items()}
+
+    @classmethod
+    def of_json(cls, values: Mapping[str, Any]) -> RunPlan:
+        """Return the plan that :meth:`as_json` gave.
+
+        Raises:
+            SettingsError: a value is out of range, or two contradict each other.
+        """
+        paths = {key: None if values[key] is None else Path(values[key]) for key in _PATHS}
+        lists = {key: tuple(values[key]) for key in ("rig", "save", "reads")}
+        parameters = {key: kind(**values[key]) for key, kind in _PARAMETERS.items()}
+        rig, reads = (tuple(map(Path, lists[key])) for key in ("rig", "reads"))
+        return cls(**{**values, **paths, **lists, **parameters, "rig": rig, "reads": reads})
+
+    @property
+    def folder(self) -> Path | None:
+        """The output folder; None where there is only a table on standard output."""
+        return None if str(self.out) == _STANDARD else self.out
+
+    @property
+    def outputs(self) -> tuple[str, ...]:
+        """The outputs to write into the folder."""
+        return () if self.folder is None else self.save or DEFAULT_OUTPUTS
+
+    @property
+    def to_stdout(self) -> bool:
+        """Whether the steering table goes to standard output."""
+        return self.folder is None or str(self.table) == _STANDARD
+
+    @property
+    def from_pipe(self) -> bool:
+        """Whether a recording comes from standard input or a FIFO."""
+        return any(
+            name == _STANDARD or is_stream(Path(name)) for name in (self.left, self.right) if name
+        )
+
+    @property
+    def options(self) -> list[str]:
+        """The options that are neither parameters nor say where results go, as words."""
+        words = [word for path in self.rig for word in ("--rig", str(path))]
+        words += ["--poses", str(self.poses)] if self.poses else []
+        return words + (["--baseline-unit", self.baseline_unit] if self.baseline_unit else [])
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Path):
+        return str(value)
+    return [_plain(each) for each in value] if isinstance(value, tuple) else value

@@ -1,0 +1,190 @@
+"""What a run says of itself: in run.json, and when it is done."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import platform
+import time
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+import av
+import cv2
+import numpy as np
+
+from motionstereo_cli import __version__
+from motionstereo_cli.errors import OutputError
+from motionstereo_cli.files.reading import sha256_of
+from motionstereo_cli.files.targets import is_stream
+from motionstereo_cli.rig import rig_values
+from motionstereo_cli.rig.poses import Trajectory
+from motionstereo_cli.runs.folder_files import head
+from motionstereo_cli.runs.open_outputs import Totals
+from motionstereo_cli.runs.plan import RunPlan
+from motionstereo_cli.sinks.outputs import OUTPUTS, available
+from motionstereo_cli.sinks.sink import RunContext
+from motionstereo_cli.sources import StereoSource
+from motionstereo_cli.types import StereoFrame
+
+GREY = (
+    "luma of the decoded video, expanded to 0..255 where the stream is limited range; "
+    "BT.601 luma of still images"
+)
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class RunReport:
+    """What a run did.
+
+    Attributes:
+        frames: stereo frames processed.
+        resumed: how many of them an earlier process had done.
+        charged, matched: mean shares of the image, 0..1, with charge and with a disparity.
+        wall_s: duration in s, from the first frame's decoding to the last output's completion.
+        outputs: paths under the output folder, numbered files as their folder.
+        damage: what was lost of the input, one line each.
+        interrupted: the run was ended before the end of the input; see :func:`run`.
+    """
+
+    frames: int
+    resumed: int
+    charged: float
+    matched: float
+    wall_s: float
+    outputs: tuple[str, ...]
+    damage: tuple[str, ...]
+    interrupted: bool
+
+    @property
+    def frames_per_second(self) -> float:
+        """Speed of this process, 0 if there was nothing left to do."""
+        return (self.frames - self.resumed) / self.wall_s if self.wall_s else 0.0
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class Job:
+    """A plan whose input is open.
+
+    Attributes:
+        plan: with a range of disparities that is a number.
+        source: the input, which rectifies.
+        frames: all frames of the source.
+        context: what the outputs need.
+        poses: where the rig was; None if it is not known.
+    """
+
+    plan: RunPlan
+    source: StereoSource
+    frames: Iterable[StereoFrame]
+    context: RunContext
+    poses: Trajectory | None
+
+    @property
+    def save(self) -> tuple[str, ...]:
+        """The outputs, with a substitute for those that cannot be had."""
+        return available(
+            self.plan.outputs,
+            rig=self.context.rig is not None,
+            poses=self.poses is not None,
+            steering_format=self.context.output.steering_format,
+        )
+
+
+def identity_of(job: Job, inputs: Iterable[Path]) -> dict[str, Any]:
+    """Return what ``run.json`` says of what the run is: its results follow from it."""
+    plan, source, context = job.plan, job.source, job.context
+    known = {*source.paths, *plan.reads}
+    files = [path for path in inputs if path not in known]
+    table = None
+    if plan.table and plan.folder and not plan.to_stdout and not is_stream(plan.table):
+        # The same, however either is given.
+        place = plan.table.parent.resolve() / plan.table.name
+        table = os.path.relpath(place, plan.folder.resolve())
+    return {
+        **head(job.save),
+        **({} if table is None else {"table": table}),
+        "versions": versions(),
+        "settings": dataclasses.asdict(plan.settings),
+        "input_settings": dataclasses.asdict(source.settings),
+        "output_settings": dataclasses.asdict(context.output),
+        "inputs": source.describe(),
+        "files": [{"path": str(path), "sha256": sha256_of(path)} for path in files],
+        "rig": None if context.rig is None else rig_values(context.rig),
+        "time_base": None if source.time_base is None else str(source.time_base),
+        "grey": GREY,
+        **({"pose_settings": dataclasses.asdict(job.poses.settings)} if job.poses else {}),
+    }
+
+
+def versions() -> dict[str, str]:
+    """Return the versions of all that results and speed depend on."""
+    return {
+        "motionstereo": __version__,
+        "python": platform.python_version(),
+        "numpy": np.__version__,
+        "cv2": cv2.__version__,
+        "av": av.__version__,
+    }
+
+
+def report_on(job: Job, totals: Totals, resumed: int, started_s: float) -> RunReport:
+    """Return the report of a run.
+
+    Args:
+        job: what it was.
+        totals: sums over all its frames.
+        resumed: how many of them an earlier process had done.
+        started_s: when it began, as ``time.perf_counter`` has it.
+    """
+    return RunReport(
+        frames=totals.frames,
+        resumed=resumed,
+        charged=totals.charged / max(totals.frames, 1),
+        matched=totals.matched / max(totals.frames, 1),
+        wall_s=time.perf_counter() - started_s,
+        outputs=_shown(job.save),
+        damage=tuple(job.source.damage),
+        interrupted=False,
+    )
+
+
+def outcome(source: StereoSource, report: RunReport) -> dict[str, Any]:
+    """Return what ``run.json`` says of what came of it; all but ``timing`` is repeatable."""
+    return {
+        # What came through a pipe is known at its end.
+        **({} if source.rereadable else {"inputs": source.describe()}),
+        "counts": {"written": report.frames, **source.counts},
+        "shares": {"charged": report.charged, "matched": report.matched},
+        "warnings": source.warnings,
+        "damage": list(report.damage),
+        "timing": {
+            "wall_s": round(report.wall_s, 3),
+            "frames_per_second": round(report.frames_per_second, 2),
+        },
+    }
+
+
+def report_of(record: Mapping[str, Any], plan: RunPlan) -> RunReport:
+    """Return the report of a run that was complete already."""
+    if plan.table is not None and not plan.table.exists():
+        raise OutputError(
+            f"{plan.folder} is complete, but {plan.table} is missing: give --overwrite to begin "
+            "again, or leave it out"
+        )
+    frames = record["counts"]["written"]
+    return RunReport(
+        frames=frames,
+        resumed=frames,
+        charged=record["shares"]["charged"],
+        matched=record["shares"]["matched"],
+        wall_s=0.0,
+        outputs=_shown(record["outputs"]),
+        damage=tuple(record["damage"]),
+        interrupted=False,
+    )
+
+
+def _shown(save: Iterable[str]) -> tuple[str, ...]:
+    return tuple(shown for name in save for shown in (OUTPUTS[name].shown, *OUTPUTS[name].beside))

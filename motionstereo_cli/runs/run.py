@@ -1,0 +1,342 @@
+"""A run: from two recordings to files."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import os
+import sys
+import time
+from collections.abc import Callable, Iterable, Iterator
+from fractions import Fraction
+from functools import partial
+from pathlib import Path
+from typing import Any, BinaryIO
+
+from motionstereo_cli.check.measure import watched
+from motionstereo_cli.check.shortfall import shortfall
+from motionstereo_cli.errors import (
+    NO_FRAMES,
+    InputError,
+    MotionStereoError,
+    OutputError,
+    SettingsError,
+)
+from motionstereo_cli.files.atomic import part_of, reported
+from motionstereo_cli.files.targets import check_target, is_stream, open_stream
+from motionstereo_cli.method.settings import FOREVER
+from motionstereo_cli.pipeline import process
+from motionstereo_cli.rig.calibration import rectify_source
+from motionstereo_cli.rig.poses import read_poses
+from motionstereo_cli.runs.checkpoint import check_state
+from motionstereo_cli.runs.cores import usable_cores
+from motionstereo_cli.runs.disparity_range import with_range, with_range_of_opening
+from motionstereo_cli.runs.folder import RunFolder
+from motionstereo_cli.runs.interrupts import finishing
+from motionstereo_cli.runs.open_outputs import Sinks
+from motionstereo_cli.runs.plan import RunPlan
+from motionstereo_cli.runs.record import Job, RunReport, identity_of, outcome, report_of, report_on
+from motionstereo_cli.runs.threaded_sink import Threaded
+from motionstereo_cli.sinks.outputs import OUTPUTS, available, check_video_size
+from motionstereo_cli.sinks.sink import RunContext, Sink
+from motionstereo_cli.sinks.steering_table import SteeringFile, SteeringStream
+from motionstereo_cli.sources import StereoSource, open_stereo
+from motionstereo_cli.sources.settings import adapted_rig
+from motionstereo_cli.types import FrameResult, Rig, StereoFrame
+
+#: Time from frame to frame in the videos written, in s, where the source has no time.
+DEFAULT_TIME_BASE = Fraction(1, 25)
+
+#: What frames under way may take together by default, and what a pixel of each takes: memories of
+#: both views, disparity, depth, and the workspace of a thread.
+_IN_FLIGHT_BYTES, _BYTES_PER_PX = 1 << 30, 40
+
+#: The steering table that lies elsewhere, among the names of outputs.
+_TABLE = "table"
+
+
+def _nothing(*_: object) -> None:
+    pass
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class Watcher:
+    """Called while a run goes on; by default nothing is.
+
+    Attributes:
+        say: called with a kind, ``note`` or ``warning``, and a line.
+        begin: called before the first frame with the number of frames, None if unknown.
+        progress: called after each frame.
+    """
+
+    say: Callable[[str, str], object] = _nothing
+    begin: Callable[[int | None], object] = _nothing
+    progress: Callable[[], object] = _nothing
+
+
+def run(plan: RunPlan, watcher: Watcher | None = None, stdout: BinaryIO | None = None) -> RunReport:
+    """Process recordings and write the results.
+
+    ``run.json`` is written last: where it stands, everything beside it is complete. However the
+    run ends before, what was done stays: images whole, tables and videos under ``.part`` names,
+    and what another process needs to go on from the last checkpoint. Its results are then the
+    same to the byte. An interrupt waits until all outputs have the frame at hand.
+
+    Args:
+        plan: what to do.
+        watcher: called while it goes on.
+        stdout: where a table goes that is for standard output; the process's own if None.
+
+    Raises:
+        InputError: a recording, rig or pose cannot be used, or there are no frames.
+        OutputError: the results cannot be written, or what is there is of another run.
+        SettingsError: an output needs a rig, or poses.
+        BrokenPipeError: the reader of standard output has gone.
+    """
+    watcher = watcher or Watcher()
+    stdout = stdout or _standard_output(plan)
+    with open_stereo(plan.left, plan.right, plan.input_settings) as source:
+        job = job_of(plan, source, watcher)
+        watcher.begin(source.expected_frames)
+        sinks = _sinks(job)
+        started_s = time.perf_counter()
+        resumed = 0
+        try:
+            with sinks:
+                if sinks.finished is not None:
+                    return report_of(sinks.finished, plan)
+                resumed = sinks.totals.frames
+                _open(sinks, job, stdout)
+                last = _write(sinks, job, watcher)
+                report = report_on(job, sinks.totals, resumed, started_s)
+                _say_what_is_missing(report, last, job, watcher)
+                sinks.complete({"options": plan.options} | outcome(source, report))
+                return report
+        except BrokenPipeError:
+            if plan.folder is None:  # the reader has seen enough
+                raise
+            raise OutputError(
+                "the reader of the steering table has gone before the run was done: what was done "
+                f"is in {plan.folder}"
+            ) from None
+        except KeyboardInterrupt:
+            report = report_on(job, sinks.totals, resumed, started_s)
+            return dataclasses.replace(report, interrupted=True)
+        except Exception as error:
+            if plan.folder is not None and sinks.totals.frames > resumed:
+                # After other errors the same command fails again at the same frame.
+                goes_on = isinstance(error, OutputError | OSError) and source.rereadable
+                advice = ": with --resume the same command goes on from the last checkpoint"
+                error.add_note(f"what was done is in {plan.folder}{advice if goes_on else ''}")
+            raise
+
+
+def _standard_output(plan: RunPlan) -> BinaryIO | None:
+    if not plan.to_stdout:
+        return None
+    if sys.stdout is None:
+        raise OutputError("cannot write the steering table: standard output is closed")
+    return sys.stdout.buffer
+
+
+def job_of(plan: RunPlan, source: StereoSource, watcher: Watcher) -> Job:
+    """Have the source rectify, and read what is known before the first frame."""
+    for line in source.warnings:
+        watcher.say("warning", line)
+    calibration = rectify_source(source, plan.rig, plan.baseline_unit)
+    for line in calibration.warnings if calibration else ():
+        watcher.say("warning", line)
+    rig, poses = None, None
+    if calibration is None:
+        _do_without_rig(plan, watcher)
+    else:
+        check_size(calibration.rig, source)
+        rig = adapted_rig(calibration.rig, source.settings)
+        if plan.poses:
+            poses = read_poses(
+                *(plan.poses, plan.pose_settings, calibration.rig, calibration.body_from_left)
+            )
+            span = source.numbers if poses.by_number else source.span_s
+            for line in poses.check_covers(*span):
+                watcher.say("warning", line)
+    time_base = source.time_base or DEFAULT_TIME_BASE
+    frames: Iterable[StereoFrame] = source
+    if source.rereadable:
+        plan = with_range(plan, watcher.say)
+    else:
+        plan, frames = with_range_of_opening(plan, source, watcher.say)
+    context = RunContext(time_base, plan.settings, rig, plan.output_settings)
+    job = Job(plan, source, frames, context, poses)
+    if plan.folder is not None:
+        check_video_size(job.save, source.width, source.height)
+    return job
+
+
+def _do_without_rig(plan: RunPlan, watcher: Watcher) -> None:
+    """Make sure that a run without a calibration needs none."""
+    output = plan.output_settings
+    for flags, given in (
+        ("--poses", plan.poses),
+        ("--near-m and --far-m", output.near_m or output.far_m),
+    ):
+        if given:
+            raise SettingsError(f"{flags} need --rig: without it nothing is in metres")
+    if available(plan.outputs, rig=False) != plan.outputs:
+        watcher.say("note", "depth in m needs --rig: disparity takes the place of depth")
+
+
+def check_size(rig: Rig, source: StereoSource) -> None:
+    """Make sure that a rig is for the whole views of a source.
+
+    Raises:
+        InputError: it is for another size.
+    """
+    if (rig.width, rig.height) != (source.view_width, source.view_height):
+        raise InputError(
+            f"the rig is for {rig.width}x{rig.height} but the recordings are "
+            f"{source.view_width}x{source.view_height}: give the rig of these recordings"
+        )
+
+
+def inputs_of(job: Job) -> list[Path]:
+    """Return the files and folders that a run reads."""
+    plan = job.plan
+    return [*job.source.paths, *plan.rig, *([plan.poses] if plan.poses else []), *plan.reads]
+
+
+def _sinks(job: Job) -> Sinks:
+    """Return the folder for the results, or what is there without one; not yet entered."""
+    plan, source = job.plan, job.source
+    inputs = inputs_of(job)
+    if plan.folder is None:
+        return Sinks()
+    check_target(plan.folder, inputs)
+    if plan.table and not plan.to_stdout:
+        check_target(plan.table, inputs)
+        if plan.table.resolve().is_relative_to(plan.folder.resolve()):
+            raise OutputError(
+                f"{plan.table} is in the output folder: --save steering puts a table there"
+            )
+    return RunFolder(
+        *(plan.folder, job.save),
+        identity=identity_of(job, inputs),
+        overwrite=plan.overwrite,
+        resume=plan.resume,
+        inputs=inputs,
+        check=partial(
+            check_state, settings=plan.settings, width=source.width, height=source.height
+        ),
+    )
+
+
+def _open(sinks: Sinks, job: Job, stdout: BinaryIO | None) -> None:
+    """Open all outputs, from where an earlier process was ended."""
+    plan, table_format = job.plan, job.context.output.steering_format
+    if stdout is not None:
+        stream = SteeringStream(stdout, "the steering table", table_format)
+        sinks.add(_TABLE, lambda _: stream)
+    else:
+        add_table(sinks, job)
+    if plan.folder is not None:
+        for name in job.save:
+            sinks.add(name, partial(opened, name, plan.folder, job.context))
+
+
+def add_table(sinks: Sinks, job: Job) -> None:
+    """Open the steering table that a user named, if one did."""
+    if (path := job.plan.table) is not None:
+        table_format = job.context.output.steering_format
+        sinks.add(_TABLE, partial(_table, path, job.plan, sinks.resumed, table_format))
+
+
+def _table(path: Path, plan: RunPlan, resumed: bool, table_format: str, since: Any) -> Sink:
+    if is_stream(path):
+        with reported(path):
+            return SteeringStream(open_stream(path), path, table_format)
+    for place in (path, part_of(path)):
+        if os.path.lexists(place) and not plan.overwrite and not resumed:
+            raise OutputError(f"{place} is there already: give another name, or --overwrite")
+    return Threaded(SteeringFile(path, table_format, since))
+
+
+def opened(name: str, folder: Path, context: RunContext, since: object) -> Threaded:
+    """Return an output that writes in a thread of its own, going on from a checkpoint of it."""
+    return Threaded(OUTPUTS[name].open(folder, context, since))
+
+
+def default_jobs(source: StereoSource) -> int:
+    """Return how many frames are matched at the same time: large ones would fill the memory."""
+    frame_bytes = _BYTES_PER_PX * source.width * source.height
+    return max(1, min(usable_cores(), _IN_FLIGHT_BYTES // frame_bytes))
+
+
+def _write(sinks: Sinks, job: Job, watcher: Watcher) -> StereoFrame | None:
+    """Process the frames that are left, complete the outputs, and return the last of the frames."""
+    last = None
+    for result in _results(job, sinks, watcher):
+        last = result.frame
+        with finishing():
+            sinks.write(result)
+            due = sinks.totals.frames % job.context.output.checkpoint_frames == 0
+            if due and job.source.rereadable:
+                sinks.checkpoint()
+        watcher.progress()
+    if not sinks.totals.frames:
+        raise InputError(NO_FRAMES)
+    sinks.close()
+    return last
+
+
+def _say_what_is_missing(
+    report: RunReport, last: StereoFrame | None, job: Job, watcher: Watcher
+) -> None:
+    """Warn where little of what is charged was matched, with the reason that the last frame has."""
+    s = job.plan.settings
+    if last is None or s.max_age < FOREVER or s.min_confidence > 0:  # what is missing was asked for
+        return
+    found = shortfall(report.charged, report.matched, last.right, last.left, s.max_disparity)
+    if found is not None:
+        watcher.say("warning", found)
+
+
+def _results(job: Job, sinks: Sinks, watcher: Watcher) -> Iterator[FrameResult]:
+    """Yield the results that an earlier process did not give."""
+    plan, context = job.plan, job.context
+    frames = job.frames
+    if plan.with_check:
+        frames = watched(
+            frames,
+            plan.settings.max_disparity,
+            lambda finding: watcher.say("warning", finding.text),
+            rig=context.rig,
+        )
+    frames = iter(frames)
+    for _ in itertools.islice(frames, sinks.totals.frames):
+        watcher.progress()
+    results = process(
+        frames,
+        plan.settings,
+        context.rig,
+        None if job.poses is None else job.poses.of,
+        # They take time: only where they are asked for.
+        with_objects="objects" in job.save or job.poses is not None,
+        extras={extra for name in job.save for extra in OUTPUTS[name].extras},
+        jobs=plan.jobs or (default_jobs(job.source) if job.source.rereadable else 1),
+        state=sinks.state,
+    )
+    if sinks.state is not None:
+        yield from _first(results, plan)
+    yield from results
+
+
+def _first(results: Iterator[FrameResult], plan: RunPlan) -> Iterable[FrameResult]:
+    """Return the first result after a checkpoint, which tells whether it made sense."""
+    try:
+        return list(itertools.islice(results, 1))
+    except (MotionStereoError, OSError, MemoryError):
+        raise
+    except Exception as error:
+        raise OutputError(
+            f"{plan.folder} cannot be gone on with, its checkpoint does not fit ({error}): "
+            "give --overwrite to start again"
+        ) from error

@@ -1,0 +1,294 @@
+"""Every output of a run, one row each: where it goes, what it holds, and the sink that writes it.
+
+A sink's module loads when its output is asked for.
+"""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
+
+from motionstereo_cli.errors import SettingsError
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from motionstereo_cli.sinks.sink import RunContext, Sink
+
+Kind = Literal["disparity", "depth", "table", "other"]
+
+
+@dataclass(frozen=True, slots=True)
+class Output:
+    """An output that ``--save`` can ask for.
+
+    Attributes:
+        path: its path under the output folder; ``{:06d}`` is the number of the frame.
+        what: what it holds, with units.
+        sink: module and function that make the sink from its path, the stream and a checkpoint.
+        needs_rig: it needs a rig.
+        needs_poses: it needs poses.
+        beside: further files that come with it.
+        in_order: what it says of a frame depends on the frames before.
+        brings: other outputs that come with it, because it is made of them.
+        kind: what its files are to a reader: images of disparity or of depth, a table, or other.
+    """
+
+    path: str
+    what: str
+    sink: str
+    needs_rig: bool = False
+    needs_poses: bool = False
+    beside: tuple[str, ...] = ()
+    brings: tuple[str, ...] = ()
+    kind: Kind = "other"
+    in_order: bool = False
+
+    @property
+    def extras(self) -> frozenset[str]:
+        """What it needs of :data:`motionstereo_cli.pipeline.EXTRAS`."""
+        own = {"age": {"age_frames"}, "confidence": {"confidence"}}
+        depth = {"depth_m"} if self.needs_rig else set()
+        return frozenset(depth | own.get(self.path.partition("/")[0], set()))
+
+    @property
+    def paths(self) -> tuple[str, ...]:
+        """All its files, as ``path`` has them."""
+        return (self.path, *self.beside)
+
+    @property
+    def is_video(self) -> bool:
+        """Whether it is a video."""
+        return self.path.endswith((".mp4", ".mkv"))
+
+    @property
+    def shown(self) -> str:
+        """The path as told to users: a folder for numbered files."""
+        return self.path.partition("{")[0]
+
+    def open(self, out: Path, stream: RunContext, since: object = None) -> Sink:
+        """Return the sink of a run into the folder ``out``.
+
+        Args:
+            out: the folder.
+            stream: what is known of the run.
+            since: go on from this checkpoint of the same output in the same folder.
+
+        Raises:
+            OutputError: the output cannot be written, or is not what the checkpoint says.
+        """
+        module, function = self.sink.split(".")
+        factory = getattr(importlib.import_module(f"motionstereo_cli.sinks.{module}"), function)
+        sink: Sink = factory(out / self.path, stream, since)
+        return sink
+
+
+#: Tells what a run wrote. Written last; until then its ``.part`` lists what is being written.
+RECORD = "run.json"
+
+#: Names follow one scheme: PNG images have the bare name of what they show, other formats add
+#: theirs, and -video is one to look at. Only for the charge the bare name is the video.
+OUTPUTS = {
+    "steering": Output(
+        "steering.csv",
+        "one row for each frame; time_s in s, steer -1..1 and steer_rad in rad with positive = "
+        "left, depth_m and nearest_m in m, charged and matched as shares of the image; "
+        "empty = unknown",
+        "steering_table.steering_file",
+        kind="table",
+        in_order=True,
+    ),
+    "steering-jsonl": Output(
+        "steering.jsonl",
+        "the same as JSON lines, one object for each frame; null = unknown",
+        "steering_table.steering_file",
+        in_order=True,
+    ),
+    "objects": Output(
+        "objects.csv",
+        "a row for each moving object of each frame: box in px of the reference view, depth_m in "
+        "m, closing_mps in m/s with positive = approaching, time_to_contact_s in s, confidence "
+        "0..1; empty = unknown",
+        "objects_table.objects_file",
+        kind="table",
+        in_order=True,
+    ),
+    "depth": Output(
+        "depth/{:06d}.png",
+        "uint16 depth in mm (or --depth-scale units per m), reference view; "
+        "0 = unknown or over 65535 units",
+        "images.depth",
+        needs_rig=True,
+        kind="depth",
+    ),
+    "depth-pfm": Output(
+        "depth-pfm/{:06d}.pfm",
+        "float32 depth in m, reference view; inf = unknown",
+        "images.depth_m",
+        needs_rig=True,
+        kind="depth",
+    ),
+    "depth-tiff": Output(
+        "depth-tiff/{:06d}.tiff",
+        "float32 depth in m, reference view; NaN = unknown",
+        "images.depth_m",
+        needs_rig=True,
+        kind="depth",
+    ),
+    "depth-mkv": Output(
+        "depth.mkv",
+        "lossless video (FFV1, gray16le) of the images of depth; times in whole ms",
+        "videos.depth_lossless",
+        needs_rig=True,
+    ),
+    "depth-video": Output(
+        "depth.mp4",
+        "depth in colour (--colours; by default near = red, far = blue), "
+        "black = unknown, the dark view where nothing is known at all; log scale of disparity + "
+        "doffs from max_disparity, or near_m, to 1 px, or far_m; below it (output_settings.legend) "
+        "a strip with that scale in m or px and the time",
+        "videos.depth",
+    ),
+    "disparity": Output(
+        "disparity/{:06d}.png",
+        "uint16 disparity in 1/256 px, reference view; 0 = unknown, a known 0 is stored as 1",
+        "images.disparity",
+        kind="disparity",
+    ),
+    "disparity-pfm": Output(
+        "disparity-pfm/{:06d}.pfm",
+        "float32 disparity in px, reference view; inf = unknown",
+        "images.disparity_px",
+        kind="disparity",
+    ),
+    "age": Output(
+        "age/{:06d}.png",
+        "uint8 frames since something moved there, reference view; 255 = forgotten",
+        "images.age",
+    ),
+    "confidence": Output(
+        "confidence/{:06d}.png",
+        "uint8 chance that the disparity is right within 1 px, in 1/255, reference view; "
+        "0 = no disparity",
+        "images.confidence",
+    ),
+    "bands": Output(
+        "bands/{:06d}.png",
+        "grey-level bands 1..n, reference view; uint8, or uint16 for 256 bands",
+        "images.bands",
+    ),
+    "bands-video": Output(
+        "bands.mp4", "grey-level bands, reference view; 1..n as black..white", "videos.bands"
+    ),
+    "motion": Output(
+        "motion/{:06d}.png",
+        "uint8, reference view; 255 = the band has just changed, 0 = it has not",
+        "images.motion",
+    ),
+    "motion-video": Output("motion.mp4", "the images of motion as video", "videos.motion"),
+    "view-video": Output("view.mp4", "the reference view as it was processed, grey", "videos.view"),
+    "preview": Output(
+        "preview.mp4",
+        "to show to others: reference view with the heading as an arrow, charge and depth beside "
+        "each other, with scale and time; panels of at most 640 px",
+        "videos.preview",
+        in_order=True,
+    ),
+    "report": Output(
+        "report.html",
+        "all of it as one page for a browser; it brings the outputs that it shows",
+        "page.page",
+        brings=("steering", "objects", "depth", "view-video", "charge", "depth-video"),
+        in_order=True,
+    ),
+    "charge": Output(
+        "charge.mp4", "permanency memory of the reference view, charge as grey", "videos.charge"
+    ),
+    "charge-png": Output(
+        "charge-png/{:06d}.png",
+        "uint8 permanency memory of the reference view, the charge itself",
+        "images.charge",
+    ),
+    "points": Output(
+        "points/{:06d}.ply",
+        "all that has a depth as points, x right, y down, z forward of the reference camera "
+        "in m, colour = grey",
+        "points.NumberedClouds",
+        needs_rig=True,
+    ),
+    "bag": Output(
+        "results.mcap",
+        "ROS 2 bag with the stamps of the input: depth (16UC1, mm) with camera_info, "
+        "DisparityImage (32FC1, px), charge (PNG), steering (PoseStamped in camera_link, REP 103), "
+        "objects (MarkerArray); images and objects in camera_optical_frame",
+        "bag.BagFile",
+        needs_rig=True,
+        in_order=True,
+    ),
+    "map": Output(
+        "map.ply",
+        "what moved in the image, fused over all frames: points in the world of the poses in m, "
+        "colour = grey; map.png from above, 0 = occupied, 254 = free, 205 = unknown, its place "
+        "and scale in map.yaml as ROS's map_server has it; map-sheet.png, the same to look "
+        "at, with a title, the meaning of its greys and a scale",
+        "map.MapFiles",
+        needs_rig=True,
+        needs_poses=True,
+        beside=("map.png", "map.yaml", "map-sheet.png"),
+        in_order=True,
+    ),
+}
+
+DEFAULT_OUTPUTS = ("steering", "depth", "charge", "depth-video")
+
+
+#: H.264 takes images up to this size in px a side, here with room for the scale below depth.
+MAX_VIDEO_PX = 16_384 - 128
+
+#: What takes the place of an output in metres where there is no rig.
+_WITHOUT_RIG = {"depth": "disparity", "depth-pfm": "disparity-pfm"}
+
+
+def available(
+    save: Sequence[str], *, rig: bool, poses: bool = False, steering_format: str = "csv"
+) -> tuple[str, ...]:
+    """Return the outputs to write, each once, with those that they bring.
+
+    Without a rig, disparity takes the place of depth.
+
+    Raises:
+        SettingsError: an output without such a substitute needs a rig, or one needs poses.
+    """
+    instead = {} if rig else _WITHOUT_RIG
+    if steering_format != "csv":
+        instead = instead | {"steering": f"steering-{steering_format}"}
+    wanted = [each for name in save for each in (*OUTPUTS[name].brings, name)]
+    names = tuple(dict.fromkeys(instead.get(name, name) for name in wanted))
+    for name in names:
+        if OUTPUTS[name].needs_rig and not rig:
+            raise SettingsError(f"--save {name} needs --rig: without it nothing is in metres")
+        if OUTPUTS[name].needs_poses and not poses:
+            raise SettingsError(f"--save {name} needs --poses: they say where the rig was")
+    return names
+
+
+def check_video_size(save: Sequence[str], width: int, height: int) -> None:
+    """Make sure that the videos among some outputs can hold views of a size in px.
+
+    Raises:
+        SettingsError: they cannot.
+    """
+    videos = [
+        name
+        for name in save
+        # That one is made small.
+        if name != "preview" and any(path.endswith(".mp4") for path in OUTPUTS[name].paths)
+    ]
+    too_wide = videos if max(width, height) > MAX_VIDEO_PX else []
+    if too_wide:
+        raise SettingsError(
+            f"views of {width}x{height} px are too large for {', '.join(too_wide)}: H.264 takes up "
+            "to 16,384 px a side, so leave them out of --save, or give a smaller --scale"
+        )

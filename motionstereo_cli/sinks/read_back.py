@@ -1,0 +1,253 @@
+"""What a run left, read back: images, tables, and the record.
+
+The encodings are those of :mod:`~motionstereo_cli.sinks.images`.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from motionstereo_cli.errors import InputError
+from motionstereo_cli.files.stills import DamagedImageError, read_still, shown
+from motionstereo_cli.rig import read_rig
+from motionstereo_cli.sinks.images import DISPARITY_PER_PX
+from motionstereo_cli.sinks.outputs import OUTPUTS, RECORD
+from motionstereo_cli.sinks.settings import OutputSettings
+from motionstereo_cli.types import Rig
+
+if TYPE_CHECKING:
+    from motionstereo_cli.types import Real
+
+#: Folders of images that a run writes, the most exact ones first.
+_FOLDERS = tuple(
+    output.path.partition("/")[0]
+    for kind in ("disparity", "depth")
+    for output in OUTPUTS.values()
+    if output.kind == kind
+)
+
+
+#: Longest value that a message shows.
+_SHOWN = 60
+
+_SUFFIXES = (".png", ".pfm", ".tiff")
+
+
+#: How the names of folders that hold them begin; KITTI's is disp_occ_0.
+_NAMED = {"disp": "disparity", "depth": "depth"}
+
+
+class Maps:
+    """The disparity or depth images of a folder, by frame number.
+
+    16-bit PNG: disparity in 1/256 px (KITTI) or depth in mm (REP 118), or whatever unit the
+    run.json beside it names, 0 = unknown. PFM and float32 TIFF: disparity in px or depth in m;
+    unknown where not positive or not finite.
+
+    A frame's number is the number in its file name or, of several, that which differs most from
+    file to file: 7 of 000007_10.png.
+
+    Args:
+        folder: what ``run`` or ``simulate`` wrote, with folders of disparity (preferred) or depth
+            in it; or a folder of images.
+        kind: ``disparity`` or ``depth``; if None, as the folder's name begins (disp, depth).
+
+    Attributes:
+        kind: ``disparity`` or ``depth``.
+        files: the images by frame number, in order.
+        rig: what the rig.yaml or run.json beside them says, None if nothing.
+        reference: the camera whose view they are in, ``right`` or ``left``; None if unknown.
+
+    Raises:
+        InputError: there is no such folder or no image in it, or its kind or the frame numbers
+            cannot be told.
+    """
+
+    def __init__(self, folder: Path, kind: str | None = None) -> None:
+        within = [
+            name for name in _FOLDERS if name.startswith(kind or "") and (folder / name).is_dir()
+        ]
+        if within:
+            images, home = folder / within[0], folder
+            kind = _kind_by_name(images)
+        else:
+            named = _kind_by_name(folder)
+            images, home = folder, folder.resolve().parent if named else folder
+            kind = kind or named
+        self.files = numbered_files(images, _SUFFIXES)
+        if kind is None:
+            raise InputError(
+                f"{folder}: its name does not tell whether it holds disparity or depth: "
+                "give --out-kind or --truth-kind"
+            )
+        self.kind = kind
+        self.rig, self.reference, per_m = _said_in(home)
+        self._png_per_unit = DISPARITY_PER_PX if kind == "disparity" else per_m
+
+    def read(self, number: int) -> Real:
+        """Return a frame's disparity in px or depth in m, (height, width) float32, NaN = unknown.
+
+        Raises:
+            InputError: the file cannot be read, or its pixels are of another kind.
+        """
+        path = self.files[number]
+        image = _read(path)
+        wanted = np.uint16 if path.suffix.lower() == ".png" else np.float32
+        if image.ndim != 2 or image.dtype != wanted:
+            raise InputError(
+                f"{path} is not a 16-bit grey PNG, a one-channel PFM or a float32 TIFF: convert it"
+            )
+        values = image.astype(np.float32)
+        if wanted is np.uint16:
+            values /= self._png_per_unit
+        return np.where((values > 0) & np.isfinite(values), values, np.float32(np.nan))
+
+
+def _kind_by_name(folder: Path) -> str | None:
+    name = folder.resolve().name.lower()
+    return next((kind for start, kind in _NAMED.items() if name.startswith(start)), None)
+
+
+def numbered_files(folder: Path, suffixes: tuple[str, ...]) -> dict[int, Path]:
+    """Return the files of a folder with one of the suffixes, by frame number, in order.
+
+    Raises:
+        InputError: there are none, or the frame numbers cannot be told.
+    """
+    try:
+        files = shown(folder.iterdir(), suffixes)
+    except OSError as error:
+        raise InputError(f"cannot read the folder {folder}: {error.strerror}") from error
+    if not files:
+        raise InputError(f"{folder} has no {' or '.join(suffixes)} files: check the path")
+    # Columns of numbers, as many as the name with the fewest has.
+    columns = list(zip(*(re.findall("[0-9]+", file.stem) for file in files), strict=False))
+    if not columns:
+        raise InputError(f"{folder}: give every file name a frame number, such as 000007.png")
+    numbers = [int(digits) for digits in max(columns, key=lambda column: len(set(column)))]
+    numbered = dict(sorted(zip(numbers, files, strict=True)))
+    if len(numbered) < len(files):
+        raise InputError(f"{folder}: several files have the same frame number: keep one of each")
+    return numbered
+
+
+def _said_in(folder: Path) -> tuple[Rig | None, str | None, int]:
+    """Return rig, reference camera and units of depth PNG per m, as files in a folder say."""
+    rig = read_rig(folder / "rig.yaml") if (folder / "rig.yaml").is_file() else None
+    path = folder / RECORD
+    if not path.is_file():
+        return rig, "right" if rig else None, OutputSettings().depth_scale  # simulate's truth
+    record = read_record(path)
+    try:
+        if rig is None and record["rig"] is not None:
+            rig = Rig(**record["rig"])
+        per_m = int(
+            record.get("output_settings", {}).get("depth_scale", OutputSettings().depth_scale)
+        )
+        given = (value for value in (record["rig"] or {}).values() if value is not None)
+        if not (per_m > 0 and all(map(math.isfinite, given))):
+            raise ValueError
+        return rig, record.get("settings", {}).get("reference"), per_m
+    except (ValueError, LookupError, TypeError, AttributeError, OverflowError) as error:
+        raise InputError(f"{path}: its rig cannot be read: give --rig, or run again") from error
+
+
+def _read(path: Path) -> NDArray[Any]:
+    try:
+        return read_still(path).pixels
+    except DamagedImageError as error:
+        raise InputError(f"{path} cannot be read as an image ({error}): write it again") from error
+
+
+def read_mask(path: Path) -> NDArray[np.bool_]:
+    """Return where an image is not 0, (height, width) bool."""
+    mask = _read(path)
+    return np.asarray(mask != 0 if mask.ndim == 2 else mask[..., :3].any(axis=2))
+
+
+def size_of(image: NDArray[Any]) -> str:
+    """Return the size of an image in words."""
+    return f"{image.shape[1]}x{image.shape[0]}"
+
+
+class Table(NamedTuple):
+    """A CSV table with a row for each frame, or for each frame and id.
+
+    Attributes:
+        columns: names, in order.
+        rows: by frame and id (empty if there is no such column), the cells by column.
+    """
+
+    columns: tuple[str, ...]
+    rows: dict[tuple[int, str], dict[str, str]]
+
+
+def read_table(path: Path, *, part: bool = False) -> Table:
+    """Read a CSV table that ``run`` wrote.
+
+    Args:
+        path: the file.
+        part: it may be cut off: a last line without its end is left out.
+
+    Raises:
+        InputError: it cannot be read, has no or a second column of a name, no column ``frame``, a
+            row of another length, or two rows for the same frame and id.
+    """
+    try:
+        with path.open(newline="", encoding="utf-8-sig", errors="replace") as file:
+            text = file.read()
+        whole = text[: text.rfind("\n") + 1] if part else text
+        lines = list(csv.reader(io.StringIO(whole, newline=""), strict=True))
+    except (OSError, csv.Error) as error:
+        reason = error.strerror if isinstance(error, OSError) else error
+        raise InputError(f"cannot read the table {path}: {reason}") from error
+    header = lines[0] if lines else []
+    if "frame" not in header or len(set(header)) < len(header):
+        raise InputError(f"{path} is no table of a run: its first line has to name each column")
+    rows: dict[tuple[int, str], dict[str, str]] = {}
+    for number, cells in enumerate(lines[1:], 2):
+        if len(cells) != len(header):
+            raise InputError(
+                f"{path} row {number} has {len(cells)} cells and not {len(header)}: write it again"
+            )
+        row = dict(zip(header, cells, strict=True))
+        try:
+            key = int(row["frame"]), row.get("id", "")
+        except ValueError:
+            raise InputError(
+                f"{path} row {number}: {shortened(row['frame'])} is no frame number: write it again"
+            ) from None
+        if key in rows:
+            raise InputError(f"{path} row {number}: frame {key[0]} comes twice: write it again")
+        rows[key] = row
+    return Table(tuple(header), rows)
+
+
+def read_record(path: Path) -> dict[str, Any]:
+    """Return what a run says of itself.
+
+    Raises:
+        InputError: the file cannot be read, or is no such record.
+    """
+    try:
+        record = json.loads(path.read_bytes())
+    except (OSError, ValueError, RecursionError) as error:
+        raise InputError(f"{path} cannot be read: write it again") from error
+    if not isinstance(record, dict):
+        raise InputError(f"{path} is not the record of a run: write it again")
+    return record
+
+
+def shortened(value: object) -> str:
+    """Return a value as a message shows it: at most 60 characters of ASCII, and ``...``."""
+    text = ascii(value)
+    return text if len(text) <= _SHOWN else f"{text[:_SHOWN]}..."

@@ -1,0 +1,53 @@
+"""What every sink does, and what it knows of a run before the first frame."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Protocol
+
+from motionstereo_cli.sinks.settings import OutputSettings
+
+if TYPE_CHECKING:
+    from fractions import Fraction
+
+    from motionstereo_cli.method.settings import Settings
+    from motionstereo_cli.types import FrameResult, Rig
+
+
+class Sink(Protocol):
+    """Takes the results of a run one by one; each method may raise OutputError."""
+
+    def write(self, result: FrameResult) -> None:
+        """Take the result of the next frame."""
+
+    def checkpoint(self) -> object:
+        """Make sure that all results so far are on the disk.
+
+        Returns what a sink of the same output, opened ``since`` then, needs to go on from here.
+        """
+
+    def close(self) -> None:
+        """Complete the output and give it its final name."""
+
+    def abandon(self, *, keep: bool) -> None:
+        """End early: complete a stream under its ``.part`` name or, without ``keep``, remove it.
+
+        Whole files written so far stay. After :meth:`close` this does nothing.
+        """
+
+
+@dataclass(frozen=True, slots=True)
+class RunContext:
+    """What sinks know of a run before its first frame.
+
+    Attributes:
+        time_base: seconds per unit of the frames' time stamps.
+        settings: parameters of the processing.
+        rig: the camera; None if unknown.
+        output: parameters of the output.
+    """
+
+    time_base: Fraction
+    settings: Settings
+    rig: Rig | None
+    output: OutputSettings = field(default_factory=OutputSettings)

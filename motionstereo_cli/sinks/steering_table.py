@@ -1,0 +1,118 @@
+"""The steering table."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, BinaryIO
+
+from motionstereo_cli.files.atomic import reported
+from motionstereo_cli.sinks.writers import TableFile, TableMark, cell
+from motionstereo_cli.types import FrameResult
+
+if TYPE_CHECKING:
+    from motionstereo_cli.sinks.sink import RunContext
+
+HEADER = "frame,pts,time_s,status,steer,steer_rad,depth_m,nearest_m,charged,matched"
+
+
+def steering_line(result: FrameResult, table_format: str) -> str:
+    """Return one row of the table, without its line end.
+
+    time_s has 6 decimals (microseconds), depth_m and nearest_m have 3 (mm), all other real
+    numbers 4. An empty cell, or null, is unknown. No cell can need quotes.
+
+    Args:
+        result: the frame.
+        table_format: ``csv``, or ``jsonl`` for a JSON object with the numbers as CSV has them.
+    """
+    frame, steering = result.frame, result.steering
+    cells = (
+        str(frame.index),
+        str(frame.pts),
+        cell(frame.time_s, 6),
+        steering.status,
+        cell(steering.steer, 4),
+        cell(steering.steer_rad, 4),
+        cell(steering.depth_m, 3),
+        cell(steering.nearest_m, 3),
+        cell(result.charged, 4),
+        cell(result.matched, 4),
+    )
+    if table_format == "csv":
+        return ",".join(cells)
+    values = {name: each or "null" for name, each in zip(HEADER.split(","), cells, strict=True)}
+    values["status"] = f'"{values["status"]}"'
+    return "{" + ", ".join(f'"{name}": {value}' for name, value in values.items()) + "}"
+
+
+def _header(table_format: str) -> str:
+    return HEADER if table_format == "csv" else ""
+
+
+class SteeringStream:
+    """The steering table on a binary stream, such as standard output.
+
+    Each row is passed on at once, for a reader that steers by it.
+
+    Args:
+        stream: where to write; it stays open.
+        name: what messages call it.
+        table_format: ``csv`` (RFC 4180, except that lines end in LF) or ``jsonl`` (JSON lines).
+
+    Raises:
+        OutputError: the stream cannot be written.
+        BrokenPipeError: the reader of the stream has gone.
+    """
+
+    def __init__(self, stream: BinaryIO, name: Path | str, table_format: str = "csv") -> None:
+        self._stream = stream
+        self._name = name
+        self._format = table_format
+        if header := _header(table_format):
+            self._write_line(header)
+
+    def write(self, result: FrameResult) -> None:
+        """Append the row of a frame."""
+        self._write_line(steering_line(result, self._format))
+
+    def checkpoint(self) -> None:
+        """Do nothing: what has been passed on cannot be taken back."""
+
+    def close(self) -> None:
+        """Do nothing: every row has been passed on, and the stream is another's."""
+
+    def abandon(self, *, keep: bool) -> None:
+        """Do nothing: what has been passed on cannot be taken back."""
+
+    def _write_line(self, line: str) -> None:
+        with reported(self._name):
+            self._stream.write(line.encode("ascii") + b"\n")
+            self._stream.flush()
+
+
+class SteeringFile(TableFile):
+    """The steering table as a file: a row for each frame.
+
+    Args:
+        path: final name.
+        table_format: see :class:`SteeringStream`.
+        since: go on from this checkpoint.
+
+    Raises:
+        OutputError: the file cannot be written, or is not what the checkpoint says.
+    """
+
+    def __init__(
+        self, path: Path, table_format: str = "csv", since: TableMark | None = None
+    ) -> None:
+        super().__init__(path, _header(table_format), since)
+        self._format = table_format
+
+    def write(self, result: FrameResult) -> None:
+        """Append the row of a frame."""
+        self.add([steering_line(result, self._format)])
+
+
+def steering_file(path: Path, _: RunContext, since: TableMark | None = None) -> SteeringFile:
+    """Return a sink for the steering table, its format told by the name's suffix."""
+    return SteeringFile(path, path.suffix.removeprefix("."), since)

@@ -1,1 +1,0 @@
-"""The paper, one section a file: pure functions of arrays."""
