@@ -3,6 +3,7 @@
 import ast
 import subprocess
 import sys
+from graphlib import TopologicalSorter
 from pathlib import Path
 
 import pytest
@@ -47,7 +48,7 @@ PURE = [
 GROUND = {"errors", "types", "compiled", "params", "method"}
 MAY_IMPORT = {
     "files": {"compiled", "errors", "types"},
-    "sources": {"errors", "types", "params", "files", "rig"},
+    "sources": {"errors", "types", "params", "files"},
     "rig": {"errors", "types", "params", "files", "sources"},
     "sinks": GROUND | {"files", "rig", "robot"},
 }
@@ -99,6 +100,24 @@ def test_rooms_import_nothing_above_them(name):
         if room(path) == name:
             known = {n.split(".")[1] for n in imports(path) if n.startswith("motionstereo_cli.")}
             assert known <= MAY_IMPORT[name] | {name, "__version__"}, path
+
+
+def test_no_two_files_and_no_two_rooms_import_each_other():
+    names = {
+        ".".join(("motionstereo_cli", *path.relative_to(PACKAGE).with_suffix("").parts)): path
+        for path in MODULES
+        if path.name != "__init__.py"
+    }
+    files = {
+        path: {names[name] for name in imports(path) if name in names} for path in names.values()
+    }
+    rooms = {}
+    for path, known in files.items():
+        rooms.setdefault(room(path) or path.name, set()).update(
+            {room(other) or other.name for other in known} - {room(path) or path.name}
+        )
+    for graph in (files, rooms):
+        assert list(TopologicalSorter(graph).static_order())  # raises CycleError
 
 
 def test_only_commands_and_the_entry_point_know_click():
