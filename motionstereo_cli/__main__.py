@@ -1,4 +1,4 @@
-"""The entry point: runs a command and turns its end into an exit code and one line."""
+"""The entry point: run a command; on an error print one line and return an exit code."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ def main(args: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit code.
 
     0 done, 1 failed, 2 usage, 3 done but the input was damaged, 4 ``compare`` found a
-    difference, 130 interrupted. Where the reader of standard output has gone, and nothing else
-    was to be written: 0, silently. A message that cannot be written is dropped.
+    difference, 130 interrupted. If the reader of standard output has gone and nothing else was to
+    be written: 0, without a message. A message that cannot be written is dropped.
 
     No traceback is shown unless the environment has ``MOTIONSTEREO_DEBUG=1``.
 
@@ -44,15 +44,15 @@ def main(args: Sequence[str] | None = None) -> int:
 
 
 def _fill_standard_descriptors() -> None:
-    """Have a closed standard stream lead nowhere: else the next file opened would be in its place.
+    """Open closed standard streams on the null device, so that no other file takes their number.
 
-    FFmpeg, for one, writes its log to number 2, whatever that is.
+    FFmpeg writes its log to descriptor 2, whatever it is.
     """
     for number in range(3):
         try:
             os.fstat(number)
         except OSError:
-            os.open(os.devnull, os.O_RDWR)  # the lowest number that is free
+            os.open(os.devnull, os.O_RDWR)  # takes the lowest free number
 
 
 def _called(args: Sequence[str] | None) -> int:
@@ -66,7 +66,7 @@ def _called(args: Sequence[str] | None) -> int:
     except click.exceptions.Exit as done:  # --help, --version
         return done.exit_code
     except BrokenPipeError:
-        # The interpreter flushes standard output once more on its way out.
+        # At exit, the interpreter flushes standard output once more.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except (KeyboardInterrupt, Exception) as error:
@@ -74,7 +74,7 @@ def _called(args: Sequence[str] | None) -> int:
 
 
 def _fail(error: BaseException) -> int:
-    """Say in one line what went wrong, and return the exit code for it."""
+    """Print an error in one line and return its exit code."""
     match error:
         case KeyboardInterrupt() | click.Abort():
             message, exit_code = "interrupted", INTERRUPTED_EXIT_CODE

@@ -1,7 +1,7 @@
-"""Everything that can go wrong for a known reason, under one root.
+"""Errors with a known cause, under one root.
 
-Each message is one line that says what is wrong, where, and what to do about it.
-The command line prints it as it stands and exits with ``exit_code``.
+Each message is one line: what is wrong, where, and what to do. The command line prints it and
+exits with ``exit_code``.
 """
 
 #: Exit codes beside 0 (done) and those of the errors below.
@@ -14,13 +14,13 @@ NO_FRAMES = "the recordings have no frame in common: check that they are whole"
 
 
 class MotionStereoError(Exception):
-    """Root of all errors that a user can cause and mend."""
+    """Root of all errors that a user can cause and correct."""
 
     exit_code = 1
 
 
 class SettingsError(MotionStereoError):
-    """A parameter has no sensible meaning as given."""
+    """A parameter or argument has an invalid value."""
 
     exit_code = 2
 
@@ -30,7 +30,7 @@ class InputError(MotionStereoError):
 
 
 class OutputError(MotionStereoError):
-    """A result cannot be written where it should go."""
+    """A result cannot be written."""
 
 
 class BusyError(OutputError):

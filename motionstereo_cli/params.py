@@ -1,4 +1,4 @@
-"""How a parameter is declared: default, range, unit, help in one place.
+"""Declaration of a parameter: default, range, unit and help in one place.
 
 The command line, the configuration file, run.json and the docs derive from dataclasses whose
 fields are declared with :func:`param`.
@@ -18,20 +18,20 @@ from motionstereo_cli.errors import SettingsError
 
 @dataclass(frozen=True, slots=True)
 class Param:
-    """What one parameter may be.
+    """A declared parameter.
 
     Attributes:
         name: field name, as in the configuration file and run.json.
         kind: ``bool``, ``int``, ``float`` or ``str``.
-        default: its value where it is not set.
+        default: its default value.
         help: one sentence for users.
-        unit: unit of the number, empty where it is a plain number or a choice.
-        low, high: inclusive range of a number, None where open.
-        choices: allowed strings, empty where any.
-        group: heading that it stands under in the help, empty for that of its dataclass.
+        unit: unit of the number, empty for a plain number or a choice.
+        low, high: inclusive range of a number, None = open.
+        choices: allowed strings, empty = any.
+        group: its heading in the help, empty = that of its dataclass.
         common: whether the short help shows it.
-        old: former name, still understood on the command line and in the configuration file.
-        words: words that stand for values, as ``auto`` for 0.
+        old: former name, still accepted on the command line and in the configuration file.
+        words: words that stand for values, such as ``auto`` for 0.
     """
 
     name: str
@@ -54,7 +54,7 @@ class Param:
 
     @property
     def range(self) -> str:
-        """The allowed values in words, empty where everything of its kind is allowed."""
+        """The allowed values in words, empty = any."""
         if self.choices:
             return " | ".join(self.choices)
         if self.low is None and self.high is None:

@@ -366,7 +366,7 @@ def test_a_batch_that_was_ended_goes_on(archive, tmp_path, ended_by):
     process.send_signal(ended_by)
     _, said = process.communicate(timeout=120)  # workers end too, and with them their output
     assert process.returncode == (130 if ended_by == signal.SIGINT else -signal.SIGKILL), said
-    assert ("the same command goes on" in said) == (ended_by == signal.SIGINT)
+    assert ("run the same command again to continue" in said) == (ended_by == signal.SIGINT)
     done = {path: path.stat().st_mtime_ns for path in out.glob("day/*/run.json")}
     assert batched(archive / "all.csv", "-o", out) == 1
     assert done == {path: path.stat().st_mtime_ns for path in done}

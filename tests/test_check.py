@@ -383,7 +383,7 @@ def test_what_is_advised_mends_the_run(corridor: Views, tmp_path: Path, capsys: 
     Path(config).touch()
     for _ in range(4):  # one mistake hides the next
         code = main(["check", *recordings, "--config", config, "--write", f"{config}.next"])
-        assert f"give run --config {config}.next" in capsys.readouterr().err
+        assert f"run --config {config}.next" in capsys.readouterr().err
         Path(f"{config}.next").replace(config)
     assert code == 0
     values = tomllib.loads(Path(config).read_text())

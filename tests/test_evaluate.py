@@ -324,7 +324,7 @@ def test_the_command_prints_a_table_and_writes_what_is_asked_for(sides, tmp_path
     done = called(*sides, *files, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert re.search(r"coverage +0\.7143 +0\.4286\n", done.stdout)
-    assert "no rig is known" in done.stderr
+    assert "errors in m need a rig" in done.stderr
     rows = list(csv.DictReader((tmp_path / "s.csv").open()))
     assert [r["frame"] for r in rows] == ["0", "1", "overall"]
     assert (rows[2]["both_pixels"], rows[2]["bad_1"], rows[2]["rmse_m"]) == ("10", "0.1", "")
@@ -356,7 +356,7 @@ def test_dash_puts_csv_on_standard_output_alone(sides, tmp_path):
 @pytest.mark.parametrize(
     ("args", "code", "message"),
     [
-        (["--csv", "-", "--json", "-"], 2, "cannot both have standard output"),
+        (["--csv", "-", "--json", "-"], 2, "cannot both go to standard output"),
         (["--truth-kind", "depth"], 1, "has no .png or .pfm or .tiff files"),
         (["--picture", "5"], 1, "frame 5 is not on both sides"),
         (["--csv", "missing/s.csv"], 1, "cannot write missing/s.csv"),

@@ -11,25 +11,25 @@ import click
 from motionstereo_cli import __version__
 
 #: In the order of the help: the function of each command, in the file of its name, and the first
-#: line of its help. Said here too, the help of all need not load each.
+#: line of its help, which is repeated here so that the list of commands loads none of them.
 _COMMANDS = {
     "run": ("run", "Find depth and steering in the two videos of a stereo camera."),
-    "batch": ("batch", "Process many recordings, side by side on this machine or on a cluster."),
-    "report": ("report", "Show a run, or a batch of runs, as one page to be opened in a browser."),
-    "info": ("info", "Print how an input is understood."),
-    "check": ("check", "Look for mistakes in a recording that would ruin a run."),
-    "rig": ("rig", "Convert a calibration to rig.yaml, and say how it is understood."),
-    "figure": ("figure", "Show some frames stage by stage on one sheet."),
+    "batch": ("batch", "Process many recordings in parallel, on this machine or on a cluster."),
+    "report": ("report", "Make a web page of a run or of a batch."),
+    "info": ("info", "Show what was detected in an input."),
+    "check": ("check", "Look for faults in a recording that would spoil a run."),
+    "rig": ("rig", "Convert a calibration to rig.yaml and show how it was read."),
+    "figure": ("figure", "Draw some frames stage by stage on one sheet."),
     "simulate": ("simulate", "Render a stereo recording with exact truth into the folder OUT."),
-    "drive": ("drive", "Let a simulated robot drive by its own depth."),
-    "evaluate": ("evaluate", "Compare the disparity or depth that a run found with the truth."),
-    "compare": ("compare", "Compare a run with an earlier one. Exit code 4 if they differ."),
+    "drive": ("drive", "Drive a simulated robot by its own depth."),
+    "evaluate": ("evaluate", "Compare the disparity or depth of a run with ground truth."),
+    "compare": ("compare", "Compare a run with an earlier one; exit code 4 if they differ."),
     "help": ("show_help", "Print a page of the documentation, or the help of a command."),
 }
 
 
 class _Commands(Mapping[str, click.Command]):
-    """The commands by name; each loads when it is asked for, which takes a while for all."""
+    """The commands by name; each loads on first use."""
 
     def __getitem__(self, name: str) -> click.Command:
         function, _ = _COMMANDS[name]

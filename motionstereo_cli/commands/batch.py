@@ -54,36 +54,36 @@ def plan_of(arguments: Sequence[str]) -> RunPlan:
     type=click.Path(file_okay=False, path_type=Path),
     default="motionstereo_batch",
     show_default=True,
-    help="Folder for the results: a folder for each recording, and the table batch.csv.",
+    help="Output folder: one folder for each recording, and the table batch.csv.",
 )
 @click.option(
     "--workers",
     type=click.IntRange(1, 1024),
-    help="Processes on this machine.  [default: number of cores]",
+    help="Worker processes on this machine.  [default: number of cores]",
 )
 @click.option("--scheduler", help="Address of a Dask scheduler, such as tcp://HOST:8786.")
 @click.option(
     "--scheduler-file",
     type=click.Path(dir_okay=False, path_type=Path),
-    help="File in which a Dask scheduler has left its address.",
+    help="Scheduler file of a Dask scheduler.",
 )
-@click.option("--tls-ca", help="Certificate of the authority, for a scheduler with TLS.")
+@click.option("--tls-ca", help="CA certificate, for a scheduler with TLS.")
 @click.option("--tls-cert", help="Certificate of this client.")
 @click.option("--tls-key", help="Key of this client.")
 @click.option(
     "--pieces",
     type=click.IntRange(1, 10_000),
-    help="Pieces that each recording is cut into, for several workers to share it; 1 = none.  "
-    "[default: as many as keep all workers busy]",
+    help="Pieces that each recording is cut into, to be shared by several workers; 1 = uncut.  "
+    "[default: enough to keep all workers busy]",
 )
 @click.option(
-    "--retry-failed", is_flag=True, help="Try again what failed or was lost, not only what is new."
+    "--retry-failed", is_flag=True, help="Also process recordings that failed or were lost."
 )
 @click.option(
     "--json",
     "as_json",
     is_flag=True,
-    help="Print a line of JSON for each recording that has ended.",
+    help="Print one line of JSON for each finished recording.",
 )
 @click.argument("given", nargs=-1, type=click.UNPROCESSED, metavar="")
 def batch(
@@ -95,12 +95,13 @@ def batch(
     as_json: bool,
     **cluster: Any,
 ) -> int:
-    """Process many recordings, side by side on this machine or on a cluster.
+    """Process many recordings in parallel, on this machine or on a cluster.
 
-    MANIFEST is a CSV file with a header: left, right, out (its folder under OUT), and any options
-    of run by name; paths are relative to it. Or two quoted patterns take its place:
-    'archive/*/left.mp4' 'archive/*/right.mp4' is a recording for each match. Options of run hold
-    for all recordings, those of a row for its own. The same command again does what is not done.
+    MANIFEST is a CSV file with the columns left, right, out (a folder under OUT) and any options
+    of run; its paths are relative to it. Two quoted patterns can take its place:
+    'archive/*/left.mp4' 'archive/*/right.mp4' gives one recording for each match. Options of run on
+    the command line apply to all recordings, those in a row to its recording. Run the same command
+    again to process what is not done yet.
     """
     from motionstereo_cli.batch.cluster import Cluster
     from motionstereo_cli.batch.coordinator import BatchWatcher, run_batch
@@ -122,9 +123,10 @@ def batch(
                 *(found, out, where, watcher), retry_failed=retry_failed, pieces=pieces
             )
         except KeyboardInterrupt:
-            say("error", f"interrupted: the same command goes on; see {out / 'batch.csv'}")
+            again = "run the same command again to continue"
+            say("error", f"interrupted: {again}; see {out / 'batch.csv'}")
             return INTERRUPTED_EXIT_CODE
-    return _say_what_came(statuses, out)
+    return _summarise(statuses, out)
 
 
 def _apart(given: Sequence[str]) -> tuple[list[str], list[str]]:
@@ -209,8 +211,8 @@ def _say_ended(status: Status, *, as_json: bool, quiet: bool) -> None:
         say("note", f"{status.name}: {status.status}, {status.frames} frames")
 
 
-def _say_what_came(statuses: Sequence[Status], out: Path) -> int:
-    """Report in words, and return the exit code."""
+def _summarise(statuses: Sequence[Status], out: Path) -> int:
+    """Print a summary and return the exit code."""
     counts = {
         name: sum(status.status == name for status in statuses)
         for name in dict.fromkeys(status.status for status in statuses)

@@ -34,14 +34,14 @@ if TYPE_CHECKING:
     metavar="INTEGER",
     default=Settings().max_disparity,
     show_default=True,
-    help="Maximum disparity that run is going to have, in px, or auto.",
+    help="Maximum disparity that run will search, in px, or auto.",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 @click.option(
     "--write",
     "advice",
     type=click.Path(dir_okay=False, path_type=Path),
-    help="Write the options that are advised, for run --config. An older file is replaced.",
+    help="Write the advised options to a file for run --config. Replaces an older file.",
 )
 @config_option
 def check(
@@ -55,12 +55,12 @@ def check(
     as_json: bool,
     advice: Path | None,
 ) -> int:
-    """Look for mistakes in a recording that would ruin a run.
+    """Look for faults in a recording that would spoil a run.
 
-    It checks rows, disparity range, order of the cameras, exposure, motion, and whether the two
-    recordings are in step. It reads all of the input, and matches features in a few places. It
-    prints what it measured, and a line for each mistake: what, how much, and what to do. Exit code
-    1 if a mistake ruins the result, 3 if the input is damaged, 0 otherwise.
+    It checks row alignment, disparity range, camera order, exposure, motion, and whether the
+    two recordings are synchronised. It reads the whole input and matches features in a few frames.
+    It prints the measurements and one line for each fault: what is wrong, by how much, and what to
+    do. Exit code 1 if a fault spoils the result, 3 if the input is damaged, 0 otherwise.
     """
     from tqdm import tqdm
 
@@ -95,7 +95,7 @@ def check(
 def _write(
     path: Path, report: CheckReport, source: StereoSource, rig: tuple[Path, ...], unit: str | None
 ) -> None:
-    """Write what is advised, and say how to use it."""
+    """Write the advised options and print how to use them."""
     from motionstereo_cli.check.advice import advised, as_toml
     from motionstereo_cli.files.targets import write_output
 
@@ -107,7 +107,7 @@ def _write(
     found = advised(report, source.settings, source.frame_rate, source.likely_white)
     content = as_toml(head, source.settings, rig, unit, found)
     write_output(path, content, (*source.paths, *rig, *config_files()))
-    say("note", f"the options advised are in {path}: give run --config {path}")
+    say("note", f"advised options are in {path}: use them with run --config {path}")
 
 
 def _table(report: CheckReport) -> str:

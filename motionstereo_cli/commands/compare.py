@@ -44,18 +44,18 @@ def _tolerances(
     multiple=True,
     metavar="COLUMN=VALUE",
     callback=_tolerances,
-    help="How far a number of a table may be from the golden one, in the column's unit; may be "
-    "repeated. Columns without one have to be the same.  "
+    help="Tolerance of a table's column, in the column's unit. May be repeated. Other columns must "
+    "be equal.  "
     f"[default: {', '.join(f'{name}={value:g}' for name, value in COLUMN_TOLERANCE.items())}]",
 )
-@click.option("--picture", type=_FILE, help="Draw the images that differ most, PNG.")
+@click.option("--picture", type=_FILE, help="PNG file for the images that differ most.")
 @click.option(
     "--json",
     "json_path",
     type=click.Path(dir_okay=False, allow_dash=True, path_type=Path),
-    help="Write all as JSON; - is standard output.",
+    help="Write the report as JSON. - is standard output.",
 )
-@click.option("--junit", type=_FILE, help="Write a JUnit report, a test case for each output.")
+@click.option("--junit", type=_FILE, help="Write a JUnit report with a test case for each output.")
 @settings_options(CompareSettings)
 def compare(
     *,
@@ -67,11 +67,11 @@ def compare(
     junit: Path | None,
     chosen: dict[str, Any],
 ) -> int:
-    """Compare a run with an earlier one. Exit code 4 if they differ.
+    """Compare a run with an earlier one; exit code 4 if they differ.
 
-    ACTUAL and GOLDEN are folders that run wrote. GOLDEN may be a part of one, such as steering.csv,
-    run.json and every tenth depth image; only what it has is compared. Tables, depth and disparity
-    images, and settings and counts in run.json are compared; other files only have to exist.
+    ACTUAL and GOLDEN are output folders of run. GOLDEN may be incomplete, such as steering.csv,
+    run.json and every tenth depth image; only its files are compared. Tables, depth and disparity
+    images, and the settings and counts in run.json are compared; other files only have to exist.
     """
     settings = CompareSettings(**chosen)
 

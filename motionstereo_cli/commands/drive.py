@@ -26,13 +26,13 @@ from motionstereo_cli.simulate.settings import DriveSettings
 def drive(
     out: Path, view: bool, overwrite: bool, world: dict[str, Any], settings: Settings
 ) -> None:
-    """Let a simulated robot drive by its own depth.
+    """Drive a simulated robot by its own depth.
 
-    It drives round a square corridor. The folder OUT then has: left.mkv and right.mkv, what it
-    saw (FFV1, lossless); rig.yaml and poses.txt (TUM format, m); steering.csv, as run gives it for
-    these with --poses poses.txt; plan.png, the drive from above; map.ply, map.png, map.yaml,
-    map-sheet.png, the map as run --save map gives it; drive.json: laps, distance, collisions,
-    nearest pass, why it ended.
+    It drives round a square corridor. OUT then holds left.mkv and right.mkv, its views (FFV1,
+    lossless); rig.yaml and poses.txt (TUM format, m); steering.csv, equal to that of run with
+    --poses poses.txt; plan.png, the drive from above; map.ply, map.png, map.yaml and map-sheet.png,
+    equal to those of run --save map; drive.json with laps, distance, collisions, nearest pass and
+    the reason for the end.
     """
     world_settings = DriveSettings(**world)
 

@@ -25,20 +25,24 @@ _TABLE = click.Path(dir_okay=False, allow_dash=True, path_type=Path)
 @click.option(
     "--rig",
     type=click.Path(path_type=Path),
-    help="rig.yaml that turns disparity into depth and back.  "
-    "[default: what stands in OUT's run.json, TRUTH's rig.yaml]",
+    help="rig.yaml for conversion between disparity and depth.  "
+    "[default: the rig in OUT's run.json or TRUTH's rig.yaml]",
 )
-@click.option("--out-kind", type=_KIND, help="What OUT holds.  [default: as folders are named]")
-@click.option("--truth-kind", type=_KIND, help="What TRUTH holds.  [default: as folders are named]")
+@click.option("--out-kind", type=_KIND, help="What OUT holds.  [default: from the folder's name]")
+@click.option(
+    "--truth-kind", type=_KIND, help="What TRUTH holds.  [default: from the folder's name]"
+)
 @click.option(
     "--mask",
     type=click.Path(path_type=Path),
-    help="Folder of PNG files, one a frame: only pixels where they are not 0 count.",
+    help="Folder of PNG masks, one for each frame: only pixels that are not 0 count.",
 )
 @click.option(
-    "--csv", "csv_path", type=_TABLE, help="Write a row for each frame. - is standard output."
+    "--csv", "csv_path", type=_TABLE, help="Write one row for each frame. - is standard output."
 )
-@click.option("--json", "json_path", type=_TABLE, help="Write all as JSON; - is standard output.")
+@click.option(
+    "--json", "json_path", type=_TABLE, help="Write the report as JSON. - is standard output."
+)
 @click.option("--picture", type=int, metavar="FRAME", help="Draw the errors of this frame.")
 @click.option(
     "-o",
@@ -47,7 +51,7 @@ _TABLE = click.Path(dir_okay=False, allow_dash=True, path_type=Path)
     type=click.Path(dir_okay=False, path_type=Path),
     default="errors.png",
     show_default=True,
-    help="Where --picture goes, PNG; an older one is replaced.",
+    help="PNG file for --picture; replaces an older one.",
 )
 @config_option
 def evaluate(
@@ -63,16 +67,16 @@ def evaluate(
     picture: int | None,
     picture_path: Path,
 ) -> None:
-    """Compare the disparity or depth that a run found with the truth.
+    """Compare the disparity or depth of a run with ground truth.
 
-        OUT and TRUTH are folders that run or simulate wrote, or folders of images, both in the same
-    view: KITTI disparity PNG (uint16, 1/256 px), depth PNG (uint16, mm or what run.json says), PFM
-    or float32 TIFF (px or m). Frames are matched by the number in their names. It prints a table of
-    coverage, bad-pixel shares, D1, errors in px and, with a rig, in m; --csv - or --json - print
-    these instead.
+    OUT and TRUTH are folders that run or simulate wrote, or folders of images, both in the same
+    view: KITTI disparity PNG (uint16, 1/256 px), depth PNG (uint16, mm or the unit in run.json),
+    PFM or float32 TIFF (px or m). Frames are matched by the number in their names. It prints a
+    table of coverage, bad-pixel shares, D1, errors in px and, with a rig, in m; --csv - or --json -
+    print these instead.
     """
     if csv_path == json_path == STDOUT:
-        raise click.UsageError("--csv - and --json - cannot both have standard output: name a file")
+        raise click.UsageError("--csv - and --json - cannot both go to standard output")
 
     from tqdm import tqdm
 
@@ -115,4 +119,4 @@ def _say_what_is_not_scored(comparison: Comparison, report: Report) -> None:
         out_view, truth_view = comparison.views
         say("warning", f"OUT is in the {out_view} view, but TRUTH in the {truth_view} one")
     if not comparison.has_depth:
-        say("note", "no rig is known, so errors in m are not: give --rig")
+        say("note", "errors in m need a rig: give --rig")

@@ -30,7 +30,7 @@ def _numbers(ctx: click.Context, _: click.Parameter, text: str) -> list[int]:
     required=True,
     metavar="NUMBERS",
     callback=_numbers,
-    help="Frames to show, a row each, as a comma list of numbers from 0.",
+    help="Frames to draw: frame numbers from 0, separated by commas.",
 )
 @click.option(
     "-o",
@@ -38,7 +38,7 @@ def _numbers(ctx: click.Context, _: click.Parameter, text: str) -> list[int]:
     type=click.Path(dir_okay=False, path_type=Path),
     default="sheet.png",
     show_default=True,
-    help="PNG to write; an older one is replaced.",
+    help="PNG file to write; replaces an older one.",
 )
 @input_options
 @processing_options
@@ -51,11 +51,11 @@ def figure(
     input_settings: InputSettings,
     settings: Settings,
 ) -> int:
-    """Show some frames stage by stage on one sheet.
+    """Draw some frames stage by stage on one sheet.
 
-    Figures 2 and 3 of the paper are like this. There is one row for each frame; the columns are the
-    right image (the left one with --reference left), its bands, its permanency memory, and the
-    depth, bright where near and black where unknown.
+    Figures 2 and 3 of the paper have this form: one row for each frame, with the right image (the
+    left one with --reference left), its bands, its permanency memory, and its depth, bright where
+    near and black where unknown.
     """
     from motionstereo_cli.evaluation.figure import draw_figure
     from motionstereo_cli.files.encode import encode_png

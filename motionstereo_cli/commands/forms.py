@@ -1,4 +1,4 @@
-"""A report in the forms that were asked for: files, and one on standard output."""
+"""Write a report in the requested forms: files, and one on standard output."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import click
 STDOUT = Path("-")
 
 _Report = TypeVar("_Report")
-#: Where a form goes, None if it was not asked for, and what makes it.
+#: The file of a form, None if it was not requested, and the function that makes it.
 Form = tuple[Path | None, Callable[[_Report], str]]
 
 
@@ -32,6 +32,6 @@ def write_files(report: _Report, forms: Sequence[Form[_Report]], inputs: Iterabl
 def print_form(
     report: _Report, forms: Sequence[Form[_Report]], table: Callable[[_Report], str]
 ) -> None:
-    """Print the form that goes to standard output, else the table to read."""
+    """Print the form for standard output or, without one, the table."""
     form = next((form for path, form in forms if path == STDOUT), table)
     click.echo(form(report), nl=False)

@@ -1,4 +1,4 @@
-"""Help in groups: what most people need on one screen, all of it on request."""
+"""Help in groups: common options on one screen, all options on request."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ FULL = f"{__name__}.full"
 
 
 class GroupedOption(click.Option):
-    """An option with its place in the help.
+    """An option with its heading in the help.
 
     Args:
-        group: heading that it stands under in the full help.
-        common: whether the short help has it, under the first heading.
+        group: its heading in the full help.
+        common: whether the short help shows it, under the first heading.
     """
 
     def __init__(self, *args: Any, group: str, common: bool = False, **kwargs: Any) -> None:

@@ -31,11 +31,10 @@ def info(
     baseline_unit: str | None,
     as_json: bool,
 ) -> None:
-    """Print how an input is understood.
+    """Show what was detected in an input.
 
-    Give it the options that run is going to have. It decodes only the first image of each
-    side. The numbers of images are those of the files' indices, or else counted, so a damaged file
-    may give fewer.
+    Give it the same options as run. It decodes only the first image of each side. The numbers
+    of images come from the files' indices, or are counted; a damaged file may give fewer.
     """
     from motionstereo_cli.rig import rig_values
     from motionstereo_cli.rig.calibration import rectify_source

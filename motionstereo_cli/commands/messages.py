@@ -12,7 +12,7 @@ import click
 
 
 class Tolerant:
-    """Standard error that may be full, or its reader gone: what cannot be read is dropped.
+    """Standard error that drops text if the disk is full or the reader has gone.
 
     Args:
         stream: standard error.
@@ -37,19 +37,19 @@ class Tolerant:
         """Do nothing: what was written has been passed on."""
 
     def _drop(self) -> None:
-        # The interpreter writes what is left once more on its way out.
+        # At exit, the interpreter writes once more what is left.
         with contextlib.suppress(OSError, ValueError):
             nowhere = os.open(os.devnull, os.O_WRONLY)
             os.dup2(nowhere, self._stream.fileno())
             os.close(nowhere)
 
 
-#: Takes each message too, and tells whether people are to read it; None: nothing does.
+#: Receives each message and returns whether to print it too; None: all are printed.
 listener: ContextVar[Callable[[str, str], bool] | None] = ContextVar("listener", default=None)
 
 
 def say(kind: str, text: str) -> None:
-    """Say something in one line, after what it is: ``note``, ``warning`` or ``error``."""
+    """Print a message in one line, after its kind: ``note``, ``warning`` or ``error``."""
     line = printable(" ".join(text.split()))
     hear = listener.get()
     if hear is None or hear(kind, line):
@@ -57,9 +57,9 @@ def say(kind: str, text: str) -> None:
 
 
 def printable(text: str) -> str:
-    """Return a text with its control characters, and others that cannot be printed, as escapes.
+    """Return a text with control characters and others that cannot be printed as escapes.
 
-    Names of files may come from anywhere, and codes in one could clear the screen.
+    File names may contain terminal codes, which could clear the screen.
     """
     return "".join(
         each if each.isprintable() else each.encode("unicode_escape").decode() for each in text

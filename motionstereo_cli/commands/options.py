@@ -1,4 +1,4 @@
-"""Options that commands share: declared parameters, and the configuration file."""
+"""Options shared by commands: declared parameters, and the configuration file."""
 
 from __future__ import annotations
 
@@ -91,11 +91,11 @@ def input_options(command: Callable[..., Any]) -> Callable[..., Any]:
 
     collected: Callable[..., Any] = functools.update_wrapper(collect, command)
     collected = _declared(InputSettings, "input_chosen", "Input")(collected)
-    # Hidden; it catches the file names that a shell makes of patterns without quotes.
+    # Hidden; it takes the file names that a shell makes of patterns without quotes.
     collected = click.argument(
         "more", nargs=-1, metavar="", expose_value=False, callback=_none_more
     )(collected)
-    # Text, not paths: as paths, standard input "-" and a file "./-" are the same.
+    # Text, not paths: as paths, standard input "-" and a file "./-" would be equal.
     collected = click.argument("right", required=False, shell_complete=_files)(collected)
     return click.argument("left", shell_complete=_files)(collected)
 
@@ -137,7 +137,7 @@ def pose_options(command: Callable[..., Any]) -> Callable[..., Any]:
     return click.option(
         "--poses",
         type=click.Path(path_type=Path),
-        help="Poses of the rig; guidance then has a memory. TUM format, lines t x y z qx qy qz qw "
+        help="Poses of the rig; enables map-based guidance. TUM format, lines t x y z qx qy qz qw "
         "of the point halfway between the cameras, in s and m; x forward, y left, z up; t as in "
         "the recordings; or EuRoC's or KITTI's format. Needs --rig, or a bag with camera_info.",
     )(collected)
@@ -153,10 +153,10 @@ def rig_options(command: Callable[..., Any]) -> Callable[..., Any]:
         "--rig",
         multiple=True,
         type=click.Path(path_type=Path),
-        help="Calibration of the camera; needed for m and rad. A rig.yaml, OpenCV, KITTI, "
-        "Middlebury, kalibr, ORB-SLAM, DepthAI or ZED file; given twice, left first, for a pair of "
-        "files (ROS camera_info, EuRoC sensor.yaml, OpenCV intrinsics and extrinsics). Images are "
-        "rectified if it says how.",
+        help="Calibration of the cameras; needed for results in m and rad. A rig.yaml, OpenCV, "
+        "KITTI, Middlebury, kalibr, ORB-SLAM, DepthAI or ZED file; given twice, left first, for a "
+        "pair of files (ROS camera_info, EuRoC sensor.yaml, OpenCV intrinsics and extrinsics). It "
+        "also tells how to rectify the images.",
     )
     return files(baseline_unit_option(command))
 
@@ -166,7 +166,7 @@ baseline_unit_option = click.option(
     cls=GroupedOption,
     group="Calibration",
     type=click.Choice(["m", "cm", "mm"]),
-    help="Unit of length in the calibration.  [default: that of the format, or a guess]",
+    help="Unit of length in the calibration.  [default: by the format, or guessed]",
 )
 
 
@@ -176,12 +176,12 @@ _preset_option = click.option(
     metavar="NAME",
     default="default",
     show_default=True,
-    help=f"Set of values for the method ({', '.join(PRESETS)}); options that are given win.",
+    help=f"Set of values for the method ({', '.join(PRESETS)}). Other options override it.",
 )
 
 
 def _option(item: Param, group: str) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    # No default here: only then can a preset tell what was given from what was not.
+    # No default here, so that a preset can tell which values were given.
     option = functools.partial(
         click.option,
         cls=GroupedOption,
@@ -203,7 +203,7 @@ def _option(item: Param, group: str) -> Callable[[Callable[..., Any]], Callable[
 
 
 def _many(item: Param) -> bool:
-    """Tell whether there are too many choices to stand beside the option's name."""
+    """Return whether the choices are too many to stand beside the option's name."""
     return len("|".join(item.choices)) > 24
 
 
@@ -229,8 +229,8 @@ config_option = click.option(
     is_eager=True,
     expose_value=False,
     callback=lambda ctx, _, path: _read_config(ctx, path) if path else None,
-    help="TOML file with values for any of these options. As NAME = VALUE, without the dashes; "
-    "the command line wins.",
+    help="TOML file with values for these options, as NAME = VALUE without the dashes. The command "
+    "line wins.",
 )
 
 

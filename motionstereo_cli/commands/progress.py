@@ -1,4 +1,4 @@
-"""How far a command is: a bar for people, or lines of JSON for programs."""
+"""Progress of a command: a bar for people, or lines of JSON for programs."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ if TYPE_CHECKING:
 
     from tqdm import tqdm
 
-#: Time between two lines on how far it is, at least, in s.
+#: Minimum time between two progress lines, in s.
 _PAUSE_S = 0.2
-#: How each line of ours begins, by which an older file is known.
+#: The beginning of each line; identifies a file of an earlier command.
 _BEGINNING = b'{"kind": "'
 
 _STATUS = {
@@ -45,11 +45,11 @@ _WORTH_SAYING_S = 5
 
 
 class JsonLines:
-    """Tells a program how far it is, a JSON object a line.
+    """Report progress to a program, one JSON object a line.
 
     Args:
-        stream: where to.
-        aside: it is not standard error, so that people read their words there.
+        stream: receives the lines.
+        aside: whether messages also go to standard error, because ``stream`` is not that.
     """
 
     def __init__(self, stream: TextIO, *, aside: bool) -> None:
@@ -60,7 +60,7 @@ class JsonLines:
         self._frames: int | None = None
 
     def tell(self, kind: str, **more: Any) -> None:
-        """Write a line; a reader that has gone ends nothing."""
+        """Write a line; does nothing if the reader has gone."""
         now_s = time.monotonic()
         eta = None
         if self._frame and self._frames:
@@ -78,24 +78,24 @@ class JsonLines:
             self._stream.flush()
 
     def hear(self, kind: str, text: str) -> bool:
-        """Take a message; return whether people are to read it too."""
+        """Write a message; return whether it is to be shown to people too."""
         self.tell(kind, text=text)
         return self.aside
 
     def begin(self, frames: int | None) -> None:
-        """Say that frames are about to come, and how many; None if unknown."""
+        """Start counting ``frames`` frames; None if unknown."""
         self._frames, self._first_s = frames, time.monotonic()
         self.tell("begin")
 
     def advance(self, frames: int = 1) -> None:
-        """Count frames, and say so now and then."""
+        """Count frames, and write a line now and then."""
         self._frame += frames
         if time.monotonic() >= self._next_s:
             self._next_s = time.monotonic() + _PAUSE_S
             self.tell("progress")
 
     def end(self, exit_code: int) -> None:
-        """Say how it ended."""
+        """Write the line of the end."""
         status = _STATUS.get(exit_code, "failed")
         self.tell("end", status=status, exit_code=exit_code)
         if self.aside:
@@ -104,7 +104,7 @@ class JsonLines:
 
 
 class Bar:
-    """Shows how far a command is, on a terminal or as JSON lines.
+    """Show progress on a terminal or as JSON lines.
 
     Args:
         frames: how many there will be; None if unknown.
@@ -132,7 +132,7 @@ class Bar:
             self._bar.close()
 
     def begin(self, frames: int | None) -> None:
-        """Begin with the first of so many frames."""
+        """Start the bar for ``frames`` frames; None if unknown."""
         if self._on_terminal:
             from tqdm import tqdm  # it takes a twentieth of the start to load
 
@@ -157,12 +157,12 @@ class Bar:
 
 
 def lines() -> JsonLines | None:
-    """Return where programs are told of progress; None if they are not."""
+    """Return the lines of ``--progress jsonl``; None without."""
     return _LINES.get()
 
 
 def end_lines(exit_code: int) -> None:
-    """Say how the command ended, where lines were asked for; the next one begins without."""
+    """End the lines of ``--progress jsonl``, if there are any."""
     if (told := _LINES.get()) is not None:
         _LINES.set(None)
         listener.set(None)
@@ -187,7 +187,7 @@ def progress_options(command: Callable[..., Any]) -> Callable[..., Any]:
         cls=GroupedOption,
         group="Output",
         type=click.Path(dir_okay=False, path_type=Path),
-        help="File or FIFO for the lines of --progress jsonl.  [default: standard error]",
+        help="File or FIFO for --progress jsonl.  [default: standard error]",
     )(wrapped)
     return click.option(
         "--progress",
@@ -196,13 +196,13 @@ def progress_options(command: Callable[..., Any]) -> Callable[..., Any]:
         type=click.Choice(["bar", "jsonl"]),
         default="bar",
         show_default=True,
-        help="How to tell how far it is. bar: for people, on a terminal; jsonl: for programs, a "
-        "JSON object a line, messages too.",
+        help="How to report progress. bar: a bar, on a terminal; jsonl: one JSON object a line, "
+        "messages included.",
     )(wrapped)
 
 
 def _opened(path: Path | None) -> JsonLines:
-    """Open where the lines go; of files only one of an earlier command is replaced."""
+    """Open the file of the lines; replaces only a file of an earlier command."""
     if path is None:
         return JsonLines(sys.stderr, aside=False)
     try:
@@ -211,19 +211,21 @@ def _opened(path: Path | None) -> JsonLines:
         if path.exists():
             with path.open("rb") as file:
                 if file.read(len(_BEGINNING)) not in (b"", _BEGINNING):
-                    raise OutputError(f"{path} is no file of --progress jsonl: give another name")
+                    raise OutputError(
+                        f"{path} was not written by --progress jsonl: give another name"
+                    )
         return JsonLines(path.open("w", encoding="utf-8"), aside=True)
     except OSError as error:
         raise OutputError(f"cannot write {path}: {error.strerror or error}") from error
 
 
 def foretelling(frames: int, bar: Bar) -> Callable[[], None]:
-    """Return a function to call after each frame; soon after the first it says how long all take.
+    """Return a function to call after each frame; it estimates the total time once.
 
-    It says nothing if that is less than some seconds.
+    It prints nothing if that is less than some seconds.
 
     Args:
-        frames: how many frames there will be, about.
+        frames: expected number of frames.
         bar: advances with each frame.
     """
     times_s = []
@@ -231,7 +233,7 @@ def foretelling(frames: int, bar: Bar) -> Callable[[], None]:
     def advance() -> None:
         bar.update()
         times_s.append(time.perf_counter())
-        # The first frames take longer: they load.
+        # The first frames take longer: modules load.
         if len(times_s) == 2 * _WARM_UP_FRAMES:
             frame_s = (times_s[-1] - times_s[_WARM_UP_FRAMES - 1]) / _WARM_UP_FRAMES
             rest_s = frame_s * (frames - len(times_s))

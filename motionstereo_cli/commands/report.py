@@ -17,15 +17,15 @@ from motionstereo_cli.commands.messages import say
     "--out",
     "page",
     type=click.Path(dir_okay=False, allow_dash=True, path_type=Path),
-    help="HTML to write; an older report is replaced; - is standard output.  "
+    help="HTML file to write; replaces an older report. - is standard output.  "
     "[default: report.html in OUT]",
 )
 def report(*, out: Path, page: Path | None) -> int:
-    """Show a run, or a batch of runs, as one page to be opened in a browser.
+    """Make a web page of a run or of a batch.
 
-    OUT is a folder that run wrote, complete or not, or the folder of a batch. The page needs no
-    network. For a run it plays the videos of OUT as long as they stay where they are, and otherwise
-    shows one frame of each. For a batch it has a row for each recording, failures first.
+    OUT is the output folder of a run, complete or not, or of a batch. The page works without a
+    network. For a run it plays the videos in OUT while they stay there, and otherwise shows one
+    frame of each. For a batch it has one row for each recording, failures first.
     """
     from motionstereo_cli.report import PAGE, write_report
     from motionstereo_cli.report.batch_page import TABLE, batch_page

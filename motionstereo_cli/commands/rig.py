@@ -35,7 +35,7 @@ def _two_numbers(
     type=click.Path(dir_okay=False, allow_dash=True, path_type=Path),
     default="-",
     show_default=True,
-    help="rig.yaml to write; an older one is replaced; - is standard output.",
+    help="rig.yaml to write; replaces an older one. - is standard output.",
 )
 @click.option(
     "--size",
@@ -58,7 +58,7 @@ def rig(
     cameras: tuple[int, int] | None,
     baseline_unit: str | None,
 ) -> None:
-    """Convert a calibration to rig.yaml, and say how it is understood.
+    """Convert a calibration to rig.yaml and show how it was read.
 
     FILE is an OpenCV (YAML, XML, JSON, npz), KITTI, Middlebury, kalibr, ORB-SLAM, DepthAI or ZED
     file, or rig.yaml; two files, the left camera's first, are a ROS camera_info or EuRoC

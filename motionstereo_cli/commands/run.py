@@ -44,7 +44,7 @@ _OPTIONS = (
         type=click.Path(allow_dash=True, path_type=Path),
         default="motionstereo_out",
         show_default=True,
-        help="Folder for the results. - writes only the steering table, to standard output.",
+        help="Output folder. - writes only the steering table, to standard output.",
     ),
     rig_options,
     pose_options,
@@ -54,7 +54,7 @@ _OPTIONS = (
         metavar="NAMES",
         callback=_names,
         shell_complete=_complete_names,
-        help="What to write, as a comma list. May be repeated. Names are "
+        help="Outputs, separated by commas. May be repeated. Names are "
         f"{', '.join(OUTPUTS)}; motionstereo help outputs describes them.  "
         f"[default: {','.join(DEFAULT_OUTPUTS)}]",
     ),
@@ -62,21 +62,21 @@ _OPTIONS = (
         "--csv",
         "table",
         type=click.Path(dir_okay=False, allow_dash=True, path_type=Path),
-        help="Write the steering table here too. - is standard output, row by row.",
+        help="Also write the steering table to this file. - is standard output, row by row.",
     ),
     output_options,
     click.option("--overwrite", is_flag=True, help="Replace the results of an earlier run in OUT."),
     click.option(
         "--resume",
         is_flag=True,
-        help="Go on where the same run into OUT was interrupted. Begins if there is none.",
+        help="Continue an interrupted run in OUT. Starts a new run if there is none.",
     ),
     click.option(
         "--jobs",
         type=click.IntRange(1, 256),
         metavar="INTEGER",
-        help="Frames matched at the same time. Results do not depend on it, but come that many "
-        "frames later, less one.  [default: number of cores, 1 with a pipe]",
+        help="Frames matched in parallel. Results do not depend on it, but each comes this many "
+        "frames, less one, later.  [default: number of cores, 1 with a pipe]",
     ),
     click.option(
         "--check/--no-check",
@@ -84,8 +84,7 @@ _OPTIONS = (
         cls=GroupedOption,
         group="Robustness",
         default=True,
-        help="Look for mistakes in the first frames, as the command check does in all frames, and "
-        "warn.  "
+        help="Check the first frames as the command check does the whole recording, and warn.  "
         "[default: on]",
     ),
     input_options,
@@ -107,7 +106,7 @@ def run(**given: Any) -> int:
     """Find depth and steering in the two videos of a stereo camera.
 
     LEFT and RIGHT are video files, folders of images, or quoted patterns such as 'cam0_*.png'; -
-    is a video on standard input. Without RIGHT, LEFT is a KITTI or EuRoC folder or, with
+    is a video on standard input. Without RIGHT, LEFT is a KITTI or EuRoC folder, a ROS bag or, with
     --layout, one recording of both views.
     """
     plan = RunPlan(**given, reads=config_files())
@@ -120,11 +119,11 @@ def run(**given: Any) -> int:
 
     with Bar(quiet=_shares_terminal(plan)) as bar:
         report = library(plan, Watcher(bar.say, bar.begin, bar.update))
-    return _say_what_came(plan, report)
+    return _summarise(plan, report)
 
 
-def _say_what_came(plan: RunPlan, report: RunReport) -> int:
-    """Report in words, and return the exit code."""
+def _summarise(plan: RunPlan, report: RunReport) -> int:
+    """Print a summary and return the exit code."""
     for line in report.damage:
         say("warning", line)
     frames = "1 frame" if report.frames == 1 else f"{report.frames} frames"
@@ -148,5 +147,5 @@ def _say_what_came(plan: RunPlan, report: RunReport) -> int:
 
 
 def _shares_terminal(plan: RunPlan) -> bool:
-    """Return whether a bar would stand among the rows of the table."""
+    """Return whether a bar would mix with the rows of the table."""
     return plan.to_stdout and sys.stdout is not None and sys.stdout.isatty()
