@@ -185,9 +185,9 @@ def semi_global(right, left, right_slope, left_slope, where, proposed_px, weight
         if where[y, x]
     }
     totals = {place: np.zeros(len(reach), int) for place in costs}
-    for down, across in ((0, 1), (0, -1), (1, 0)):
+    for down, across in ((0, 1), (0, -1), (1, 0), (-1, 0)):
         path = {}
-        for y, x in sorted(costs, reverse=across < 0):
+        for y, x in sorted(costs, reverse=across < 0 or down < 0):
             before = path.get((y - down, x - across))
             if before is None:
                 path[y, x] = list(costs[y, x])
@@ -198,7 +198,7 @@ def semi_global(right, left, right_slope, left_slope, where, proposed_px, weight
                     costs[y, x][d]
                     - min(before)
                     + min(
-                        before[e] + (0 if d == e else 72 if abs(d - e) == 1 else leap)
+                        before[e] + (0 if d == e else 100 if abs(d - e) == 1 else leap)
                         for e in reach
                     )
                     for d in reach
@@ -223,7 +223,7 @@ def semi_global(right, left, right_slope, left_slope, where, proposed_px, weight
             second = min((int(total[e]) for e in reach if abs(d - e) > 1), default=32767)
             excess = second - int(total[d])
             seen = x + d < width or abs(last - d) <= 1
-            if not seen or excess < max(60, 0.05 * second) or abs(partner[x + d][1] - d) > 1:
+            if not seen or excess < max(80, 0.05 * second) or abs(partner[x + d][1] - d) > 1:
                 continue
             before = d
             margin[y, x], disparity[y, x] = excess, d

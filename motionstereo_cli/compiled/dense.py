@@ -2,6 +2,11 @@
 
 Costs are int16, and the innermost loops run over disparities, along the memory: compilers turn
 them into vector instructions.
+
+The path from below needs the costs of all rows below first. Rows are taken in strips, so that no
+volume of all costs is held: a first pass from the last strip to the second keeps what the path
+brings to each strip, and a second pass, from the first strip on, makes the costs of the strip
+again, goes up in it, and then along its rows and down. An image of one strip needs no first pass.
 """
 
 import cython
@@ -13,42 +18,66 @@ OUTSIDE = cython.declare(cython.short, 20000)
 MAX_COST = cython.declare(cython.short, 32767)
 
 
+#: Bytes that the costs of a strip may take.
+STRIP_BYTES = cython.declare(cython.Py_ssize_t, 1 << 24)
+
+
 @cython.cclass
 class Workspace:
     """What the matching of a frame needs besides input and output, used again for the next one.
 
     Args:
-        width: of the images in px.
+        rows, width: of the images in px.
         count: number of disparities.
+        strip_rows: rows of a strip, even; 0 = as many as :data:`STRIP_BYTES` hold.
     """
 
+    strip_rows: cython.int
     low: cython.short[::1]  # of a left row, continued beyond its border by its last pixel:
     high: cython.short[::1]  # the least and the largest grey within half a pixel
     slope: cython.short[::1]
     single: cython.short[:, ::1]  # costs of the pixels of a row
     boxes: cython.short[:, :, ::1]  # of three rows, added up across
     window: cython.short[:, ::1]  # and added up down
-    cost: cython.short[:, ::1]
-    total: cython.short[:, ::1]  # of all paths
+    cost: cython.short[:, :, ::1]  # of the rows of a strip
+    total: cython.short[:, :, ::1]  # of all paths, likewise
     across: cython.short[:, ::1]  # paths: from the left and from the right, old and new
     down: cython.short[:, ::1]  # from above, to all columns, old and new
     min_down: cython.short[::1]  # below 0 where no path comes from above
+    up: cython.short[:, ::1]  # from below, likewise
+    min_up: cython.short[::1]
+    brought: cython.short[:, :, ::1]  # to each strip by the path from below: the second half of up
+    min_brought: cython.short[:, ::1]
     best: cython.int[::1]
     partner: cython.int[::1]  # of each left pixel: its disparity
     partner_cost: cython.int[::1]
 
-    def __init__(self, width: cython.Py_ssize_t, count: cython.Py_ssize_t):
+    def __init__(
+        self,
+        rows: cython.Py_ssize_t,
+        width: cython.Py_ssize_t,
+        count: cython.Py_ssize_t,
+        strip_rows: cython.Py_ssize_t = 0,
+    ):
+        fitting: cython.Py_ssize_t = STRIP_BYTES // (2 * width * count)
+        height: cython.Py_ssize_t = min(strip_rows or max(fitting // 2 * 2, 2), rows)
+        strips: cython.Py_ssize_t = (rows + height - 1) // height
+        self.strip_rows = cython.cast(cython.int, height)
         self.low = np.zeros(width + count, np.int16)
         self.high = np.zeros(width + count, np.int16)
         self.slope = np.zeros(width + count, np.int16)
         self.single = np.zeros((width, count), np.int16)
         self.boxes = np.zeros((3, width, count), np.int16)
         self.window = np.zeros((width, count), np.int16)
-        self.cost = np.zeros((width, count), np.int16)
-        self.total = np.zeros((width, count), np.int16)
+        self.cost = np.zeros((height, width, count), np.int16)
+        self.total = np.zeros((height, width, count), np.int16)
         self.across = np.full((4, count + 2), OUTSIDE, np.int16)
         self.down = np.full((2 * width, count + 2), OUTSIDE, np.int16)
         self.min_down = np.zeros(width, np.int16)
+        self.up = np.full((2 * width, count + 2), OUTSIDE, np.int16)
+        self.min_up = np.zeros(width, np.int16)
+        self.brought = np.full((strips, width, count + 2), OUTSIDE, np.int16)
+        self.min_brought = np.zeros((strips, width), np.int16)
         self.best = np.zeros(width, np.int32)
         self.partner = np.zeros(width + count, np.int32)
         self.partner_cost = np.zeros(width + count, np.int32)
@@ -98,26 +127,52 @@ def semi_global(
     disparity: cython.float[:, ::1],
     margin: cython.float[:, ::1],
 ) -> None:
-    """Fill in disparity and margin, (rows, width); ``work`` is for this width and range."""
+    """Fill in disparity and margin, (rows, width); ``work`` is for this size and range."""
     rows: cython.int = cython.cast(cython.int, disparity.shape[0])
-    last: cython.int
+    width: cython.Py_ssize_t = disparity.shape[1]
+    height: cython.int = work.strip_rows
+    strips: cython.int = (rows + height - 1) // height
+    strip: cython.int
+    y: cython.int
     with cython.nogil:
-        work.window[:, :] = 0
-        work.boxes[:, :, :] = 0
+        work.min_up[:] = -1
+        for strip in range(strips - 1, 0, -1):
+            work.brought[strip, :, :] = work.up[width:]
+            work.min_brought[strip, :] = work.min_up
+            fill_costs(frame, strip, weights, work)
+            go_up(frame, strip, weights, work)
         work.min_down[:] = -1
-        for last in range(-1, rows + 1):  # row of the window
-            source: cython.int = min(max(last, 0), rows - 1)
-            extend(frame, source, work)
-            differences(frame, source, weights, work)
-            add_up((last + 1) % 3, work)
-            y: cython.int = last - 1
-            if y < 0:
-                continue
-            propose(frame, y, work)
-            go_across(frame, y, weights, work)
-            go_down(frame, y, weights, work)
-            choose(frame, y, weights, work, margin)
-            paint(y, work, disparity, margin)
+        for strip in range(strips):
+            if strip > 0:
+                work.up[width:, :] = work.brought[strip]
+                work.min_up[:] = work.min_brought[strip]
+            fill_costs(frame, strip, weights, work)
+            go_up(frame, strip, weights, work)
+            for y in range(strip * height, min((strip + 1) * height, rows)):
+                go_across(frame, y, weights, work)
+                go_along(frame, y, y - 1, work.down, work.min_down, weights, work)
+                choose(frame, y, weights, work, margin)
+                paint(y, work, disparity, margin)
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def fill_costs(frame: Frame, strip: cython.int, weights: Weights, work: Workspace) -> cython.void:
+    """Fill in the costs of the rows of a strip."""
+    rows: cython.int = cython.cast(cython.int, frame.right.shape[0])
+    first: cython.int = strip * work.strip_rows
+    end: cython.int = min(first + work.strip_rows, rows)
+    last: cython.int
+    work.window[:, :] = 0
+    work.boxes[:, :, :] = 0
+    for last in range(first - 1, end + 1):  # row of the window
+        source: cython.int = min(max(last, 0), rows - 1)
+        extend(frame, source, work)
+        differences(frame, source, weights, work)
+        add_up((last + 1) % 3, work)
+        if last > first:
+            propose(frame, last - 1, work)
 
 
 @cython.cfunc
@@ -194,8 +249,8 @@ def propose(frame: Frame, y: cython.int, work: Workspace) -> cython.void:
     d: cython.Py_ssize_t
     k: cython.int
     window: cython.short[:, ::1] = work.window
-    cost: cython.short[:, ::1] = work.cost
-    total: cython.short[:, ::1] = work.total
+    cost: cython.short[:, ::1] = work.cost[y % work.strip_rows]
+    total: cython.short[:, ::1] = work.total[y % work.strip_rows]
     count: cython.int = cython.cast(cython.int, cost.shape[1])
     for x in range(cost.shape[0]):
         if not frame.where[y, x]:
@@ -269,8 +324,8 @@ def go_across(frame: Frame, y: cython.int, weights: Weights, work: Workspace) ->
     A step has to wait for the one before it; two ways in turn leave the processor something to do.
     """
     i: cython.Py_ssize_t
-    cost: cython.short[:, ::1] = work.cost
-    total: cython.short[:, ::1] = work.total
+    cost: cython.short[:, ::1] = work.cost[y % work.strip_rows]
+    total: cython.short[:, ::1] = work.total[y % work.strip_rows]
     path: cython.short[:, ::1] = work.across
     width: cython.Py_ssize_t = cost.shape[0]
     min_left: cython.short = -1  # below 0 where no path comes from before
@@ -295,22 +350,42 @@ def go_across(frame: Frame, y: cython.int, weights: Weights, work: Workspace) ->
 @cython.cfunc
 @cython.nogil
 @cython.exceptval(check=False)
-def go_down(frame: Frame, y: cython.int, weights: Weights, work: Workspace) -> cython.void:
-    """Go a row down in all columns, and add the paths' costs to the total."""
+def go_up(frame: Frame, strip: cython.int, weights: Weights, work: Workspace) -> cython.void:
+    """Go up the rows of a strip, and add the path's costs to the totals."""
+    rows: cython.int = cython.cast(cython.int, frame.right.shape[0])
+    first: cython.int = strip * work.strip_rows
+    y: cython.int
+    for y in range(min(first + work.strip_rows, rows) - 1, first - 1, -1):
+        go_along(frame, y, y + 1, work.up, work.min_up, weights, work)
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def go_along(
+    frame: Frame,
+    y: cython.int,
+    before: cython.int,
+    path: cython.short[:, ::1],
+    min_path: cython.short[::1],
+    weights: Weights,
+    work: Workspace,
+) -> cython.void:
+    """Go from the row ``before`` to ``y`` in all columns, and add the path's costs to the total."""
     x: cython.Py_ssize_t
-    cost: cython.short[:, ::1] = work.cost
-    total: cython.short[:, ::1] = work.total
-    path: cython.short[:, ::1] = work.down
+    cost: cython.short[:, ::1] = work.cost[y % work.strip_rows]
+    total: cython.short[:, ::1] = work.total[y % work.strip_rows]
     width: cython.Py_ssize_t = cost.shape[0]
     now: cython.Py_ssize_t = (y & 1) * width
     after: cython.Py_ssize_t = width - now
+    source: cython.int = min(max(before, 0), cython.cast(cython.int, frame.right.shape[0]) - 1)
     for x in range(width):
         least: cython.short = -1
         if frame.where[y, x]:
-            least = work.min_down[x]
-            edge: cython.int = abs(frame.right[y, x] - frame.right[max(y - 1, 0), x])
+            least = min_path[x]
+            edge: cython.int = abs(frame.right[y, x] - frame.right[source, x])
             least = go_on(path, now + x, after + x, least, edge, cost, total, x, weights)
-        work.min_down[x] = least
+        min_path[x] = least
 
 
 @cython.cfunc
@@ -339,7 +414,7 @@ def choose(
 ) -> cython.void:
     """Fill in the disparity of least cost, -1 = unknown, and its margin."""
     x: cython.Py_ssize_t
-    total: cython.short[:, ::1] = work.total
+    total: cython.short[:, ::1] = work.total[y % work.strip_rows]
     count: cython.Py_ssize_t = total.shape[1]
     work.partner[:] = -2
     for x in range(total.shape[0]):
@@ -375,7 +450,7 @@ def paint(
     partner beyond the border was not seen: it has to go on where the pixel before had its own.
     """
     x: cython.int
-    total: cython.short[:, ::1] = work.total
+    total: cython.short[:, ::1] = work.total[y % work.strip_rows]
     width: cython.int = cython.cast(cython.int, total.shape[0])
     last: cython.Py_ssize_t = total.shape[1] - 1
     before: cython.int = -2

@@ -1,9 +1,9 @@
 """Disparity by what both views show now: semi-global matching, with trails as proposals.
 
 After Hirschmueller, "Stereo Processing by Semiglobal Matching and Mutual Information" (2008), with
-three paths (from the left, from the right, from above): so it goes row by row and holds no volume
-of costs. A cost is the difference of grey, insensitive to sampling (Birchfield and Tomasi, "A Pixel
-Dissimilarity Measure That Is Insensitive to Image Sampling", 1998), and that of its slope.
+four paths (from the left, the right, above and below). A cost is the difference of grey,
+insensitive to sampling (Birchfield and Tomasi, "A Pixel Dissimilarity Measure That Is Insensitive
+to Image Sampling", 1998), and that of its slope.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _MAX_GREY, _MAX_SLOPE = 20, 20
 
 #: Costs are those of windows of 3 x 3 pixels. Penalties of a step by 1 px and by more between
 #: neighbours; the latter falls by a share of the step of grey there: that is where things end.
-_STEP, _LEAP, _MIN_LEAP, _PER_GREY_LEVEL = 72, 300, 120, 3
+_STEP, _LEAP, _MIN_LEAP, _PER_GREY_LEVEL = 100, 300, 120, 3
 
 #: What speaks against all other disparities where one is proposed, in this very frame or before.
 _FRESH, _OLD = 15, 5
@@ -36,14 +36,14 @@ _SMOOTHING = 5, 10, 1.5
 
 #: Nothing is known where the second best disparity costs less than this more than the best, or
 #: less than this share more.
-_MIN_MARGIN, _MIN_SHARE = 60, 0.05
+_MIN_MARGIN, _MIN_SHARE = 80, 0.05
 
 #: Pixels so far above and below, and to the sides, of those wanted are matched as well: they tell
 #: what lies around.
 _AROUND_ROWS, _AROUND_COLUMNS = 16, 32
 
-
-_WEIGHTS = loops.Weights(  # type: ignore[call-arg]  # mypy does not know its dataclasses
+#: The same for the loops.
+WEIGHTS = loops.Weights(  # type: ignore[call-arg]  # mypy does not know its dataclasses
     *(_MAX_GREY, _MAX_SLOPE, _STEP, _LEAP, _MIN_LEAP, _PER_GREY_LEVEL, _MIN_MARGIN, _MIN_SHARE)
 )
 
@@ -158,6 +158,6 @@ def semi_global(
         np.ascontiguousarray(proposed_px),
         np.ascontiguousarray(weight),
     )
-    work = reused(loops.Workspace, right.shape[1], max_disparity + 1)
-    loops.semi_global(frame, _WEIGHTS, work, disparity, margin)
+    work = reused(loops.Workspace, *right.shape, max_disparity + 1)
+    loops.semi_global(frame, WEIGHTS, work, disparity, margin)
     return disparity, margin
