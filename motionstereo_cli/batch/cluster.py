@@ -35,6 +35,7 @@ _SETTINGS: Mapping[str, object] = {
     "distributed.nanny.pre-spawn-environ.DASK_LOGGING__DISTRIBUTED": "critical",
     "distributed.nanny.pre-spawn-environ.PYTHONWARNINGS": "ignore",
     "distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_": None,
+    "distributed.nanny.pre-spawn-environ.OPENCV_FOR_THREADS_NUM": 1,
     "distributed.worker.multiprocessing-method": (
         "forkserver" if sys.platform == "linux" else "spawn"
     ),

@@ -14,6 +14,7 @@ from typing import Any
 from motionstereo_cli.batch.pieces import Piece, join_pieces, run_piece
 from motionstereo_cli.batch.status import Status, write_status
 from motionstereo_cli.errors import BusyError, MotionStereoError
+from motionstereo_cli.runs.cores import prepare
 from motionstereo_cli.runs.plan import RunPlan
 from motionstereo_cli.runs.record import RunReport
 from motionstereo_cli.runs.run import Watcher, run
@@ -46,6 +47,7 @@ def work(
     status = Status(task["name"], "running", worker=worker, plan=task["hash"])
     if stop.exists():
         return
+    prepare()
     piece, pieces = task["piece"], task["pieces"]
     if piece is None:
         write_status(out, status)

@@ -1,10 +1,12 @@
-"""The cores that this process may use."""
+"""The cores and the memory that this process may use, and how it uses them."""
 
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import math
 import os
+import sys
 from pathlib import Path
 
 #: Processor time and the time that it is for, in us, of the group of processes that a container
@@ -13,6 +15,9 @@ _QUOTAS = (
     ("/sys/fs/cgroup/cpu.max",),
     ("/sys/fs/cgroup/cpu/cpu.cfs_quota_us", "/sys/fs/cgroup/cpu/cpu.cfs_period_us"),
 )
+
+#: Options of glibc's malloc: M_MMAP_THRESHOLD, M_TRIM_THRESHOLD and M_TOP_PAD, in bytes.
+_MALLOC = {-3: 1 << 28, -1: 1 << 30, -2: 1 << 22}
 
 
 def usable_cores() -> int:
@@ -32,10 +37,17 @@ def usable_cores() -> int:
 
 
 def prepare() -> None:
-    """Have OpenCV and OpenBLAS stay in one thread each, before they load.
+    """Make the libraries' defaults fit the work; called before OpenCV and OpenBLAS load.
 
-    Frames are worked on side by side anyway. The threads of these libraries would wait for their
-    next call, and take processor time for it.
+    They stay in one thread each. Frames are worked on side by side anyway: the threads of these
+    libraries would wait for their next call, and take processor time for it.
+
+    Memory that is freed is kept. Each frame needs the arrays of the last one again; taken from
+    the system anew, every page of them costs an interrupt.
     """
     for name in ("OPENBLAS_NUM_THREADS", "OPENCV_FOR_THREADS_NUM"):
         os.environ.setdefault(name, "1")
+    if sys.platform == "linux":
+        libc = ctypes.CDLL(None)
+        for option, value in _MALLOC.items() if hasattr(libc, "mallopt") else ():  # not musl
+            libc.mallopt(option, value)
