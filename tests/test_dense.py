@@ -74,13 +74,15 @@ class TestContrast:
 
 
 class TestBalance:
-    def test_equal_views_stay_as_they_are(self):
-        right, left = views(10, height=160, width=240)
+    @pytest.mark.parametrize("size", [(160, 240), (96, 640), (160, 1920)])
+    def test_equal_views_stay_as_they_are(self, size):
+        right, left = views(10, height=size[0], width=size[1])
         assert balanced(right, left, 32) is left
 
+    @pytest.mark.parametrize("size", [(160, 240), (160, 640), (160, 1920)])
     @pytest.mark.parametrize(("gain", "offset"), [(1, 16), (0.9, 20), (1.1, -25)])
-    def test_a_brighter_view_becomes_as_bright(self, gain, offset):
-        right, left = views(10, height=160, width=240)
+    def test_a_brighter_view_becomes_as_bright(self, gain, offset, size):
+        right, left = views(10, height=size[0], width=size[1], grain_px=size[1] / 160)
         changed = np.rint(left * gain + offset).clip(0, 255).astype(np.uint8)
         seen = (changed > 0) & (changed < 255)
         assert np.abs(balanced(right, changed, 32).astype(int) - left)[seen].mean() < 1.5

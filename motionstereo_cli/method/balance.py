@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import math
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+#: Views are looked at in about this width in px: a half of 480 px, an eighth of 1920 px.
+_WIDTH_PX = 200
+
 #: cv2.StereoBM finds points that both views show: it compares slopes of grey, not grey. These
-#: suit images of half the size; what it is not sure of does not count.
-_BLOCK_PX, _UNIQUENESS, _TEXTURE, _SPECKLE_PX = 15, 15, 20, 50
+#: suit images of that size; what it is not sure of does not count.
+_BLOCK_PX, _UNIQUENESS, _TEXTURE, _SPECKLE_PX = 9, 15, 20, 50
 
 #: Every second of its pixels, both ways, tells enough. Fewer than these tell nothing.
-_STEP, _LEAST_POINTS = 2, 100
+_STEP, _LEAST_POINTS = 2, 50
 
 #: Differences beyond twice the median one, and these grey levels, are mistakes of the matching.
 _PLAIN = 6.0
@@ -39,12 +44,37 @@ def balanced(
         max_disparity: of the points looked for, px.
     """
     height, width = right.shape
-    half = width // 2, height // 2
-    disparities = -(-max_disparity // 32) * 16
-    if half[1] <= _BLOCK_PX or half[0] <= max(_BLOCK_PX, disparities):
+    scale = 2 ** max(1, round(math.log2(width / _WIDTH_PX)))
+    # Most views need nothing, which shows in small ones; larger ones tell more exactly what.
+    found = _adjustment(right, left, max_disparity, scale)
+    if found is not None and scale > 2:
+        found = _adjustment(right, left, max_disparity, scale // 2)
+    if found is None:
         return left
+    gain, offset, offsets = found
+    changed = left * np.float32(gain) + np.float32(offset)
+    if offsets is not None:
+        changed += cv2.resize(offsets, (width, height))
+    return np.asarray(cv2.convertScaleAbs(np.maximum(changed, 0)), np.uint8)
+
+
+def _adjustment(
+    right: NDArray[np.uint8], left: NDArray[np.uint8], max_disparity: int, scale: int
+) -> tuple[float, float, NDArray[np.float32] | None] | None:
+    """Return gain, offset, and a coarse image of offsets or None; None if nothing is to be done.
+
+    Args:
+        right, left: (height, width) uint8.
+        max_disparity: of the points looked for, px.
+        scale: by how much the views are made smaller for it.
+    """
+    height, width = right.shape
+    small = width // scale, height // scale
+    disparities = -(-max_disparity // (16 * scale)) * 16
+    if small[1] <= _BLOCK_PX or small[0] <= max(_BLOCK_PX, disparities):
+        return None
     small_right, small_left = (
-        cv2.resize(view, half, interpolation=cv2.INTER_AREA) for view in (right, left)
+        cv2.resize(view, small, interpolation=cv2.INTER_AREA) for view in (right, left)
     )
     matcher = cv2.StereoBM.create(disparities, _BLOCK_PX)
     matcher.setUniquenessRatio(_UNIQUENESS)
@@ -55,7 +85,7 @@ def balanced(
     steps = matcher.compute(small_left, small_right)[::_STEP, ::_STEP]  # 16 a px
     rows, columns = np.nonzero(steps > 0)
     if len(rows) < _LEAST_POINTS:
-        return left
+        return None
     smooth_right, smooth_left = (
         cv2.blur(view, (5, 5)).astype(np.float32) for view in (small_right, small_left)
     )
@@ -70,11 +100,8 @@ def balanced(
         gain, offset = 1.0, 0.0
     offsets = _smooth(rest, rows, columns, steps.shape, (width, height))
     if float(np.quantile(np.abs(offsets), 0.9)) < _LEAST:
-        if gain == 1 and offset == 0:
-            return left
-        offsets[:] = 0
-    changed = left * np.float32(gain) + (offsets + np.float32(offset))
-    return np.asarray(cv2.convertScaleAbs(np.maximum(changed, 0)), np.uint8)
+        return None if gain == 1 and offset == 0 else (gain, offset, None)
+    return gain, offset, offsets
 
 
 def _smooth(
@@ -84,7 +111,10 @@ def _smooth(
     grid: tuple[int, int],
     size: tuple[int, int],
 ) -> NDArray[np.float32]:
-    """Return what gain and offset leave, averaged nearby; 0 far from all points."""
+    """Return what gain and offset leave, averaged nearby; 0 far from all points.
+
+    One value for 16 x 16 px of the views, whose width and height is ``size``.
+    """
     plain = np.abs(rest) <= 2 * _PLAIN
     points, counted = np.zeros((2, *grid), np.float32)
     points[rows[plain], columns[plain]] = rest[plain]
@@ -96,7 +126,7 @@ def _smooth(
         )
         for image in (points, counted)
     )
-    return np.asarray(cv2.resize(total / (count + np.float32(0.1)), size), np.float32)
+    return np.asarray(total / (count + np.float32(0.1)), np.float32)
 
 
 def _line(lefts: NDArray[np.float32], rights: NDArray[np.float32]) -> tuple[float, float]:
