@@ -279,7 +279,7 @@ def test_a_run_does_not_differ_from_itself(sides):
         ("charge.mp4", 1),
         ("run.json", 11),
     ]
-    assert report.notes == ("charge.mp4 has to be there, what is in it is not compared",)
+    assert report.notes == ("charge.mp4 must exist; its content is not compared",)
     assert format_table(report).startswith("no difference in steering.csv (4 rows), depth/ (4 ")
 
 

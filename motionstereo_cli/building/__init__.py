@@ -1,1 +1,1 @@
-"""How the package is built; not used when it runs."""
+"""The build of the package; not used at run time."""

@@ -1,6 +1,6 @@
 """The build backend: setuptools, and Cython for the loops in ``motionstereo_cli/compiled``.
 
-Where there is no C compiler, that of the package ``ziglang`` is used and required for the build.
+Without a C compiler the build requires and uses that of the package ``ziglang``.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from setuptools import Extension
-from setuptools.build_meta import *  # noqa: F403  # the hooks that stay as they are
+from setuptools.build_meta import *  # noqa: F403  # the unchanged hooks
 from setuptools.build_meta import (
     get_requires_for_build_editable as _setuptools_for_editable,
 )
@@ -26,10 +26,10 @@ from setuptools.command.build_ext import build_ext
 
 LOOPS = "motionstereo_cli/compiled"
 
-#: What the loops have in common, compiled once.
+#: Shared code of the loops, compiled once.
 SHARED = "motionstereo_cli.compiled.shared"
 
-#: Of Cython: indices are not checked, and division is C's.
+#: Cython directives: no bounds checks, C division.
 DIRECTIVES = {
     "language_level": "3",
     "boundscheck": False,
@@ -40,7 +40,7 @@ DIRECTIVES = {
 
 
 def get_requires_for_build_wheel(config_settings: Any = None) -> list[str]:
-    """Return what a build needs: ziglang too where there is no C compiler."""
+    """Return the requirements of a build: also ziglang where there is no C compiler."""
     return [*_setuptools_for_wheel(config_settings), *_zig()]
 
 
@@ -54,7 +54,7 @@ def _zig() -> list[str]:
 
 
 def _compiler() -> str | None:
-    """Return the C compiler that is installed, "" for the one of Windows; None without one."""
+    """Return the installed C compiler, "" for that of Windows; None without one."""
     if sys.platform == "win32":
         return ""  # setuptools looks for it, and says where to get it
     configured = os.environ.get("CC") or sysconfig.get_config_var("CC") or "cc"
@@ -65,9 +65,9 @@ def _compiler() -> str | None:
 
 
 def _variants(*, zig: bool) -> dict[str, list[str]]:
-    """Return the options of the compiler for each build of the loops, by its folder.
+    """Return the compiler options of each build of the loops, by its folder.
 
-    Sums of products stay what they are, never fused: results are the same on every machine.
+    Products and sums are never fused, so that results are equal on every machine.
     """
     if sys.platform == "win32":
         return {"baseline": ["/O2", "/fp:precise"]}
@@ -116,7 +116,7 @@ class BuildLoops(build_ext):
         super().finalize_options()
 
     def run(self) -> None:
-        """Compile, and note of what."""
+        """Compile, and record the hash of the sources."""
         for variant in _variants(zig=False):
             os.makedirs(f"{LOOPS}/{variant}", exist_ok=True)
         super().run()
@@ -125,7 +125,7 @@ class BuildLoops(build_ext):
         (first.parent / "checksum").write_text(str(zlib.crc32(sources)), encoding="ascii")
 
     def build_extensions(self) -> None:
-        """Compile by zig if there is nothing else."""
+        """Compile with zig if there is no other compiler."""
         if _compiler() is None:
             os.environ.setdefault("ZIG_GLOBAL_CACHE_DIR", os.path.abspath("build/zig"))
             zig = [sys.executable, "-m", "ziglang", "cc"]

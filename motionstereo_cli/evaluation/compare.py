@@ -1,8 +1,7 @@
-"""Whether a run gives what an earlier one gave: for regression tests.
+"""Compare a run with an earlier one, for regression tests.
 
-GOLDEN is what a run wrote, or a part of it. Of images only those that GOLDEN has are compared;
-tables are compared whole. What GOLDEN has and ACTUAL lacks is a difference, and so is a file
-that cannot be read.
+GOLDEN is the output of a run, or a part of it. Only images that GOLDEN has are compared; tables are
+compared whole. A file of GOLDEN that ACTUAL lacks, or that cannot be read, is a difference.
 """
 
 from __future__ import annotations
@@ -25,28 +24,28 @@ if TYPE_CHECKING:
 
     from motionstereo_cli.types import Real
 
-#: Parts of run.json that may differ silently, or with a note, from machine to machine.
+#: Parts of run.json that may differ between machines, without a word or with a note.
 _IGNORED = frozenset(
     {"program", "outputs", "sums", "table", "options", "shares", "warnings", "damage", "timing"}
 )
 _NOTED = frozenset({"versions", "inputs", "files"})
 
-#: What a difference of exactly the tolerance may exceed it by: in a table's decimals, in float32 m.
+#: Rounding allowance at exactly the tolerance: in a table's decimals, in float32 m.
 _ROUNDING = 1e-9
 _ROUNDING_M = 1e-5
 
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """One thing that differs in an output.
+    """A difference in an output.
 
     Attributes:
         what: a column, a setting, ``pixels``, ``size``, ``rows``, ``frames``, ``files``.
-        found: in words, at its worst.
-        count: in how many rows, frames or files.
-        first_frame, worst_frame: where it is first, and where worst; None if in no frame.
+        found: the worst difference, in words.
+        count: number of rows, frames or files that differ.
+        first_frame, worst_frame: the first frame that differs, and the worst; None if in no frame.
         worst: the difference there, in the column's unit or as share of the pixels; infinite
-            where it is no number.
+            if it is not a number.
     """
 
     what: str
@@ -63,9 +62,9 @@ class Compared:
 
     Attributes:
         name: its path in the folders.
-        unit: what is counted in it.
-        compared: how many of these were compared.
-        differences: by what differs.
+        unit: what ``compared`` counts, such as rows.
+        compared: number of these that were compared.
+        differences: the differences by :attr:`Difference.what`.
     """
 
     name: str
@@ -76,7 +75,7 @@ class Compared:
     def differ(
         self, what: str, found: str, frame: int | None = None, worst: float = math.inf
     ) -> None:
-        """Note a difference in a frame; the worst of a kind is kept, the others are counted."""
+        """Add a difference in a frame; the worst of a kind is kept, the others are counted."""
         former = self.differences.get(what, Difference(what, found, 0, frame, frame, worst))
         if worst > former.worst:
             former = replace(former, found=found, worst_frame=frame, worst=worst)
@@ -90,7 +89,7 @@ class WorstImage(NamedTuple):
         name: output and frame.
         actual, golden: (height, width) float32 disparity in px or depth in m, NaN = unknown.
         tolerance: in the same unit.
-        share: of the pixels that differ, 0..1.
+        share: share of pixels that differ, 0..1.
     """
 
     name: str
@@ -102,12 +101,12 @@ class WorstImage(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """What a comparison found.
+    """The result of a comparison.
 
     Attributes:
-        outputs: everything that GOLDEN has.
-        notes: what differs and does not count, or was not compared, one line each.
-        worst_image: None where no two images differ by more than the tolerance.
+        outputs: all outputs of GOLDEN.
+        notes: differences that do not count, and what was not compared, one line each.
+        worst_image: the image that differs most; None if none exceeds the tolerance.
     """
 
     outputs: tuple[Compared, ...]
@@ -128,20 +127,20 @@ def compare(
     tolerances: Mapping[str, float] | None = None,
     progress: Callable[[], object] = lambda: None,
 ) -> Report:
-    """Compare the results of a run with golden ones, an image of each at a time in memory.
+    """Compare the results of a run with golden ones, one image of each in memory at a time.
 
     Args:
         actual: folder that ``run`` wrote.
-        golden: the same of an earlier run, or a part of it.
-        settings: how far images may differ; the defaults if None.
-        tolerances: how far numbers of tables may differ, by column, beside
-            :data:`~motionstereo_cli.method.settings.COLUMN_TOLERANCE`.
+        golden: that of an earlier run, or a part of it.
+        settings: tolerances of images; the defaults if None.
+        tolerances: tolerances of table columns, in addition to
+            :data:`~motionstereo_cli.evaluation.settings.COLUMN_TOLERANCE`.
         progress: called after each image.
 
     Raises:
-        InputError: ``actual`` is not what a run wrote, ``golden`` has nothing to compare, or they
-            are the same folder.
-        SettingsError: no table of ``golden`` has a column that a tolerance is given for.
+        InputError: ``actual`` is not the output of a run, ``golden`` has nothing to compare, or
+            they are the same folder.
+        SettingsError: no table of ``golden`` has the column of a tolerance.
     """
     if not (actual / RECORD).is_file():
         raise InputError(
@@ -285,14 +284,14 @@ class _Comparison:
                     f"(tolerance {self._settings.max_differing:.2%})"
                 )
                 output.differ("pixels", found, frame, share)
-        # Of golden there may be a part, but frames that its run did not have are too many.
+        # golden may be incomplete, but frames that its run did not have are extra.
         for frame in actual.files:
             if not self._in_golden(frame, golden):
                 output.differ("frames", "not in golden", frame)
         return output
 
     def _in_golden(self, frame: int, golden: Maps) -> bool:
-        """Return whether the golden run had a frame, whether or not its image is there."""
+        """Return whether the golden run had a frame, even if its image is missing."""
         if frame in golden.files:
             return True
         whole = list(golden.files) == list(range(len(golden.files)))
@@ -326,7 +325,7 @@ class _Comparison:
                 output.differ(name, found)
         for name in actual.keys() - golden.keys():
             section = name.partition(".")[0]
-            # Of the record, too, there may be a part: what a section that is there has is all.
+            # The golden record, too, may be incomplete, but each section that it has is whole.
             there = any(key.startswith(f"{section}.") for key in golden)
             if there and section not in _IGNORED | _NOTED:
                 output.differ(name, f"{_shown(actual[name])}, not in golden")
@@ -338,12 +337,12 @@ class _Comparison:
             path = file.relative_to(self._golden)
             if not (self._actual / path).is_file():
                 output.differ("files", f"{path} is missing")
-        self._notes.append(f"{name} has to be there, what is in it is not compared")
+        self._notes.append(f"{name} must exist; its content is not compared")
         return output
 
 
 def _frames_of(golden: Path) -> int | None:
-    """Return how many frames a golden run had, None where it does not say."""
+    """Return the number of frames of a golden run, None if unknown."""
     try:
         return int(read_record(golden / RECORD)["counts"]["written"])
     except (InputError, LookupError, TypeError, ValueError):
@@ -351,7 +350,7 @@ def _frames_of(golden: Path) -> int | None:
 
 
 def differing(actual: Real, golden: Real, tolerance: float) -> NDArray[np.bool_]:
-    """Return where two images differ by more than a tolerance; what is unknown does not."""
+    """Return where two images differ by more than a tolerance; unknown in both is equal."""
     return np.asarray(np.abs(actual - golden) > tolerance + _ROUNDING_M)  # NaN is not
 
 
@@ -360,7 +359,7 @@ def _in_only_one(actual: Real, golden: Real) -> NDArray[np.bool_]:
 
 
 def _distance(one: str, other: str) -> float:
-    """Return how far two cells are apart, infinite where either is no finite number."""
+    """Return the difference of two cells, infinite unless both are finite numbers."""
     try:
         distance = abs(float(one) - float(other))
     except ValueError:

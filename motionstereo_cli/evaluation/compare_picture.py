@@ -1,4 +1,4 @@
-"""The picture of a comparison: the two images that differ most, and where they differ."""
+"""The picture of a comparison: the two images that differ most, and their difference."""
 
 from __future__ import annotations
 
@@ -34,14 +34,14 @@ _SAME, _OFF, _ACTUAL_ONLY, _GOLDEN_ONLY = (
 
 
 def draw_worst(worst: WorstImage, golden: Path | None = None) -> NDArray[np.uint8]:
-    """Return a picture: actual, golden, and where they differ, with titles, scale and key.
+    """Return a picture of actual, golden and their difference, with titles, scale and key.
 
-    Depth has the colours that it has in ``depth.mp4``.
+    Depth has the colours of ``depth.mp4``.
 
     Args:
         worst: the images.
-        golden: the folder that says what scale ``depth.mp4`` has; where it does not, that of the
-            images themselves.
+        golden: the folder whose record has the scale of ``depth.mp4``; without a record the scale
+            fits the images.
 
     Returns:
         (height, width, 3) uint8 RGB.
@@ -76,7 +76,7 @@ def draw_worst(worst: WorstImage, golden: Path | None = None) -> NDArray[np.uint
 
 
 def _recorded(golden: Path | None, is_depth: bool) -> DepthScale | None:
-    """Return the scale that a run's record tells, None where it does not."""
+    """Return the scale in a run's record, None without one."""
     if golden is not None:
         with contextlib.suppress(OSError, ValueError, TypeError, LookupError, SettingsError):
             scale = DepthScale.recorded(json.loads((golden / RECORD).read_bytes()))

@@ -1,4 +1,4 @@
-"""What a comparison of runs found, as a table to read, JSON and JUnit XML."""
+"""The report of a comparison as a table, JSON and JUnit XML."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from motionstereo_cli.evaluation.compare import Difference, Report
 
 
 def format_table(report: Report) -> str:
-    """Return what differs as a table to read, or one line if nothing does."""
+    """Return the differences as a table, or one line if there are none."""
     if not report.differs:
         facts = (f"{output.name} ({output.compared} {output.unit})" for output in report.outputs)
         return f"no difference in {', '.join(facts)}\n"
@@ -34,7 +34,7 @@ def format_table(report: Report) -> str:
 
 
 def format_json(report: Report) -> str:
-    """Return the report as JSON; null where a difference is no number or in no frame."""
+    """Return the report as JSON; null if a difference is not a number or not in a frame."""
 
     def known(item: Difference) -> dict[str, Any]:
         return {**asdict(item), "worst": item.worst if math.isfinite(item.worst) else None}
@@ -77,5 +77,5 @@ def format_junit(report: Report) -> str:
 
 
 def _xml(text: str) -> str:
-    """Return the text without the characters that XML cannot have."""
+    """Return a text without the characters that XML forbids."""
     return re.sub("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]", "?", text)

@@ -1,6 +1,6 @@
-"""How far disparity or depth is from the truth, in the measures the field uses.
+"""Errors of disparity or depth against ground truth, in the usual measures.
 
-Images compared are of one view; a run's are of the right one unless it ran with --reference left.
+Both sides must be of one view; a run's is the right one unless it ran with --reference left.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ if TYPE_CHECKING:
     from motionstereo_cli.types import Real
 
 
-#: Errors in px above which a disparity is bad.
+#: Error thresholds of bad disparities in px.
 BAD_PX = (0.5, 1.0, 2.0, 3.0)
 
-#: Depths count up to here, as is the custom on KITTI since Eigen et al. (2014): a disparity near
-#: 0 would otherwise outweigh all others.
+#: Maximum depth that counts in m, as on KITTI since Eigen et al. (2014): disparities near 0 would
+#: otherwise outweigh all others.
 FAR_M = 80.0
 
 
@@ -51,7 +51,7 @@ class FramePair(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Score:
-    """What the evaluation found out about a frame, or about all pixels of all frames together.
+    """Scores of a frame, or of all pixels of all frames together.
 
     Shares are 0..1 and, except coverage, of the pixels that have both truth and a result. A
     measure of no pixel at all is NaN.
@@ -91,7 +91,7 @@ class Score:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Tally:
-    """Sums over pixels, from which a score follows; the sum of tallies is that of all pixels.
+    """Sums over pixels, from which a score follows; tallies can be added.
 
     Attributes:
         truth, both: number of pixels with truth, and with truth and a result.
@@ -99,7 +99,7 @@ class Tally:
         outliers: number of pixels that D1 counts.
         error_px, error_px2: sums of the absolute and of the squared error of the disparity.
         histogram: number of pixels by absolute error in steps of 1/256 px, int64.
-        depths: number of pixels where both depths are known and the true one counts.
+        depths: number of pixels where both depths are known and the true one is at most FAR_M.
         error_rel, error_m2: sums of the relative absolute and of the squared error of the depth.
     """
 
@@ -174,17 +174,17 @@ def tally(pair: FramePair) -> Tally:
 
 
 class Comparison:
-    """A result beside its truth, frame by frame.
+    """A result and its truth, frame by frame.
 
     Args:
         out, truth: the two sides.
-        rig: the camera; if None, each side's own rig serves, or else the other's.
+        rig: the camera; None = each side's own rig or, without one, the other's.
         mask: folder of PNG files; only pixels where they are not 0 count.
 
     Attributes:
         numbers: the frames that both sides have, in order.
         only_out, only_truth: the frames that only one side has.
-        has_depth: a rig is known, so that there are errors in m.
+        has_depth: whether a rig is known, so that there are errors in m.
         views: the cameras whose views both sides are in, None if unknown.
 
     Raises:
@@ -201,7 +201,9 @@ class Comparison:
         self.has_depth = self._out_rig is not None
         self.views = (out.reference, truth.reference)
         if not self.has_depth and "depth" in (out.kind, truth.kind):
-            raise InputError("depth becomes disparity by the rig, and none was found: give --rig")
+            raise InputError(
+                "depth is converted to disparity by a rig, and none was found: give --rig"
+            )
         self.numbers = [number for number in truth.files if number in out.files]
         self.only_out = sorted(out.files.keys() - truth.files.keys())
         self.only_truth = sorted(truth.files.keys() - out.files.keys())
@@ -261,9 +263,9 @@ class Report:
     """Scores of a comparison.
 
     Attributes:
-        overall: all pixels of all frames together, each pixel counted alike.
+        overall: all pixels of all frames together.
         frames: each frame.
-        only_out, only_truth: how many frames only one side has; they are not scored.
+        only_out, only_truth: number of frames that only one side has; they are not scored.
     """
 
     overall: Score
@@ -308,7 +310,7 @@ def _both_kinds(values: Real, kind: str, rig: Rig | None) -> tuple[Real | None, 
         return (values, None) if kind == "disparity" else (None, values)
     if kind == "depth":
         return rig.disparity_px(values), values
-    finite = rig.nearness_px(values) > 0  # not at or beyond infinity
+    finite = rig.nearness_px(values) > 0  # only depths that are finite and positive
     return values, rig.depth_m(np.where(finite, values, np.float32(np.nan)))
 
 

@@ -1,4 +1,4 @@
-"""The scores of an evaluation as CSV, JSON, a table to read, and a picture of the errors."""
+"""The report of an evaluation as CSV, JSON and a table, and a picture of the errors."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def format_json(report: Report) -> str:
 
 
 def format_table(report: Report) -> str:
-    """Return a table to read: all frames together beside the worst."""
+    """Return a table of all frames together and of the worst frame."""
     worst = report.worst
     rows = [("", f"{len(report.frames)} frames", f"worst: {worst.frame}")]
     for item in fields(Score)[1:]:
@@ -73,8 +73,8 @@ _LINE_PX = 18
 def draw_errors(pair: FramePair) -> NDArray[np.uint8]:
     """Return a picture of the errors of the disparity, with a legend below.
 
-    Blue is right and red is wrong, in the steps of :data:`BAD_PX`; black has no result, dark grey
-    has no truth or is masked out.
+    Blue is right and red is wrong, in steps of :data:`BAD_PX`; black = no result, dark grey
+    = no truth or masked out.
 
     Returns:
         (height + legend, width, 3) uint8 BGR; widened where the legend needs it.

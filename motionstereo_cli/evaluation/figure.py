@@ -22,7 +22,7 @@ _GAP_PX = 4
 _HEAD_PX = 24
 _SIDE_PX = 56
 
-#: Brightness of the farthest depth, told apart from the black of unknown.
+#: Brightness of the farthest depth, brighter than the black of unknown.
 _FARTHEST = 40
 
 
@@ -56,7 +56,7 @@ def draw_figure(frames: Iterable[StereoFrame], numbers: Sequence[int], settings:
 
 
 def _nearest(disparity_px: Real) -> float:
-    """Return the largest disparity without outliers, at least 1 px."""
+    """Return the largest disparity, outliers excluded, at least 1 px."""
     known = disparity_px[~np.isnan(disparity_px)]
     return max(1.0, float(np.quantile(known, 0.99))) if len(known) else 1.0
 

@@ -1,4 +1,4 @@
-"""Parameters of the analysis."""
+"""Parameters of comparing runs."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from motionstereo_cli.params import checked, param
 
 @dataclass(frozen=True, slots=True)
 class CompareSettings:
-    """How far images may differ.
+    """Tolerances of images.
 
     Raises:
         SettingsError: a value is out of range.
@@ -18,17 +18,15 @@ class CompareSettings:
 
     tolerance_px: float = param(
         0.25,
-        "How far a disparity may be from the golden one.",
+        "Tolerance of a disparity.",
         unit="px",
         low=0,
         high=MAX_DISPARITY,
     )
-    tolerance_mm: float = param(
-        100.0, "How far a depth may be from the golden one.", unit="mm", low=0, high=65535
-    )
+    tolerance_mm: float = param(100.0, "Tolerance of a depth.", unit="mm", low=0, high=65535)
     max_differing: float = param(
         0.01,
-        "Share of an image's pixels that may differ by more, or be known in only one image.",
+        "Maximum share of an image's pixels that differ by more, or are known in only one image.",
         low=0,
         high=1,
     )
@@ -37,8 +35,8 @@ class CompareSettings:
         checked(self)
 
 
-#: How far a number of a table may be from the golden one, by its column. Encoders, decoders and
-#: SIMD differ in the last digits. A column that is not here has to be the same text.
+#: Tolerances of table columns. Encoders, decoders and SIMD differ in the last digits. Columns that
+#: are not listed must be equal as text.
 COLUMN_TOLERANCE = {
     "time_s": 1e-6,
     "steer": 0.02,

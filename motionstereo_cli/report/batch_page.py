@@ -1,4 +1,4 @@
-"""The page of a batch: a row for each recording, those that failed first."""
+"""The page of a batch: one row for each recording, failures first."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ from motionstereo_cli.report.render import render
 from motionstereo_cli.report.run_folder import Results, Steering, read_results
 from motionstereo_cli.report.series import kept_rows
 
-#: The table that the command batch leaves in its folder.
+#: The table of a batch, in its output folder.
 TABLE = "batch.csv"
 
-#: How a recording may have ended, the worst first; what is not known stands before them.
+#: The statuses of a recording, worst first; unknown ones come before these.
 STATUSES = ("failed", "lost", "interrupted", "damaged", "done")
 
 _MAX_BYTES = 64_000_000
 
-#: Recordings that have a picture and a plot: with more, the page would grow too large.
+#: Maximum number of recordings with a picture and a plot; more would make the page too large.
 _MAX_PICTURES = 400
 _POSTER_PX, _PLOT_ROWS = 144, 160
 
@@ -37,9 +37,9 @@ class Recording:
     """A row of the page.
 
     Attributes:
-        cells: what the table says, by column.
+        cells: cells of the table, by column.
         rank: 0 for the worst status.
-        address: of its own page, or else its folder; None where there is neither.
+        address: of its own page or its folder; None if neither exists.
         poster: a frame of its reference view.
         plot: its heading over time as points of a polyline in a box of 100 by 20; empty if unknown.
     """
@@ -51,18 +51,18 @@ class Recording:
     plot: str
 
     def number(self, column: str) -> float | None:
-        """Return a number of the table, None where it has none."""
+        """Return a number of the table, None = empty."""
         with contextlib.suppress(KeyError, ValueError):
             return float(self.cells[column])
         return None
 
 
 def batch_page(out: Path, page: Path) -> str:
-    """Return the page of a batch, HTML that needs nothing besides.
+    """Return the page of a batch, self-contained HTML.
 
     Args:
         out: the folder, with ``batch.csv`` and, by their names, the folders of the runs.
-        page: where the page will be: the addresses of the runs' pages are relative to it.
+        page: path of the page; the addresses of the runs' pages are relative to it.
 
     Raises:
         InputError: the table cannot be read.
@@ -110,7 +110,7 @@ def _recording(out: Path, row: Mapping[str, str], page: Path, *, with_picture: b
         own = folder / PAGE
         address = address_of(own if own.is_file() else folder, page)
         if with_picture:
-            with contextlib.suppress(InputError):  # a run that failed early left nothing to show
+            with contextlib.suppress(InputError):  # a run that failed early has no results
                 picture, plot = _shown(read_results(folder))
     return Recording(row, _rank(row["status"]), address, picture, plot)
 

@@ -1,4 +1,4 @@
-"""Pictures that a page holds within itself."""
+"""Pictures embedded in a page."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ if TYPE_CHECKING:
 
 _JPEG_QUALITY = 80
 
-#: A histogram needs no more images than these, and no finer columns.
+#: Maximum number of images and columns of a histogram.
 _MAX_IMAGES, _COLUMNS = 60, 48
 
 
 class Picture(NamedTuple):
-    """A picture as the page has it.
+    """A picture as data of the page.
 
     Attributes:
         uri: ``data:`` address of a JPEG or PNG.
@@ -41,13 +41,13 @@ class Picture(NamedTuple):
 def poster(
     video: Path, time_s: float, *, max_width: int, rows: int | None = None
 ) -> Picture | None:
-    """Return the frame of a video at a time, None where it cannot be had.
+    """Return the frame of a video at a time, None if it cannot be decoded.
 
     Args:
         video: the file.
-        time_s: the time; the last frame stands for all that would come later.
-        max_width: it is made smaller if it is wider, in px.
-        rows: how many rows of pixels to show, from above; all if None.
+        time_s: the time; beyond the end the last frame is taken.
+        max_width: maximum width in px; wider images are scaled down.
+        rows: number of pixel rows to show, from the top; None = all.
     """
     try:
         image = _frame_at(video, time_s)
@@ -57,7 +57,7 @@ def poster(
 
 
 def address_of(file: Path, page: Path) -> str:
-    """Return a file's address as seen from the page."""
+    """Return a file's address relative to the page."""
     try:
         relative = os.path.relpath(file, page.parent)
     except ValueError:  # another drive of Windows
@@ -66,11 +66,11 @@ def address_of(file: Path, page: Path) -> str:
 
 
 def encoded(image: NDArray[np.uint8], max_width: int, suffix: str = ".jpg") -> Picture:
-    """Return an RGB or grey image as the page has it.
+    """Return an RGB or grey image as a picture of the page.
 
     Args:
         image: (height, width, 3) or (height, width) uint8.
-        max_width: it is made smaller if it is wider, in px.
+        max_width: maximum width in px; wider images are scaled down.
         suffix: .jpg or .png.
     """
     height, width = image.shape[:2]
@@ -100,10 +100,10 @@ def _frame_at(video: Path, time_s: float) -> NDArray[np.uint8] | None:
 
 
 def histogram(maps: Maps, scale: DepthScale) -> dict[str, Any] | None:
-    """Return how often each depth was found, or each disparity where the scale has no m.
+    """Return the histogram of depth, or of disparity where the scale is in px.
 
     Args:
-        maps: the images; of many, some, evenly spread, are counted.
+        maps: the images; of many, evenly spaced ones are counted.
         scale: the columns are of equal width on it.
 
     Returns:

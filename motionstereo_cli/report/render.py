@@ -1,4 +1,4 @@
-"""From data to HTML."""
+"""Render the HTML of a page."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ _HOME = Path(__file__).parent
 def render(template: str, scripts: Sequence[str], **values: Any) -> str:
     """Return a template of this folder filled in; all text is escaped.
 
-    The page obeys no script but its own, and loads nothing but pictures and videos: its
-    Content-Security-Policy says so.
+    The Content-Security-Policy of the page allows its own scripts, pictures and videos, and
+    nothing else.
 
     Args:
         template: name of the template.

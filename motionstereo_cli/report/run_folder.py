@@ -1,4 +1,4 @@
-"""What a run left in its folder, complete or not, as tables."""
+"""Results of a run, complete or not, read from its folder."""
 
 from __future__ import annotations
 
@@ -60,12 +60,12 @@ class Steering:
 
     @property
     def places(self) -> NDArray[np.float64]:
-        """The place of each frame on the axis of the plots in s: its time, if the source has it."""
+        """The x of each frame in the plots in s: its time, if the source has times."""
         return self.time_s if self.timed else np.asarray(self.frames * FRAME_S, np.float64)
 
     @property
     def video_begin(self) -> float:
-        """The place on the axis where the videos begin: 0, or the first of times since an epoch."""
+        """The x at which the videos begin: 0, or the first of times since an epoch."""
         first = float(self.places[0])
         return first if first > EPOCH_S else 0.0
 
@@ -77,12 +77,12 @@ class Steering:
 
 @dataclass(frozen=True, slots=True)
 class Results:
-    """What a run left.
+    """Results of a run.
 
     Attributes:
         path: its folder.
-        record: what ``run.json`` says or, of a run that is not complete, is going to.
-        complete: the run came to its end.
+        record: the content of ``run.json`` or, before the run is complete, its future content.
+        complete: whether the run is complete.
     """
 
     path: Path
@@ -90,7 +90,7 @@ class Results:
     complete: bool
 
     def has(self, output: str) -> bool:
-        """Return whether the run was to write an output."""
+        """Return whether the run was asked for an output."""
         return output in self.record.get("outputs", {})
 
     @property
@@ -109,13 +109,13 @@ class Results:
         return str(self.record.get("settings", {}).get("reference", "right"))
 
     def video(self, output: str) -> Path:
-        """Return where the video of an output is, if it is there."""
+        """Return the path of an output's video, None if it is missing."""
         return self.path / OUTPUTS[output].path
 
     def view(self) -> tuple[Path | None, bool]:
         """Return a video of the reference view, and whether browsers play it.
 
-        That is the run's own or, if it shows the same, the recording.
+        That is the run's own video or, if it shows the same, the recording.
         """
         if self.has("view-video"):
             return self.video("view-video"), True
@@ -133,7 +133,7 @@ class Results:
         """Return the steering table, None where there is none or it is empty.
 
         Raises:
-            InputError: it cannot be read, or is not such a table.
+            InputError: it cannot be read, or is not a steering table.
         """
         rows = self._rows("steering") or self._lines("steering-jsonl")
         return _steering(self.path, rows) if rows else None
@@ -163,16 +163,16 @@ class Results:
             raise InputError(f"cannot read the table {path}: {error}") from error
 
     def _file(self, output: str) -> Path:
-        """Return an output's file or, where it is not complete, the part that there may be."""
+        """Return an output's file or, if it is not complete, its partial file."""
         path = self.path / OUTPUTS[output].path
         return path if path.exists() else part_of(path)
 
 
 def read_results(path: Path) -> Results:
-    """Return what a run left in a folder.
+    """Return the results of a run.
 
     Raises:
-        InputError: no run wrote the folder.
+        InputError: the folder is not the output of a run.
     """
     for place in (path / RECORD, part_of(path / RECORD)):
         if place.is_file():
@@ -180,14 +180,14 @@ def read_results(path: Path) -> Results:
             sound = all(isinstance(record.get(name, {}), dict) for name in _PARTS)
             if sound and record.get("program") == "motionstereo":
                 return Results(path, record, complete="counts" in record)
-    raise InputError(f"{path} has no {RECORD} of a run: give the folder that run wrote (its --out)")
+    raise InputError(f"{path} has no {RECORD} of a run: give the output folder of run (its --out)")
 
 
 def numbers(texts: Iterable[str]) -> NDArray[np.float64]:
     """Return the numbers of a column; empty = NaN.
 
     Raises:
-        ValueError: a cell is no number.
+        ValueError: a cell is not a number.
     """
     return np.array([float(text) if text else np.nan for text in texts])
 

@@ -26,15 +26,15 @@ _POSTER_PX, _MAP_PX = 640, 1000
 
 
 def run_page(out: Path, page: Path, record: Mapping[str, Any] | None = None) -> str:
-    """Return the page of a run, HTML that needs nothing but, if they are there, the run's videos.
+    """Return the page of a run, HTML that needs only the run's videos, if they exist.
 
     Args:
         out: the run's folder.
-        page: where the page will be: the addresses of the videos are relative to it.
-        record: what ``run.json`` is going to say, where the run is about to write it.
+        page: path of the page; the addresses of the videos are relative to it.
+        record: the future content of ``run.json``, if the run has not written it yet.
 
     Raises:
-        InputError: no run wrote the folder, or a table in it is damaged.
+        InputError: the folder is not the output of a run, or a table in it is damaged.
     """
     run = Results(out, record, complete=True) if record else read_results(out)
     said = run.record
@@ -77,7 +77,7 @@ def run_page(out: Path, page: Path, record: Mapping[str, Any] | None = None) -> 
 
 
 def _drawn(scale: DepthScale) -> dict[str, Any]:
-    """Return the scale as the page draws it."""
+    """Return the scale for the page."""
     places = np.linspace(0, 1, 24)
     return {
         "unit": scale.unit,
@@ -88,7 +88,7 @@ def _drawn(scale: DepthScale) -> dict[str, Any]:
 
 
 def _about(record: Mapping[str, Any]) -> list[str]:
-    """Return what the run was of, in a few words each."""
+    """Return the facts of the input and the rig, in a few words each."""
     lines = [Path(str(each.get("path", ""))).name for each in record.get("inputs", {}).values()]
     names = " + ".join(lines)
     about = [names] if names else []
@@ -100,12 +100,12 @@ def _about(record: Mapping[str, Any]) -> list[str]:
     if rig := record.get("rig"):
         about.append(f"baseline {rig['baseline_m'] * 1000:.4g} mm, focal {rig['focal_px']:.4g} px")
     elif "rig" in record:
-        about.append("no calibration: nothing is in metres")
+        about.append("no calibration: results are in px")
     return about
 
 
 class Fact(NamedTuple):
-    """A figure that the page begins with; ``frame`` is where it can be seen, None if anywhere."""
+    """A key figure; ``frame`` is the frame that it belongs to, None = the whole run."""
 
     label: str
     value: str
@@ -165,7 +165,7 @@ def _panels(run: Results, page: Path, steering: Steering | None) -> list[dict[st
 
 
 def _parts(video: Path | None) -> list[Path]:
-    """Return a video, and its first segment, which a run that was ended leaves."""
+    """Return a video, and the first segment that an interrupted run leaves."""
     if video is None:
         return []
     segments = sorted(video.parent.glob(f"{video.stem}.[0-9]*{video.suffix}.part"))
@@ -187,7 +187,7 @@ def _objects(run: Results, steering: Steering) -> dict[str, Any] | None:
 
 
 def _histogram(run: Results, scale: DepthScale) -> dict[str, Any] | None:
-    """Return the histogram of depth as the page draws it, None where there are no images."""
+    """Return the histogram of depth for the page, None without images."""
     try:
         found = histogram(Maps(run.path), scale)
     except InputError:
@@ -212,7 +212,7 @@ def _histogram(run: Results, scale: DepthScale) -> dict[str, Any] | None:
 
 
 def _map(run: Results) -> dict[str, Any] | None:
-    """Return the map from above, None where there is none."""
+    """Return the map from above, None without one."""
     path = run.path / "map.png"
     if not (run.has("map") and path.is_file()):
         return None
@@ -234,7 +234,7 @@ def _map(run: Results) -> dict[str, Any] | None:
 
 
 def _outputs(run: Results) -> list[dict[str, str]]:
-    """Return what the folder holds."""
+    """Return the outputs in the folder."""
     outputs = run.record.get("outputs", {})
     return [
         {

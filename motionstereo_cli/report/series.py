@@ -1,4 +1,4 @@
-"""Tables as a page plots them: thinned to what a screen shows, extremes kept."""
+"""Tables for plots: thinned to the resolution of a screen, extremes kept."""
 
 from __future__ import annotations
 
@@ -13,29 +13,28 @@ from motionstereo_cli.report.run_folder import FRAME_S, Steering
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-#: Rows that a page plots as they are: ten minutes at 30 frames a second, and some. Of more, it
-#: gets fewer, but those of every extreme.
+#: Maximum number of rows that are plotted without thinning: ten minutes at 30 frames a second.
 MAX_ROWS = 20_000
 
-#: Times to contact in s that part the colours of objects: soon, later, hardly.
+#: Limits of time to contact in s between the colours of objects: soon, later, hardly.
 SOON_S, LATER_S = 2.0, 5.0
 
-#: Objects that a page shows: those that came closest to contact.
+#: Maximum number of objects on a page: those with the least time to contact.
 MAX_OBJECTS = 24
 
 
 def kept_rows(
     series: Iterable[NDArray[np.float64]], codes: NDArray[np.int64], most: int = MAX_ROWS
 ) -> NDArray[np.intp]:
-    """Return the numbers of the rows to plot, at most ``most`` where that can be.
+    """Return the numbers of the rows to plot, at most ``most`` if possible.
 
-    The rows are parted evenly. Of each part stay the least, the greatest and the first unknown
+    The rows are divided evenly. Each part keeps the least, the greatest and the first unknown
     value of each series, and the first row of each code.
 
     Args:
         series: (n,) each; NaN = unknown.
-        codes: (n,) what must not go unseen, from 0.
-        most: rows that a page plots as they are.
+        codes: (n,) categories from 0, each of which must stay visible.
+        most: number of rows from which on they are thinned.
     """
     count = len(codes)
     if count <= most:
@@ -87,12 +86,12 @@ def tracks(
 
     Args:
         rows: the table of moving objects.
-        x_of: the place of each frame on the plots' axis.
-        frame_x: how long a frame lasts there.
+        x_of: the x of each frame in the plots.
+        frame_x: the duration of a frame there.
 
     Returns:
-        For each object, in the order of their first frames: ``id``; ``spans``, each the places
-        of its begin and end and how near contact was (0 soon, 1 later, 2 hardly or unknown); the
+        For each object, in the order of their first frames: ``id``; ``spans``, each with its begin,
+        its end and its urgency (0 contact soon, 1 later, 2 hardly or unknown); the
         least ``contact`` in s, ``nearest`` in m and most ``closing`` in m/s, None where unknown.
     """
     found: dict[int, dict[str, Any]] = {}
@@ -123,7 +122,7 @@ def tracks(
 
 
 def _urgency(track: Mapping[str, Any]) -> tuple[float, float]:
-    """Sort what came closest to contact first, and then what stayed longest."""
+    """Sort by least time to contact, then by longest presence."""
     stayed = sum(end - begin for begin, end, _ in track["spans"])
     return np.inf if track["contact"] is None else track["contact"], -stayed
 

@@ -1,4 +1,4 @@
-"""What a run's record says, in words: its input, its settings, and how to run it again."""
+"""A run's record in words: its input, its settings, and the command that repeats it."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Changed(NamedTuple):
 
     @property
     def option(self) -> list[str]:
-        """What sets it on the command line."""
+        """The option that sets it on the command line."""
         if self.item.kind is bool:
             no = "" if self.value else "no-"
             return [f"--{no}{self.item.flag.removeprefix('--')}"]
@@ -47,7 +47,7 @@ def changed(record: Mapping[str, Any]) -> Iterator[Changed]:
 
 
 def command(record: Mapping[str, Any]) -> str | None:
-    """Return the command that runs it again, for a shell; None where its options are unknown."""
+    """Return the shell command that repeats the run; None if its options are unknown."""
     if "options" not in record:
         return None
     words = ["motionstereo", "run", *(each["path"] for each in record["inputs"].values())]
@@ -60,7 +60,7 @@ def command(record: Mapping[str, Any]) -> str | None:
 
 
 def troubles(record: Mapping[str, Any], shares: Mapping[str, float]) -> Sequence[str]:
-    """Return what was wrong with the input, a sentence each; nothing if nothing was.
+    """Return the problems of the input, one sentence each.
 
     Args:
         record: of the run.

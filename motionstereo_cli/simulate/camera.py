@@ -1,4 +1,4 @@
-"""Where the rig stands, how its cameras look, and what a world must offer them.
+"""Pose and cameras of the rig, and the interface of a world.
 
 World frame: x and y on the floor, z up, in m. Robot frame (REP 103): x forward, y left, z up; yaw
 is counter-clockwise from the world's x axis. The cameras are level, :data:`EYE_HEIGHT_M` above the
@@ -103,7 +103,7 @@ def stereo_cameras(rig: Rig) -> tuple[Camera, Camera]:
 
 
 class View(NamedTuple):
-    """What one camera sees, without noise.
+    """The view of one camera, without noise.
 
     Attributes:
         grey: (height, width) float32 grey levels 0..255, averaged over each pixel's area.
@@ -115,8 +115,8 @@ class View(NamedTuple):
 
 
 class World(Protocol):
-    """Something that cameras can look at."""
+    """A scene that cameras can render."""
 
     def render(self, pose: FloorPose, camera: Camera, time_s: float) -> View:
-        """Return what ``camera`` sees from ``pose`` at ``time_s``."""
+        """Return the view of ``camera`` from ``pose`` at ``time_s``."""
         ...

@@ -1,8 +1,8 @@
 """Textured cards that cross, approach and recede before a textured wall.
 
 The rig stands at the origin and looks along x, still or panning. Wall and cards are upright planes
-across x; the nearest wins. Texture is noise whose grain every camera distance in the scene can
-resolve, so that it never shimmers.
+across x; the nearest wins. The grain of the textures is resolved at every distance of the scene,
+so that they do not shimmer.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ _GRAIN_TEXELS = 2.5
 _WALL_TILE_M = 4.0
 _WALL_GREY = 128.0
 _CONTRAST = 95.0
-#: Bounds the memory for long focal lengths; a texture then repeats every 700 px.
+#: Maximum size of a texture, for long focal lengths; it then repeats every 700 px.
 _MAX_TEXELS = 2048
 
 
@@ -84,7 +84,7 @@ CARDS = (
 
 @dataclass(frozen=True, slots=True)
 class CardState:
-    """Where a card is and how it moves: the truth that tracking is measured against.
+    """Place and velocity of a card: the truth for tracking.
 
     Attributes:
         x_m, y_m, z_m: its middle in the world.
@@ -102,7 +102,7 @@ class CardState:
 def card_state(card: Card, time_s: float) -> CardState:
     """Return where ``card`` is at ``time_s`` and its velocity just after."""
     span_m = card.high_m - card.low_m
-    # Unfold the path there and back into a circle of twice the span.
+    # The path there and back, unfolded, is a circle of twice the span.
     start_m = (
         card.start_m - card.low_m
         if card.speed_m_s >= 0
@@ -127,8 +127,8 @@ class Cards:
     """The cards and the wall with their textures.
 
     Args:
-        focal_px: focal length of the cameras, which decides on the grain of the textures.
-        seed: decides on the textures.
+        focal_px: focal length of the cameras; determines the grain of the textures.
+        seed: seed of the textures.
     """
 
     def __init__(self, focal_px: float, seed: int = 0) -> None:
@@ -142,7 +142,7 @@ class Cards:
         ]
 
     def render(self, pose: FloorPose, camera: Camera, time_s: float) -> View:
-        """Return what ``camera`` sees from ``pose``, which must face the wall, at ``time_s``.
+        """Return the view of ``camera`` from ``pose``, which must face the wall, at ``time_s``.
 
         Painted from far to near; a card covers a pixel by the share of its area.
         """

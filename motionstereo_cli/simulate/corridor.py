@@ -58,7 +58,7 @@ class Corridor:
     Args:
         width_m: distance from inner to outer wall.
         length_m: the robot's path along one side, turn included.
-        seed: decides on doors and windows.
+        seed: seed of doors and windows.
         lamp_m: distance at which the lamp's light has fallen to a half.
 
     Attributes:
@@ -94,7 +94,7 @@ class Corridor:
         self._paint_sum = np.pad(paint.cumsum(axis=1), ((0, 0), (1, 0), (0, 0)))
 
     def path(self, frame: float) -> FloorPose:
-        """Return where the paper's robot is: 125 frames to a side, without end.
+        """Return the path of the paper's robot: 125 frames to a side, endless.
 
         In frames 0..99 of a side it drives straight along the middle of the corridor, in frames
         100..124 through a quarter circle to the left, at the same speed.
@@ -125,7 +125,7 @@ class Corridor:
         edges = np.arange(camera.width + 1, dtype=np.float64) - 0.5
         corners = camera.project(pose, self._corners_m)
         corners = corners[(corners > edges[0]) & (corners < edges[-1])]
-        # Rounding keeps pieces of no width out.
+        # Rounding excludes pieces of no width.
         cuts = np.unique(np.concatenate([edges, edges[:-1] + 0.5, corners.round(6)]))
         middles = (cuts[:-1] + cuts[1:]) / 2
         eye = camera.eye(pose)
@@ -198,10 +198,10 @@ class Corridor:
         return (running_sum(stop) - running_sum(start)) / (stop - start)[:, None]
 
     def _place(self, wall: int, rng: np.random.Generator) -> list[Opening]:
-        """Line one wall with doors and windows, at places that never repeat."""
+        """Place doors and windows along one wall at irregular distances."""
         outer = wall < 4
         placed: list[Opening] = []
-        # An outer wall begins with what ends the corridor before it: a door in mid-view.
+        # An outer wall begins with a door, in the middle of the view along the corridor before it.
         start = self.width_m / 2 + rng.uniform(-0.7, -0.3) if outer else rng.uniform(0.5, 1.5)
         kind = "door"
         while True:

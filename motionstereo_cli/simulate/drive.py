@@ -1,4 +1,4 @@
-"""A drive: a simulated robot drives by what the pipeline tells it, frame by frame."""
+"""A drive: a simulated robot steered by the pipeline, frame by frame."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 #: Matroska counts whole milliseconds.
 _TIME_BASE = Fraction(1, 1000)
 
-#: What a drive writes; the record is the last.
+#: Files of a drive; the record is the last.
 RECORD = "drive.json"
 OUTPUTS = (
     *("left.mkv", "right.mkv", "rig.yaml", "steering.csv", "poses.txt", "plan.png"),
@@ -57,14 +57,14 @@ def drive(
     inputs: Iterable[Path] = (),
     progress: Callable[[], object] = lambda: None,
 ) -> dict[str, Any]:
-    """Let the robot drive until it ends, write what happened, and return the record.
+    """Drive until the end, write the results, and return the record.
 
     Writes left.mkv and right.mkv (FFV1), rig.yaml, poses.txt (TUM), steering.csv as ``run`` does,
     plan.png, map.ply, map.png, map.yaml, map-sheet.png, the record drive.json and, with ``view``,
     drive.mp4.
     ``run`` on the recordings with that rig and those poses gives the same steering.csv and map.
 
-    When it fails or is interrupted, no file is left behind.
+    On failure or interruption no file remains.
 
     Args:
         out: the folder, made if missing.
@@ -114,9 +114,9 @@ def drive(
 
 
 def driven(world: DriveWorld, settings: Settings) -> Iterator[FrameResult]:
-    """Yield the result of each frame; the next is taken where the robot then is.
+    """Yield the result of each frame; the caller moves the robot before the next.
 
-    The caller moves the robot by each result; see :meth:`DriveWorld.act_on`.
+    See :meth:`DriveWorld.act_on`.
     """
     shot: Shot
 

@@ -1,4 +1,4 @@
-"""The drive from above: walls, what the robot has seen of them, its path, and the walkers."""
+"""The plan of a drive: walls, the cells that the robot has seen, its path, and the walkers."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _WALKED = (250, 225, 180)
 
 
 def plan_sheet(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Return a plan with its title, the meaning of its colours and a bar of length, RGB."""
+    """Return a plan with title, legend and scale bar, RGB."""
     width = picture.shape[1]
     entries = (
         (_SEEN, "what the map holds as occupied"),
@@ -56,10 +56,10 @@ def plan_sheet(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 
 class Plan:
-    """The picture, brought up to date frame by frame.
+    """The picture, updated frame by frame.
 
     Args:
-        world: the world; it is looked at, not changed.
+        world: the world; it is not changed.
     """
 
     def __init__(self, world: DriveWorld) -> None:
@@ -69,12 +69,12 @@ class Plan:
         self._floor = self._empty()
 
     def add_walkers(self) -> None:
-        """Add where the walkers are now."""
+        """Add the present places of the walkers."""
         for walker in self._world.walkers:
             self._disc(self._floor, walker.x_m, walker.y_m, RADIUS_M, _WALKED)
 
     def draw(self, seen: Floor) -> NDArray[np.uint8]:
-        """Return the picture as it is now, (size, size, 3) uint8 RGB.
+        """Return the present picture, (size, size, 3) uint8 RGB.
 
         Args:
             seen: the map so far, of which the occupied cells are shown.

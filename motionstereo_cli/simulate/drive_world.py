@@ -1,4 +1,4 @@
-"""A robot in a corridor, frame by frame: what it sees, how it moves, and what becomes of it."""
+"""A robot in a corridor, frame by frame: its views, its motion, and how its drive ends."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ _TURN_GAIN = 0.5
 
 
 class Shot(NamedTuple):
-    """What the robot sees at one moment.
+    """The views of the robot at one moment.
 
     Attributes:
         frame: the images, with the sensor's noise.
@@ -55,7 +55,7 @@ class Shot(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """How the robot moves in a frame.
+    """The motion of the robot in a frame.
 
     Attributes:
         forward_m: how far forward.
@@ -69,7 +69,7 @@ class Command:
 def command(steering: Steering) -> Command:
     """Return the motion for a steering: turn to the heading, and slow down before obstacles.
 
-    If the free distance is unknown it only turns, to the left if it knows no heading either.
+    If the free distance is unknown it only turns, to the left if the heading is unknown, too.
     """
     if steering.steer_rad is None:
         return Command(0.0, MAX_TURN_RAD)
@@ -84,7 +84,7 @@ def command(steering: Steering) -> Command:
 class DriveWorld:
     """The corridor, the walkers and the robot, until the drive ends.
 
-    A touch is a robot whose round outline comes to a wall or a walker; it ends the drive.
+    A touch of the robot's round outline with a wall or a walker ends the drive.
 
     Args:
         settings: the world.
@@ -97,7 +97,7 @@ class DriveWorld:
         turned_rad: how far round the square's middle it has come, in the direction of its start.
         path_m: length of its path.
         nearest_pass_m: minimum distance of its outline to a wall or walker so far.
-        ended: why the drive ended; None while it goes on.
+        ended: reason for the end; None during the drive.
     """
 
     def __init__(self, settings: DriveSettings) -> None:
@@ -131,7 +131,7 @@ class DriveWorld:
 
     @property
     def expected_frames(self) -> int:
-        """About how many frames the laps take."""
+        """Estimated number of frames."""
         frames = math.ceil(_SLOWER * self.settings.laps * self.lap_m / MAX_FORWARD_M)
         return min(frames, self.settings.max_frames or frames)
 
@@ -141,12 +141,12 @@ class DriveWorld:
         return self.turned_rad / math.tau
 
     def shots(self) -> Iterator[Shot]:
-        """Yield what the robot sees, until the drive ends; call :meth:`act_on` after each."""
+        """Yield the views of the robot until the drive ends; call :meth:`act_on` after each."""
         while self.ended is None:
             yield self.shot()
 
     def shot(self) -> Shot:
-        """Return what the robot sees now."""
+        """Return the present views of the robot."""
         s, number = self.settings, self.frames
         left, right = (
             self._paint.render(
@@ -170,7 +170,7 @@ class DriveWorld:
         return Shot(frame, disparity_px, as_written(self.robot.rig_pose))
 
     def act_on(self, steering: Steering) -> None:
-        """Move the robot, as :func:`command` has it, and the walkers by a frame."""
+        """Move the robot by :func:`command`, and the walkers, by a frame."""
         self.act(command(steering))
 
     def act(self, move: Command) -> None:

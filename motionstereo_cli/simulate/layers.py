@@ -1,8 +1,8 @@
 """Cards, slanted and thin ones among them, that overlap at many depths before a smooth wall.
 
-The seed decides on everything: places, sizes, slants, paths and textures. Textures are fine,
-coarse, as in photographs, or repeat themselves; the wall's changes so slowly that only its
-memory tells where it is.
+The seed determines places, sizes, slants, paths and textures. Textures are fine, coarse,
+photograph-like or repetitive; that of the wall changes so slowly that only the memory tells its
+place.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ class Layers:
 
     Args:
         camera: a camera of the rig: cards fit what it sees.
-        seed: decides on everything.
+        seed: seed of everything.
     """
 
     def __init__(self, camera: Camera, seed: int = 0) -> None:
@@ -81,7 +81,7 @@ class Layers:
         ]
 
     def render(self, pose: FloorPose, camera: Camera, time_s: float) -> View:
-        """Return what ``camera`` sees from ``pose``, which must face the wall, at ``time_s``."""
+        """Return the view of ``camera`` from ``pose``, which must face the wall, at ``time_s``."""
         cards = [card.at(time_s) for card in self._cards]
         return render([self._wall, *cards], pose, camera)
 

@@ -1,4 +1,4 @@
-"""From settings to frames: what the cameras of a rig record, with the exact truth."""
+"""Render scenes: the images of both cameras of a rig, with exact truth."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class SceneFrame(NamedTuple):
 
 
 class _Scene(NamedTuple):
-    """A world, and where the rig is in it at a frame, whole or not, of a given duration in s."""
+    """A world, and the pose of the rig at a fractional frame number, for a frame duration in s."""
 
     world: World
     pose: Callable[[float, float], FloorPose]
@@ -85,7 +85,7 @@ _SCENES: dict[str, Callable[[SimulateSettings], _Scene]] = {
 
 #: Moments of an open shutter that are averaged.
 _MOMENTS = 7
-#: Of a flickering lamp: cycles from frame to frame, less whole ones; its light rolls over the rows.
+#: Phase of a flickering lamp from frame to frame, in cycles; its light rolls over the rows.
 _FLICKER_CYCLES = 0.37
 
 
@@ -133,7 +133,7 @@ def render_scene(settings: SimulateSettings) -> Iterator[SceneFrame]:
 
 
 def _compressed(grey: Grey, quality: int) -> Grey:
-    """Return an image as JPEG of a quality gives it back; as it is for quality 0."""
+    """Return an image after JPEG compression of a quality; unchanged for quality 0."""
     if not quality:
         return grey
     _, data = cv2.imencode(".jpg", grey, [cv2.IMWRITE_JPEG_QUALITY, quality])

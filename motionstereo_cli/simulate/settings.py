@@ -20,19 +20,19 @@ _SCENE_DEFAULTS = (30.0, 0.12), (10.0, 0.4)
 #: Frames are numbered with six digits.
 _MAX_FRAMES = 1_000_000
 
-#: Room that a turning camera must keep from the inner corner, in m.
+#: Minimum distance of a turning camera from the inner corner, in m.
 _MIN_ROOM_M = 0.1
 
-#: The driven robot, and the room it needs besides.
+#: Radius of the driven robot, and its clearance.
 ROBOT_RADIUS_M = 0.25
 _MIN_DRIVE_ROOM_M = 0.5
-#: Width of the widest driven corridor that a seed decides on.
+#: Maximum width of a driven corridor by seed.
 _WIDEST_M = 3.5
 
 
 @dataclass(frozen=True, slots=True)
 class SimulateSettings:
-    """What a rendered recording depends on.
+    """Parameters of a rendered recording.
 
     Raises:
         SettingsError: a value is out of range, or values contradict each other.
@@ -40,7 +40,7 @@ class SimulateSettings:
 
     scene: str = param(
         "corridor",
-        "What is rendered. corridor: a robot drives round a square corridor; cards: textured cards "
+        "Scene. corridor: a robot drives round a square corridor; cards: textured cards "
         "cross, approach and recede before a textured wall; layers: cards, some slanted or thin, "
         "overlap before a smooth wall; street: a car drives along a street with houses, "
         "trees, parked and moving cars.",
@@ -49,7 +49,7 @@ class SimulateSettings:
     )
     frames: str = param(
         "500",
-        "How many frames, or which: 250:350 is 250 to 349. A round of the corridor takes 500; "
+        "Number of frames, or a range: 250:350 is 250 to 349. A round of the corridor takes 500; "
         "the last 25 of each 125 are a turn.",
         common=True,
     )
@@ -79,7 +79,7 @@ class SimulateSettings:
     )
     street_winding_deg: float = param(
         0.0,
-        "How far the street turns to either side of its first direction. Only in the street.",
+        "Maximum angle of the street to its first direction. Only in the street.",
         unit="degrees",
         low=0,
         high=60,
@@ -99,8 +99,8 @@ class SimulateSettings:
     )
     flicker: float = param(
         0.0,
-        "Flicker of the light, as of lamps on mains: the exposure differs by up to this share "
-        "from frame to frame and from row to row, in both cameras alike.",
+        "Flicker of the light, as of mains lamps: the exposure varies by up to this share from "
+        "frame to frame and from row to row, equally in both cameras.",
         low=0,
         high=1,
     )
@@ -174,7 +174,7 @@ class SimulateSettings:
 
 @dataclass(frozen=True, slots=True)
 class DriveSettings:
-    """What a driven world depends on.
+    """Parameters of a driven world.
 
     Raises:
         SettingsError: a value is out of range, or there is no room for the robot.
@@ -183,7 +183,7 @@ class DriveSettings:
     laps: float = param(1.0, "Maximum number of rounds.", low=0.01, high=1000, common=True)
     max_frames: int = param(
         0,
-        "Maximum number of frames (0 = three times what the laps should take).",
+        "Maximum number of frames (0 = three times the expected number).",
         low=0,
         old="most_frames",
     )
@@ -215,8 +215,8 @@ class DriveSettings:
     )
     seed: int = param(
         0,
-        "Seed of the world. It decides on the corridor's size, doors, windows and light, the sense "
-        "of the round, the walkers and the noise.",
+        "Seed of the world: the corridor's size, doors, windows and light, the sense of the round, "
+        "the walkers and the noise.",
         low=0,
         common=True,
     )

@@ -1,7 +1,7 @@
 """A street that a car drives along: houses, trees, poles, kerbs, parked and moving cars, sky.
 
-Places in it are given along the street, in m from the start, and to the left of its middle. It is
-made in blocks, each from the seed and its own number, so that it never ends.
+Places are given along the street, in m from the start, and to the left of its middle. It is made in
+blocks, each from the seed and its number, so that it is endless.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ LANE_M = -1.5
 _PARKED_M, _KERB_M, _PAVED_M = 3.9, 5.0, 7.5
 _KERB_UP_M = 0.12
 
-#: The street is made in blocks of pieces, and seen so far back and ahead.
+#: Length of a block, and the visible distance back and ahead.
 _BLOCK_M, _PIECE_M = 20.0, 4.0
 _BEHIND_M, _AHEAD_M = 12.0, 130.0
 #: From one bend to the next but one.
@@ -42,10 +42,10 @@ class Street:
     """The street, its paint and its traffic.
 
     Args:
-        length_m: how far it has to reach.
-        speed_m_s: how fast the rig drives.
-        winding_rad: how far the street turns to either side of its first direction.
-        seed: decides on everything else.
+        length_m: its length.
+        speed_m_s: speed of the rig.
+        winding_rad: maximum angle to its first direction.
+        seed: seed of everything else.
     """
 
     def __init__(
@@ -89,7 +89,7 @@ class Street:
         return render(surfaces, pose, camera)
 
     def _far(self, pose: FloorPose) -> Iterator[Surface]:
-        """Yield sky and fields, which go along with the rig."""
+        """Yield sky and fields, which move with the rig."""
         side, top = 2 * _SKY_M, 0.55 * _SKY_M
         for quarter in range(4):
             turn = quarter * math.pi / 2

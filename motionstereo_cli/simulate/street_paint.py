@@ -1,4 +1,4 @@
-"""What objects in a street look like: noise with the statistics of photographs, and shapes."""
+"""Textures of a street: noise with the statistics of photographs, and shapes."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Picture = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Paints:
-    """All textures of a street; those of several are taken at random."""
+    """All textures of a street; of several, one is taken at random."""
 
     asphalt: Texture
     slabs: Texture
@@ -40,7 +40,7 @@ class Paints:
 
 
 def paints(rng: np.random.Generator) -> Paints:
-    """Return the textures that a seed decides on."""
+    """Return the textures of a seed."""
 
     def plain(size: int, tone: float, contrast: float, **kind: float) -> Texture:
         return Texture.of(_toned(noise(rng, (size, size), **kind), tone, contrast))
@@ -126,7 +126,7 @@ def _front(rng: np.random.Generator) -> Picture:
 def _window(
     grey: Picture, rng: np.random.Generator, left: int, top: int, wide: int, high: int
 ) -> None:
-    """Paint a window with what it reflects, in place."""
+    """Paint a window and its reflection, in place."""
     grey[top - 8 : top + high + 8, left - 8 : left + wide + 8] = 225
     pane = noise(rng, (high, wide), finest=6, slope=1.3)
     grey[top : top + high, left : left + wide] = _toned(pane, rng.uniform(40, 80), 45)

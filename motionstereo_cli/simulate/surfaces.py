@@ -1,4 +1,4 @@
-"""Flat textured pieces in space, and what a camera sees of them.
+"""Flat textured surfaces in space, and their rendering.
 
 Every pixel is divided into 3 x 3 samples. On each the nearest piece wins; a pixel's grey is the
 mean of the pieces' textures by their shares, its depth that of the sample in its middle. Along an
@@ -23,9 +23,9 @@ if TYPE_CHECKING:
     Vector = NDArray[np.float64]
 
 _SAMPLES = 3
-#: What is nearer along the optical axis is not seen.
+#: Nearest visible depth along the optical axis.
 NEAR_M = 0.05
-#: A plane that passes the camera so closely is seen edge-on.
+#: A plane this close to the camera's centre is seen edge-on.
 _EDGE_ON_M = 1e-9
 
 
@@ -78,7 +78,7 @@ def rectangle(
 
 
 def render(surfaces: Sequence[Surface], pose: FloorPose, camera: Camera) -> View:
-    """Return what a camera sees of surfaces; black and endlessly far where there is none."""
+    """Return the view of surfaces; black at infinite depth elsewhere."""
     seen = _see(surfaces, pose, camera)
     height, width = camera.height, camera.width
     nearness = np.zeros((height * _SAMPLES, width * _SAMPLES))
@@ -115,7 +115,7 @@ class _Seen:
     bounds: NDArray[np.intp]
 
     def enter(self, nearness: NDArray[np.float64], owner: NDArray[np.int32], number: int) -> None:
-        """Enter its samples that nothing nearer hides, in place."""
+        """Enter its samples that are nearest, in place."""
         forms = self.nearness, self.right, self.down
         holes = self.surface.texture.holes.view(np.uint8)
         loops.enter(nearness, owner, number, self.bounds, *forms, self.edges, holes)
@@ -129,7 +129,7 @@ class _Seen:
 
 
 def _see(surfaces: Sequence[Surface], pose: FloorPose, camera: Camera) -> list[_Seen]:
-    """Return the surfaces of which a camera may see something, as it sees them."""
+    """Return the surfaces that may be visible to a camera."""
     eye = np.array([*camera.eye(pose), EYE_HEIGHT_M])
     axes = np.array([[*pose.forward, 0], [*pose.left, 0], [0, 0, 1]])
     corners = (np.array([item.corners_m for item in surfaces]) - eye) @ axes.T

@@ -1,4 +1,4 @@
-"""Periodic pictures, averaged beforehand so that no camera distance makes them shimmer."""
+"""Periodic pictures, prefiltered so that they do not shimmer at any distance."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _PAD = 1
 class Texture:
     """A periodic grey picture, averaged over blocks of 2^i x 2^j texels for all i and j (a ripmap).
 
-    A surface that is seen at a grazing angle needs blocks much longer than wide.
+    A surface at a grazing angle needs blocks much longer than wide.
 
     Attributes:
         levels: float32, all levels side by side.
@@ -73,9 +73,9 @@ def noise(
     """Return periodic noise of mean 0 and standard deviation 1.
 
     Args:
-        rng: decides on it.
+        rng: random generator.
         shape: rows and columns.
-        finest, coarsest: its waves are about so long, in texels.
+        finest, coarsest: range of its wavelengths in texels.
         slope: amplitude falls with frequency to this power: 1 as in photographs (each octave has
             the same contrast), 0 for white noise.
     """

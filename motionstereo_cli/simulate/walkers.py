@@ -2,9 +2,8 @@
 
 A walker is an upright cylinder painted with coarse noise. One half of them walk along the corridor,
 against the robot's first direction; the other half cross it from wall to wall. They walk at
-:data:`SPEEDS_M_S`, take no notice of one another, and never run into the robot on purpose: a walker
-that has the robot close in front of it stops, and after a while turns round. So where they touch,
-the robot drove into it.
+:data:`SPEEDS_M_S` and ignore one another. A walker stops close before the robot and after a while
+turns round, so that every touch is a fault of the robot.
 """
 
 from __future__ import annotations
@@ -26,12 +25,12 @@ RADIUS_M = 0.25
 HEIGHT_M = 1.75
 #: Slow to brisk walking pace.
 SPEEDS_M_S = (0.6, 1.1)
-#: A walker stops where the robot's edge is as near as this, ahead of it.
+#: Distance to the robot's edge ahead at which a walker stops.
 _POLITE_M = 0.6
 #: Frames that it stands before it turns round.
 _PATIENCE_FRAMES = 20
 
-#: Rays a pixel along a row and a column, which are averaged.
+#: Rays per pixel along a row and a column, which are averaged.
 _ACROSS = 3
 _DOWN = 2
 _TEXEL_M = 0.05
@@ -43,10 +42,10 @@ class Walker:
 
     Attributes:
         x_m, y_m: its middle.
-        heading_rad: where it walks, yaw in the world.
-        speed_m_s: how fast.
-        crosses: it walks from wall to wall, not along the corridor.
-        stood_frames: how long it has been standing.
+        heading_rad: its direction, yaw in the world.
+        speed_m_s: its speed.
+        crosses: whether it walks from wall to wall, not along the corridor.
+        stood_frames: number of frames that it has been standing.
     """
 
     x_m: float
@@ -57,7 +56,7 @@ class Walker:
     stood_frames: int = 0
 
     def distance_m(self, x_m: float, y_m: float) -> float:
-        """Return how far its middle is from a place."""
+        """Return the distance of its middle from a place."""
         return math.hypot(self.x_m - x_m, self.y_m - y_m)
 
 
@@ -92,7 +91,7 @@ def step(
     square_m = max(abs(x_m), abs(y_m))
     if inner_m + RADIUS_M + 0.1 <= square_m <= outer_m - RADIUS_M - 0.1:
         return replace(walker, x_m=x_m, y_m=y_m, stood_frames=0)
-    # A wall: one that crosses goes back; one that walks along takes the corner.
+    # At a wall one that crosses goes back; one that walks along takes the corner.
     turn = math.pi if walker.crosses else _corner_turn(walker, x_m, y_m)
     return replace(walker, heading_rad=walker.heading_rad + turn, stood_frames=0)
 
@@ -106,7 +105,7 @@ def place_walkers(
         count: how many.
         width_m, inner_m: width of the corridor, half the side of its inner square.
         start: where the robot starts.
-        rng: decides on places and speeds.
+        rng: random generator of places and speeds.
     """
     placed: list[Walker] = []
     room_m = width_m / 2 - RADIUS_M - 0.1
@@ -132,11 +131,11 @@ def place_walkers(
 
 
 class WalkerPaint:
-    """What the walkers look like.
+    """Textures of the walkers.
 
     Args:
         count: how many.
-        rng: decides on the paint.
+        rng: random generator of the paint.
     """
 
     def __init__(self, count: int, rng: np.random.Generator) -> None:

@@ -1,4 +1,4 @@
-"""A rendered recording as files, with its truth."""
+"""Write a rendered recording with its truth."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def simulate(
 ) -> None:
     """Render a recording into a folder; the same settings give the same bytes.
 
-    Writes, with frames numbered from 0 wherever in the scene they begin:
+    Writes, with frames numbered from 0 whatever their numbers in the scene:
 
     - left.mp4, right.mp4 (H.264), or left.mkv, right.mkv (FFV1) if ``lossless``;
     - disparity/000000.png: exact disparity of the right view as KITTI has it, uint16 in 1/256 px,
@@ -39,7 +39,7 @@ def simulate(
       z up, in m. Orientation: the robot frame, x forward, y left, z up (REP 103). Time begins
       at 0 with the recording.
 
-    When it fails or is interrupted, no file is left behind.
+    On failure or interruption no file remains.
 
     Args:
         out: the folder, made if missing.
