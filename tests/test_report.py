@@ -147,7 +147,7 @@ def test_a_damaged_table_is_one_line(copy, capsys):
 def test_only_a_report_is_replaced(copy, capsys):
     record = (copy / "run.json").read_bytes()
     assert main(["report", str(copy), "-o", str(copy / "run.json")]) == 1
-    assert "is no report" in capsys.readouterr().err
+    assert "is not a report" in capsys.readouterr().err
     assert (copy / "run.json").read_bytes() == record
 
 
