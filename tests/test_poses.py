@@ -1,6 +1,7 @@
 """Trajectories in the TUM format, and `run --poses`."""
 
 import math
+import re
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ from hypothesis import strategies as st
 
 from motionstereo_cli.__main__ import main
 from motionstereo_cli.errors import InputError, SettingsError
-from motionstereo_cli.rig.pose_forms import quaternions, rotations
+from motionstereo_cli.rig.pose_forms import quaternions, read_pose_table, rotations
 from motionstereo_cli.rig.poses import HEAD, as_written, format_pose, read_poses
 from motionstereo_cli.rig.settings import PoseSettings
 from motionstereo_cli.types import Pose, Rig, StereoFrame
@@ -75,7 +76,7 @@ def test_a_frame_without_time_has_no_pose(tmp_path):
         (["0 0 0 0 0 0 0 1", "1 x 0 0 0 0 0 1"], "line 2: .* is not a pose"),
         (["0 0 0 0 0 0 0 1", "1 nan 0 0 0 0 0 1"], "line 2: .* is not a pose"),
         (["0 0 0 0 0 0 0 2"], "line 1: .* is not a pose"),
-        (["1 0 0 0 0 0 0 1", "1 0 0 0 0 0 0 1"], "line 2: time 1 does not come after 1"),
+        (["1 0 0 0 0 0 0 1", "0.5 0 0 0 0 0 0 1"], "line 2: time 0.5 does not come after 1"),
     ],
 )
 def test_what_is_no_trajectory_is_named_with_its_line(tmp_path, lines, words):
@@ -330,3 +331,165 @@ def test_poses_that_no_robot_has_are_named(tmp_path, line, said):
     warned = " ".join(read_poses(written(tmp_path, *rows)).check_covers(0.0, 1.0))
     assert (said in warned) if said else not warned
     assert not said or "--pose-frame" in warned
+
+
+# Forms of other programs: columns by their header, and what is taken for granted is said.
+
+ROSTOPIC = (
+    "%time,field.header.seq,field.header.stamp,field.header.frame_id,field.child_frame_id,"
+    "field.pose.pose.position.x,field.pose.pose.position.y,field.pose.pose.position.z,"
+    "field.pose.pose.orientation.x,field.pose.pose.orientation.y,field.pose.pose.orientation.z,"
+    "field.pose.pose.orientation.w,field.pose.covariance0,field.twist.twist.linear.x"
+)
+OKVIS = (
+    "timestamp, p_WS_W_x, p_WS_W_y, p_WS_W_z, q_WS_x, q_WS_y, q_WS_z, q_WS_w, v_WS_W_x, v_WS_W_y"
+)
+MAPLAB = (
+    "vertex index, timestamp [ns], position x [m], position y [m], position z [m], quaternion x, "
+    "quaternion y, quaternion z, quaternion w, velocity x [m/s]"
+)
+AIRSIM = "VehicleName\tTimeStamp\tPOS_X\tPOS_Y\tPOS_Z\tQ_W\tQ_X\tQ_Y\tQ_Z\tImageFile"
+
+
+@pytest.mark.parametrize(
+    ("header", "line", "frame"),
+    [
+        (HEAD.strip(), "{s} {p} {xyz} {w}", "robot"),
+        ("#timestamp x y z qx qy qz qw id", "{s} {p} {xyz} {w} {n}", "robot"),
+        ("# id timestamp tx ty tz qx qy qz qw", "{n} {s} {p} {xyz} {w}", "robot"),
+        ("# timestamp [ns] tx ty tz qw qx qy qz", "{ns} {p} {w} {xyz}", "body"),
+        ("#counter, sec, nsec, x, y, z, qx, qy, qz, qw", "{n},{sec},{nsec},{p},{xyz},{w}", "robot"),
+        ("#timestamp_kf,x,y,z,qw,qx,qy,qz,vx,vy,vz", "{ns},{p},{w},{xyz},9,9,9", "body"),
+        ("Time,qw,qx,qy,qz,vx,x,y,z", "{s},{w},{xyz},9,{p}", "robot"),
+        ("# timestamp(s) tx ty tz qx qy qz qw Pr11 Pr12", "{s} {p} {xyz} {w}", "robot"),
+        (ROSTOPIC, "{ns},{n},{ns},odom,base_link,{p},{xyz},{w},0.1,7", "robot"),
+        (OKVIS, "{ns}, {p}, {xyz}, {w}, 9, 9", "body"),
+        (MAPLAB, "{n}, {ns}, {p}, {xyz}, {w}, 9", "robot"),
+        (AIRSIM, "Drone\t{ms}\t{p}\t{w}\t{xyz}\timg_{n}.png", "ned"),
+        ("frame,x,y,z,qx,qy,qz,qw", "{n},{p},{xyz},{w}", "robot"),
+    ],
+)
+def test_columns_are_told_by_every_header(tmp_path, header, line, frame):
+    lines = []
+    begin_s = 1.7e9
+    for n, pose in enumerate(drive()):
+        place, (x, y, z, w) = pose[:3, 3], quaternions(pose[None, :3, :3])[0]
+        time_s, sep = begin_s + n / 10, next((each for each in ",\t" if each in line), " ")
+        parts = {
+            **{"n": n, "s": repr(time_s), "ms": round(time_s * 1e3), "ns": round(time_s * 1e9)},
+            **{"sec": int(time_s), "nsec": round(time_s % 1 * 1e9), "w": repr(float(w))},
+            "p": sep.join(repr(float(each)) for each in place),
+            "xyz": sep.join(repr(float(each)) for each in (x, y, z)),
+        }
+        lines.append(line.format(**parts))
+    table = read_pose_table(written(tmp_path, header, *lines))
+    assert (table.frame, table.notes) == (frame, ())
+    trajectory = read_poses(tmp_path / "poses.txt", PoseSettings(pose_frame="robot"))
+    assert_drives(trajectory)
+    wanted = range(6) if header.startswith("frame") else begin_s + np.arange(6) / 10
+    assert trajectory.time_s == pytest.approx(np.array(wanted), abs=1e-6)
+    assert trajectory.by_number == header.startswith("frame")
+
+
+#: Directions of x forward, y left, z up in x forward, y right, z down.
+FLIPPED = np.diag([1.0, -1, -1, 1])
+
+
+def test_tartanair_has_seven_columns_of_a_camera_with_z_down(tmp_path):
+    at_left = np.eye(4)
+    at_left[1, 3] = RIG.baseline_m / 2
+    lines = []
+    for pose in drive():
+        ned = FLIPPED @ pose @ at_left @ FLIPPED
+        lines.append(words(ned[:3, 3], quaternions(ned[None, :3, :3])[0]))
+    trajectory = read_poses(written(tmp_path, *lines), None, RIG)
+    assert trajectory.by_number
+    assert_drives(trajectory)
+    assert "TartanAir" in trajectory.notes[0]
+
+
+@pytest.mark.parametrize("rows", [3, 4])
+@pytest.mark.parametrize("first", ["", "number", "ns"])
+def test_matrices_do_not_say_what_they_are_of(tmp_path, rows, first):
+    before = {"": lambda _: (), "number": lambda n: (n,), "ns": lambda n: (1.7e18 + n * 1e8,)}
+    lines = [words(before[first](n), left_optical(p)[:rows]) for n, p in enumerate(drive())]
+    path = written(tmp_path, *lines)
+    settings = PoseSettings(pose_frame="optical-z-up")
+    trajectory = read_poses(path, settings, RIG)
+    assert_drives(trajectory)
+    assert trajectory.by_number == (first != "ns")
+    if rows == 3 and not first:  # KITTI's
+        return
+    with pytest.raises(InputError, match=r"do not say|does not say .*--pose-frame optical"):
+        read_poses(path, None, RIG)
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        ("{t} {x} 0 1 0 0 {s} {c}", ""),  # TUM's
+        ("{t},{x},0,1,0,0,{s},{c}", "t x y z qx qy qz qw; a first line"),
+        ("{t} {x} 0 1 0 0 {s} {c} 7", "9 columns and no header: they are taken for t x y z qx"),
+        ("{ns} {x} 0 1 {c} 0 0 {s}", "taken for t x y z qw qx qy qz; a first line"),
+        ("{ns},{x},0,1,{c},0,0,{s},0,0,0,", "11 columns .* t x y z qw qx qy qz and others"),
+        ("{t} {x} {y} 1 {c} 0 0 {s}", "qw is likely the first"),
+    ],
+)
+def test_the_order_of_a_quaternion_is_not_guessed_in_silence(tmp_path, line, said):
+    rows = []
+    for n in range(30):
+        yaw = n / 10
+        parts = {
+            "t": n / 10,
+            "ns": int(17e17 + n * 1e8),
+            "x": math.sin(yaw),
+            "y": 1 - math.cos(yaw),
+        }
+        rows.append(line.format(**parts, s=math.sin(yaw / 2), c=math.cos(yaw / 2)))
+    notes = " ".join(read_pose_table(written(tmp_path, *rows)).notes)
+    assert re.search(said, notes) if said else not notes
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ('{"camera_model": "OPENCV", "frames": [{"transform_matrix": [[1]]}]}', "nerfstudio"),
+        ('[{"token": "a", "rotation": [1, 0, 0, 0], "timestamp": 1}]', "nuScenes"),
+        ("# Image list with two lines of data per image:\n1 1 0 0 0 0 0 0 1 a.png\n", "COLMAP"),
+        ("VERTEX_SE3:QUAT 0 0 0 0 0 0 0 1\n", "g2o"),
+        ("header: \n  seq: 1\npose: \n", "rostopic echo -p"),
+        ("# timestamp(s) q p v bg ba cam_imu_dt num_cam\n1 0 0 0 1 0 0 0\n", "OpenVINS"),
+        ("time,x,y,z,roll,pitch,yaw\n0,0,0,0,0,0,0\n", "angles in place of a quaternion"),
+        ("#timestamp [ns],w_RS_S_x [rad s^-1],w_RS_S_y [rad s^-1]\n1,0,0,0,0,0,0\n", "an IMU"),
+        ("# t x y z qx qy qz qw\n0 0 0 0 0 0 1\n", "fewer than the header names"),
+    ],
+)
+def test_other_forms_are_named(tmp_path, text, said):
+    path = tmp_path / "other"
+    path.write_text(text)
+    with pytest.raises(InputError, match=said):
+        read_poses(path, None, RIG)
+
+
+def test_a_time_that_is_there_twice_is_said(tmp_path):
+    lines = [tum(n / 10, pose) for n, pose in enumerate(drive())]
+    trajectory = read_poses(written(tmp_path, *lines[:3], lines[2], *lines[3:]))
+    assert_drives(trajectory)
+    assert "has 1 pose with the time of the one before" in trajectory.check_covers(0, 0.5)[0]
+
+
+def test_more_poses_than_images_are_said(tmp_path):
+    path = written(tmp_path, *(words(np.eye(4)[:3]) for _ in range(60)))
+    trajectory = read_poses(path, None, RIG)
+    assert trajectory.check_covers(0, 59, 59) == trajectory.check_covers(0, 19, 58) == ()
+    (said,) = trajectory.check_covers(0, 19, 19)
+    assert "60 poses for 20 images: the pose of number n is taken for image n" in said
+
+
+@pytest.mark.parametrize(("begin_s", "warned"), [(0.0, True), (1.7e9, False)])
+def test_poses_of_a_longer_recording_are_said(tmp_path, begin_s, warned):
+    lines = [tum(begin_s + n / 10, pose) for n, pose in enumerate(drive(60))]
+    trajectory = read_poses(written(tmp_path, *lines))
+    said = trajectory.check_covers(begin_s, begin_s + 2, begin_s + 2)
+    assert any("3.9 s after the recording ends" in line for line in said) == warned
+    assert trajectory.check_covers(begin_s, begin_s + 2, begin_s + 5.5) == ()

@@ -566,6 +566,12 @@ def test_kitti_has_the_times_beside_the_images(tmp_path: Path) -> None:
     assert [frame.time_s for frame in frames] == pytest.approx([n * 0.1037 for n in left])
 
 
+def test_kitti_times_of_more_images_than_there_are_are_said(tmp_path: Path) -> None:
+    with open_stereo(kitti(tmp_path, [f"{n * 0.1:e}" for n in range(3 * COUNT)])) as source:
+        (said,) = source.warnings
+    assert f"has {3 * COUNT} times, but the last image is {COUNT - 1:06d}.png" in said
+
+
 @pytest.mark.parametrize(
     ("times", "said"),
     [

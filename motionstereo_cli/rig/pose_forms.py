@@ -1,10 +1,13 @@
-"""Files of poses in the forms of TUM, EuRoC and KITTI, as tables."""
+"""Files of poses in the forms that programs write, as tables.
+
+Columns are those that a header names. Without a header the number of columns tells the form, and
+what was taken for granted is said in a note.
+"""
 
 from __future__ import annotations
 
-import math
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -13,6 +16,7 @@ import numpy as np
 
 from motionstereo_cli.errors import InputError
 from motionstereo_cli.files.reading import MAX_TABLE_BYTES, read_text
+from motionstereo_cli.rig.pose_header import Header, foreign, read_header
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -26,11 +30,20 @@ _LARGEST = 1e100
 #: the identity: files keep few decimals.
 _LENGTH_ERROR = 0.01
 
-#: Columns of t x y z qx qy qz qw, as TUM and as EuRoC have them.
-_TUM, _EUROC = (0, 1, 2, 3, 4, 5, 6, 7), (0, 1, 2, 3, 5, 6, 7, 4)
+#: The columns that a pose with a quaternion needs, beside its time.
+_PLACE, _TURN = ("x", "y", "z"), ("qx", "qy", "qz", "qw")
 
 #: Times since 1970 that are larger are in ns, us, ms: in s they would be 3,000 years and more.
 _SINCE_1970 = {"ns": 1e17, "us": 1e14, "ms": 1e11}
+
+#: Numbers of columns of matrices, and whether a time or number stands before the matrix.
+_MATRICES = {12: False, 13: True, 16: False, 17: True}
+
+#: A robot mostly moves the same way, seen from itself. An order of qx qy qz qw under which it does
+#: so by this much more is the likelier one.
+_STEADIER = 0.25
+
+_HOW_TO_NAME = "a first line like '# t x y z qw qx qy qz' says which column is which"
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,72 +51,234 @@ class PoseTable:
     """What a file of poses holds.
 
     Attributes:
-        form: ``TUM``, ``EuRoC`` or ``KITTI``.
-        unit: unit of the times: s, ms, us, ns, or ``frames``; a guess by form and size.
-        times: (n,) float64, rising; numbers from 0 in KITTI's form, which has none.
+        frame: what the poses are of, one of --pose-frame's choices, by the form of the file; None
+            where that says nothing.
+        unit: unit of the times: s, ms, us, ns, or ``frames``; by header, form and size.
+        times: (n,) float64, rising; numbers from 0 where the file has none.
         places: (n, 3) float64 m.
         turns: (n, 4) float64 unit quaternions qx, qy, qz, qw.
+        notes: what was assumed, one line each.
     """
 
-    form: str
+    frame: str | None
     unit: str
     times: Reals
     places: Reals
     turns: Reals
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class _Form:
+    """How the rows of a file are to be read.
+
+    Attributes:
+        columns: of t, x, y, z, qx, qy, qz, qw, and nsec where the time is in two parts.
+        matrix: first column of a matrix [R t] in place of x to qw; None where there is none.
+        wanted: what a line has to hold, for messages.
+        frame, unit: as in :class:`PoseTable`; unit is None where the size of the times tells.
+        notes: as in :class:`PoseTable`.
+        guessed: the order of the quaternion is.
+    """
+
+    columns: Mapping[str, int]
+    wanted: str
+    matrix: int | None = None
+    frame: str | None = "robot"
+    unit: str | None = None
+    notes: tuple[str, ...] = ()
+    guessed: bool = False
 
 
 def read_pose_table(path: str | Path) -> PoseTable:
     """Read a file of poses; empty lines and lines that begin with # are skipped.
 
-    Numbers are separated by spaces or commas. A line is ``t x y z qx qy qz qw`` (TUM), ``t x y z
-    qw qx qy qz`` and whatever follows (EuRoC: told by a header that names the columns, by more
-    than 8 columns, or by times in ns), or the three rows of a matrix [R t] (KITTI).
+    Numbers are separated by spaces, commas, tabs or semicolons. Where a header names time, x, y, z,
+    qx, qy, qz and qw, these are the columns. Otherwise a line is ``t x y z qx qy qz qw`` (TUM),
+    the same without t (TartanAir), ``t x y z qw qx qy qz`` and whatever follows where times are in
+    ns (EuRoC), or a matrix: the three rows of [R t] (KITTI) or four, with or without a time or a
+    number before them.
 
     Raises:
-        InputError: the file cannot be read, holds no pose, or a line (which is named) is not a
-            pose that comes after the one before.
+        InputError: the file cannot be read, holds no pose, is of a form that is not read (which is
+            named), or a line (which is named) is not a pose at or after the time of the one before.
     """
+    text = read_text(path, "the poses", MAX_TABLE_BYTES)
+    if (other := foreign(text)) is not None:
+        raise InputError(f"{path} {other}")
     rows: list[list[float]] = []
-    header: dict[str, int] | None = None
-    form = ""
-    order: tuple[int, ...] = _TUM
-    for number, line in enumerate(read_text(path, "the poses", MAX_TABLE_BYTES).splitlines(), 1):
-        words = [word for word in re.split(r"[\s,;]+", line.strip()) if word]
+    header: Header | None = None
+    form: _Form | None = None
+    repeated = 0
+    for number, line in enumerate(text.splitlines(), 1):
+        words = _words(line, header)
         if not words:
             continue
-        if line.lstrip().startswith("#") or (not rows and words[0][:1].isalpha()):
-            header = header or _header(line)
-            continue
-        row = _numbers(words)
-        if not rows and row is not None:
-            form, order = _form(row, header)
-        pose = None if row is None else _pose(row, form, order, len(rows))
-        if pose is None:
-            wanted = (
-                "12 numbers, the rows of [R t]"
-                if form == "KITTI"
-                else f"t x y z {'qw qx qy qz' if order == _EUROC else 'qx qy qz qw'}, "
-                "in s and m and with a unit quaternion"
-            )
+        if line.lstrip()[:1] in "#%" or (not rows and words[0][:1].isalpha() and form is None):
+            found = read_header(line)
+            header = found if header is None or header.problem else header
+            # A row may begin with a name, as AirSim's do.
+            if header is found or line.lstrip()[:1] in "#%":
+                continue
+        form = form or _form(path, number, line, words, header)
+        row = _row(words, form, len(rows))
+        if row is None:
             raise InputError(
-                f"{path} line {number}: {line.strip()[:60]!r} is not a pose: give {wanted}"
+                f"{path} line {number}: {line.strip()[:60]!r} is not a pose: give {form.wanted}"
             )
-        if rows and pose[0] <= rows[-1][0]:
+        if rows and row[0] < rows[-1][0]:
             raise InputError(
-                f"{path} line {number}: time {pose[0]:.12g} does not come after "
+                f"{path} line {number}: time {row[0]:.12g} does not come after "
                 f"{rows[-1][0]:.12g}: sort the poses by time"
             )
-        rows.append(pose)
-    if not rows:
+        if rows and row[0] == rows[-1][0]:
+            repeated += 1
+            continue
+        rows.append(row)
+    if form is None:
         raise InputError(f"{path} has no poses: give lines of t x y z qx qy qz qw")
-    table = np.array(rows)
-    unit = "frames" if form == "KITTI" else _unit(form, table[0, 0])
-    if form == "KITTI":
-        matrices = table[:, 1:].reshape(-1, 3, 4)
-        return PoseTable(
-            form, unit, table[:, 0], matrices[:, :, 3], quaternions(matrices[:, :, :3])
+    return _table(str(path), np.array(rows), form, repeated)
+
+
+def _table(path: str, rows: Reals, form: _Form, repeated: int) -> PoseTable:
+    times, notes = rows[:, 0], form.notes
+    if repeated:
+        notes += (
+            f"{path} has {repeated} pose{'s' if repeated > 1 else ''} with the time of the one "
+            "before: the first of each time is taken",
         )
-    return PoseTable(form, unit, table[:, 0], table[:, 1:4], table[:, 4:])
+    unit = form.unit or next((u for u, least in _SINCE_1970.items() if times[0] > least), "s")
+    if form.unit is None and form.frame == "body" and (times == np.rint(times)).all():
+        unit = "ns"  # as EuRoC has them, also from 0
+    if form.matrix is not None:
+        matrices = rows[:, 1:].reshape(-1, 3, 4)
+        places, turns = matrices[:, :, 3], quaternions(matrices[:, :, :3])
+    else:
+        places, turns = rows[:, 1:4], rows[:, 4:]
+        if form.guessed:
+            notes += _likelier_order(path, places, turns, form.wanted)
+    return PoseTable(form.frame, unit, times, places, turns, notes)
+
+
+def _words(line: str, header: Header | None) -> list[str]:
+    """Return the columns of a line; an empty one counts where a header names columns by commas."""
+    if header is not None and header.separator and header.separator in line:
+        return [word.strip() for word in line.strip().split(header.separator)]
+    return [word for word in re.split(r"[\s,;]+", line.strip()) if word]
+
+
+def _form(
+    path: str | Path, number: int, line: str, words: Sequence[str], header: Header | None
+) -> _Form:
+    """Return the form of a file by its header, or by its first row.
+
+    Raises:
+        InputError: there is no such form.
+    """
+    where = f"{path} line {number}: {line.strip()[:60]!r}"
+    if header is not None and header.problem:
+        raise InputError(f"{path} {header.problem}")
+    if header is not None:
+        if max(header.columns.values()) >= len(words):
+            raise InputError(
+                f"{where} has {len(words)} columns, fewer than the header names: correct the header"
+            )
+        order = sorted(header.columns, key=lambda key: header.columns[key])
+        wanted = f"{' '.join(order)}, as the header says, with a unit quaternion"
+        return _Form(header.columns, wanted, None, header.frame, header.unit)
+    row = _numbers(words)
+    if row is None or len(row) < 7:
+        raise InputError(
+            f"{where} is not a pose: give t x y z qx qy qz qw, in s and m and with a unit "
+            "quaternion, or 12 numbers, the rows of [R t]"
+        )
+    if len(row) in _MATRICES and (found := _matrix_form(str(path), row)) is not None:
+        return found
+    return _quaternion_form(str(path), row, "," in line)
+
+
+def _matrix_form(path: str, row: Sequence[float]) -> _Form | None:
+    """Return the form of a row with a matrix [R t]; None where there is none in it."""
+    timed = _MATRICES[len(row)]
+    if len(row) != 12 and not _is_rigid(row[timed:]):
+        return None
+    first = "the time or number of an image and " if timed else ""
+    wanted = f"{first}{len(row) - timed} numbers, the rows of [R t]"
+    columns = {"t": 0} if timed else {}
+    unit = None if timed and not _is_count(row[0]) else "frames"
+    frame = "optical" if len(row) == 12 else None
+    notes = tuple[str, ...]()
+    if timed and unit == "frames":
+        notes = (
+            f"{path}: the first of {len(row)} columns is taken for the number of the image, from "
+            "0: if it is a time, give --pose-time-unit",
+        )
+    return _Form(columns, wanted, int(timed), frame, unit, notes)
+
+
+def _quaternion_form(path: str, row: Sequence[float], commas: bool) -> _Form:
+    """Return the form of a row without a header, with a note on what that leaves open."""
+    count = len(row)
+    if count == 7:
+        return _Form(
+            _columns(0, "xyzw"),
+            "x y z qx qy qz qw, in m and with a unit quaternion",
+            None,
+            "ned",
+            "frames",
+            (
+                f"{path} has 7 columns and no header: they are taken for TartanAir's x y z qx qy "
+                "qz qw, line n for image n, of the left camera in --pose-frame ned; "
+                f"{_HOW_TO_NAME}",
+            ),
+            guessed=True,
+        )
+    in_ns = row[0] > _SINCE_1970["ns"] and float(row[0]).is_integer()
+    # ORB-SLAM3 writes TUM's order with times in ns: the larger part of a turn is qw.
+    first = in_ns and (count > 8 or abs(row[4]) > abs(row[7]))
+    order = "qw qx qy qz" if first else "qx qy qz qw"
+    notes = tuple[str, ...]()
+    if in_ns or commas or count > 8:
+        notes = (
+            f"{path} has {count} columns and no header: they are taken for t x y z {order}"
+            f"{' and others' if count > 8 else ''}; {_HOW_TO_NAME}",
+        )
+    return _Form(
+        {"t": 0, **_columns(1, "wxyz" if first else "xyzw")},
+        f"t x y z {order}, in s and m and with a unit quaternion",
+        None,
+        "body" if first else "robot",
+        "ns" if in_ns else None,
+        notes,
+        guessed=True,
+    )
+
+
+def _columns(first: int, order: str) -> dict[str, int]:
+    places = {axis: first + index for index, axis in enumerate(_PLACE)}
+    return places | {"q" + axis: first + 3 + index for index, axis in enumerate(order)}
+
+
+def _likelier_order(path: str, places: Reals, turns: Reals, wanted: str) -> tuple[str, ...]:
+    """Return a note where a robot moves more steadily if qw is at the other end."""
+    qw_first = wanted.startswith("t x y z qw")
+    others = turns[:, [3, 0, 1, 2]] if qw_first else turns[:, [1, 2, 3, 0]]
+    if _steadiness(places, others) < _steadiness(places, turns) + _STEADIER:
+        return ()
+    return (
+        f"{path}: by how the poses move, qw is likely the {'last' if qw_first else 'first'} of the "
+        f"four numbers of a quaternion: {_HOW_TO_NAME}",
+    )
+
+
+def _steadiness(places: Reals, turns: Reals) -> float:
+    """Return how alike the directions are in which poses move, seen from themselves: 0..1."""
+    steps = np.diff(places, axis=0)
+    length = float(np.linalg.norm(steps, axis=1).sum())
+    if not length:
+        return 0.0
+    seen = np.einsum("nji,nj->ni", rotations(turns[:-1]), steps)
+    return float(np.linalg.norm(seen.sum(axis=0))) / length
 
 
 def quaternions(rotations: Reals) -> Reals:
@@ -137,42 +312,35 @@ def rotations(turns: Reals) -> Reals:
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=1)
 
 
-def _header(line: str) -> dict[str, int] | None:
-    """Return the columns of t x y z qx qy qz qw by a header; None where it does not name all."""
-    columns: dict[str, int] = {}
-    names = line.strip().lstrip("#").split("," if "," in line else None)
-    for index, name in enumerate(names):
-        plain = re.sub(r"\[.*?\]|\(.*?\)", "", name).strip().lower()
-        axis = plain[-1:]
-        if not index or plain.startswith(("t ", "time", "stamp")):
-            key = "t"
-        elif axis in "xyzw" and re.search("q|rot|ori", plain):
-            key = "q" + axis
-        else:
-            key = axis
-        columns.setdefault(key, index)
-    wanted = ("t", "x", "y", "z", "qx", "qy", "qz", "qw")
-    return {key: columns[key] for key in wanted} if columns.keys() >= set(wanted) else None
+def _row(words: Sequence[str], form: _Form, count: int) -> list[float] | None:
+    """Return a row as time and what follows; None where it is no pose."""
+    columns = form.columns
+    if form.matrix is not None:
+        row = _numbers(words)
+        if row is None or len(row) not in _MATRICES or not _is_rigid(row[form.matrix :]):
+            return None
+        return [row[0] if "t" in columns else float(count), *row[form.matrix :][:12]]
+    if len(words) <= max(columns.values()):
+        return None
+    row = _numbers([words[columns[key]] for key in (*_PLACE, *_TURN)])
+    times = _numbers([words[columns[key]] for key in ("t", "nsec") if key in columns])
+    if row is None or times is None or abs(np.linalg.norm(row[3:]) - 1) > _LENGTH_ERROR:
+        return None
+    time = times[0] + sum(times[1:]) * 1e-9 if times else float(count)
+    return [time, *row]
 
 
-def _form(row: Sequence[float], header: dict[str, int] | None) -> tuple[str, tuple[int, ...]]:
-    """Return the form of a file by its first row, and the columns of t x y z qx qy qz qw."""
-    if len(row) == 12:
-        return "KITTI", ()
-    if header is not None and max(header.values()) < len(row):
-        order = tuple(header.values())
-        return "EuRoC" if order == _EUROC else "TUM", order
-    in_ns = len(row) == 8 and row[0] > _SINCE_1970["ns"] and float(row[0]).is_integer()
-    # ORB-SLAM3 writes TUM's order with times in ns: the larger part of a turn is qw.
-    if len(row) > 8 or (in_ns and abs(row[4]) > abs(row[7])):
-        return "EuRoC", _EUROC
-    return "TUM", _TUM
+def _is_rigid(numbers: Sequence[float]) -> bool:
+    """Return whether 12 or 16 numbers are the rows of a rotation and a place."""
+    if len(numbers) not in (12, 16) or (len(numbers) == 16 and list(numbers[12:]) != [0, 0, 0, 1]):
+        return False
+    matrix = np.reshape(numbers[:12], (3, 4))[:, :3]
+    off = np.abs(matrix @ matrix.T - np.eye(3)).max()
+    return bool(off <= _LENGTH_ERROR and np.linalg.det(matrix) > 0)
 
 
-def _unit(form: str, time: float) -> str:
-    if form == "EuRoC":
-        return "ns"
-    return next((unit for unit, least in _SINCE_1970.items() if abs(time) > least), "s")
+def _is_count(number: float) -> bool:
+    return float(number).is_integer() and 0 <= number < 1e7
 
 
 def _numbers(words: Sequence[str]) -> list[float] | None:
@@ -181,18 +349,3 @@ def _numbers(words: Sequence[str]) -> list[float] | None:
     except ValueError:
         return None
     return row if all(abs(number) < _LARGEST for number in row) else None
-
-
-def _pose(row: Sequence[float], form: str, order: Sequence[int], number: int) -> list[float] | None:
-    """Return a row as time and what follows; None where it is no pose."""
-    if form == "KITTI":
-        if len(row) != 12:
-            return None
-        matrix = np.reshape(row, (3, 4))[:, :3]
-        off = np.abs(matrix @ matrix.T - np.eye(3)).max()
-        right_handed = np.linalg.det(matrix) > 0
-        return [float(number), *row] if off <= _LENGTH_ERROR and right_handed else None
-    if len(row) <= max(order) or (form == "TUM" and len(row) != 8):
-        return None
-    pose = [row[index] for index in order]
-    return pose if abs(math.hypot(*pose[4:]) - 1) <= _LENGTH_ERROR else None

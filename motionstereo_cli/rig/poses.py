@@ -31,6 +31,13 @@ _SLACK_S = 0.02
 #: An end of the recording that is only estimated may be so much later, as a share, and in s.
 _END_SHARE, _END_S = 0.02, 0.1
 
+#: Poses by number may be so many more than images, whose number a container may only estimate.
+_END_IMAGES = 1
+
+#: Poses that go on for so much longer than a recording, in s and as a share of it, may be those of
+#: another, unless their times are since 1970.
+_LONGER_S, _LONGER_SHARE, _SINCE_1970_S = 1.0, 0.1, 1e8
+
 #: Seconds in each unit of time.
 _UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 
@@ -47,6 +54,12 @@ _MIN_UPRIGHT, _MOSTLY_UP, _FAR_UP_M = 0.3, 0.8, 0.5
 #: Directions of the robot frame in the optical one: forward is z, left is -x, up is -y.
 _OPTICAL_FROM_ROBOT = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
 
+#: Directions of the optical frame in that of x forward, y right, z down.
+_NED_FROM_OPTICAL = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+
+#: Directions of a world with z up in the worlds of poses that have another.
+_WORLDS = {"optical": _OPTICAL_FROM_ROBOT, "ned": np.diag([1.0, -1.0, -1.0])}
+
 
 @dataclass(frozen=True, slots=True)
 class Trajectory:
@@ -58,6 +71,7 @@ class Trajectory:
         poses: (n, 7) float64, a row each: x, y, z in m, qx, qy, qz, qw.
         by_number: poses belong to images by their numbers in the recording, from 0.
         settings: how the file was understood.
+        notes: what was assumed, one line each.
     """
 
     name: str
@@ -65,6 +79,7 @@ class Trajectory:
     poses: Reals
     by_number: bool = False
     settings: PoseSettings = field(default_factory=PoseSettings)
+    notes: tuple[str, ...] = ()
 
     def at(self, time_s: float) -> Pose:
         """Return the pose at a time, in a straight line between the two around it.
@@ -102,15 +117,19 @@ class Trajectory:
             raise self._timeless()
         return self.at(frame.time_s)
 
-    def check_covers(self, first: float | None, last: float | None) -> tuple[str, ...]:
+    def check_covers(
+        self, first: float | None, last: float | None, whole: float | None = None
+    ) -> tuple[str, ...]:
         """Make sure that there are poses for a recording, before any of it is processed.
 
-        Returns what may be wrong, one line each: a gap in the poses.
+        Returns what was assumed and what may be wrong, one line each.
 
         Args:
             first: time of the first frame in s (its number where ``by_number``); None where the
                 recording has no time.
             last: about that of the last frame, None if unknown.
+            whole: about when the whole recording ends, beyond the last frame that is used; None if
+                unknown. Poses that go on for longer may be those of another recording.
 
         Raises:
             InputError: the recording begins before the poses or ends after them, the poses' unit
@@ -135,7 +154,30 @@ class Trajectory:
                 f"{self.name}: its poses cover {self._shown(start, end)}, but the recording goes "
                 f"on to about {self._shown(last)}: give poses for all of it, or --end {kept}"
             )
-        return self._gaps(first, end if last is None else last) + self._odd()
+        more = () if whole is None else self._more(whole)
+        return self.notes + more + self._gaps(first, end if last is None else last) + self._odd()
+
+    def _more(self, whole: float) -> tuple[str, ...]:
+        """Return what is to be seen to where there are more poses than images."""
+        end, begin = float(self.time_s[-1]), float(self.time_s[0])
+        if self.by_number:
+            count, images = int(end) + 1, int(whole) + 1
+            if count <= images + max(_END_IMAGES, _END_SHARE * images):
+                return ()
+            return (
+                f"{self.name} has {count} poses for {images} images: the pose of number n is taken "
+                "for image n. See that both begin together and that no image was left out; "
+                "otherwise give the poses of these images",
+            )
+        # Two clocks that count from 1970 agree on what belongs together.
+        longer_s = end - whole
+        if begin > _SINCE_1970_S or longer_s <= max(_LONGER_S, _LONGER_SHARE * (whole - begin)):
+            return ()
+        return (
+            f"{self.name} goes on for {longer_s:.1f} s after the recording ends: see that both "
+            "begin together, as poses of a whole sequence do not fit a part of it; "
+            "--pose-time-offset shifts them",
+        )
 
     def _gaps(self, first: float, last: float) -> tuple[str, ...]:
         steps = np.diff(self.time_s)
@@ -227,7 +269,7 @@ def read_poses(
     rig: Rig | None = None,
     body_from_left: Reals | None = None,
 ) -> Trajectory:
-    """Read a trajectory in the form of TUM, EuRoC or KITTI.
+    """Read a trajectory in any of the forms of read_pose_table.
 
     Args:
         path: the file, as :func:`~motionstereo_cli.rig.pose_forms.read_pose_table` takes it.
@@ -247,9 +289,14 @@ def read_poses(
         time_s = time_s * _UNITS[unit] + s.pose_time_offset
         if not (np.diff(time_s) > 0).all():
             raise InputError(f"{path}: its times are too close for {unit}: give --pose-time-unit")
-    frame = s.pose_frame
-    if frame == "auto":
-        frame = {"KITTI": "optical", "EuRoC": "body"}.get(table.form, "robot")
+    frame = table.frame if s.pose_frame == "auto" else s.pose_frame
+    if frame is None:
+        raise InputError(
+            f"{path} has matrices and does not say what they are of: give --pose-frame optical "
+            "(of the left camera, in a world of its axes), optical-z-up (in a world with z up, as "
+            "KITTI-360's cam0_to_world.txt) or robot; KITTI-360's poses.txt is of its IMU and is "
+            "not read"
+        )
     if frame != "robot":
         places, turns = _of_robot(str(path), table, frame, rig, body_from_left)
     else:
@@ -260,6 +307,7 @@ def read_poses(
         np.column_stack([places, turns]),
         by_number=unit == "frames",
         settings=s,
+        notes=table.notes,
     )
 
 
@@ -279,11 +327,14 @@ def _of_robot(
             )
         places = places + turns @ body_from_left[:3, 3]
         turns = turns @ body_from_left[:3, :3]
+    elif frame == "ned":
+        turns = turns @ _NED_FROM_OPTICAL
     # The middle lies half a baseline to the right of the left camera.
     places = places + turns @ np.array([rig.baseline_m / 2, 0, 0])
     turns = turns @ _OPTICAL_FROM_ROBOT
-    if frame == "optical":
-        places, turns = places @ _OPTICAL_FROM_ROBOT, _OPTICAL_FROM_ROBOT.T @ turns
+    if frame in _WORLDS:
+        world = _WORLDS[frame]
+        places, turns = places @ world, world.T @ turns
     return places, quaternions(turns)
 
 

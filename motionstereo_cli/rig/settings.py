@@ -20,14 +20,16 @@ class PoseSettings:
         "What the poses are of. robot: the point halfway between the cameras, x forward, y left, z "
         "up. optical: the left camera, x right, y down, z forward, and the world likewise (KITTI, "
         "ORB-SLAM). optical-z-up: the same in a world with z up (motion capture). body: the body "
-        "of the calibration's T_BS or T_cam_imu (EuRoC). auto: optical for KITTI's form, body for "
-        "EuRoC's, otherwise robot.",
-        choices=("auto", "robot", "optical", "optical-z-up", "body"),
+        "of the calibration's T_BS or T_cam_imu (EuRoC). ned: the left camera, x forward, y right, "
+        "z down, and the world likewise (TartanAir, AirSim). auto: optical for KITTI's form, body "
+        "for EuRoC's, ned for TartanAir's, otherwise robot.",
+        choices=("auto", "robot", "optical", "optical-z-up", "body", "ned"),
     )
     pose_time_unit: str = param(
         "auto",
-        "Unit of the poses' times. frames: numbers of frames from 0. auto: ns for EuRoC's form, "
-        "frames for KITTI's, otherwise s, or what a time since 1970 shows.",
+        "Unit of the poses' times. frames: numbers of frames from 0. auto: what the header says, "
+        "ns for EuRoC's form, frames for those without times, otherwise s, or what a time since "
+        "1970 shows.",
         choices=("auto", "s", "ms", "us", "ns", "frames"),
     )
     pose_time_offset: float = param(

@@ -156,8 +156,9 @@ def job_of(plan: RunPlan, source: StereoSource, watcher: Watcher) -> Job:
             poses = read_poses(
                 *(plan.poses, plan.pose_settings, calibration.rig, calibration.body_from_left)
             )
-            span = source.numbers if poses.by_number else source.span_s
-            for line in poses.check_covers(*span):
+            first, last = source.numbers if poses.by_number else source.span_s
+            whole = source.last_number if poses.by_number else source.last_s
+            for line in poses.check_covers(first, last, whole):
                 watcher.say("warning", line)
     time_base = source.time_base or DEFAULT_TIME_BASE
     frames: Iterable[StereoFrame] = source

@@ -77,6 +77,7 @@ class FolderRecording(StillsRecording):
         except OSError as error:
             raise InputError(f"cannot read the folder {path}: {error.strerror}") from error
         self._files, self._table, stamps_ns = times.files, times, times.stamps_ns
+        self.warnings = (times.note,) if times.note else ()
         #: Size and SHA-256 of each file, once it was read.
         self._sums: list[tuple[int, bytes] | None] = [None] * len(self._files)
         if not self._files:
@@ -97,8 +98,9 @@ class FolderRecording(StillsRecording):
             numbers = file_numbers([file.stem for file in self._files])
             self.numbered, self.timeless = numbers is not None, True
             self._pts = numbers or list(range(len(self._files)))
-            self.warnings = tuple(f"{path}: {gap}" for gap in gaps(self._pts))
-            self.holes = "".join(self.warnings)
+            found_gaps = tuple(f"{path}: {gap}" for gap in gaps(self._pts))
+            self.warnings += found_gaps
+            self.holes = "".join(found_gaps)
             if frame_rate:
                 self.frame_rate = frame_rate
                 self.time_base = 1 / self.frame_rate

@@ -86,7 +86,8 @@ class StereoSource:
         self._begin = Selected(0, 0, None)
         self._to_the_end = self._placed = False
         self.first_pts = 0
-        self.warnings = [line for stream in self._streams for line in stream.warnings]
+        lines = (line for stream in self._streams for line in stream.warnings)
+        self.warnings = list(dict.fromkeys(lines))  # a table of both sides is named once
 
         right = self._sides[1]
         sizes = [
@@ -188,6 +189,20 @@ class StereoSource:
         if not rate:
             return begin_s, None
         return begin_s + float(first / rate), None if last is None else begin_s + float(last / rate)
+
+    @property
+    def last_number(self) -> int | None:
+        """About which number the last right image of the whole recording has; None if unknown."""
+        images = self._sides[1].stream.expected_images
+        return None if images is None else images - 1
+
+    @property
+    def last_s(self) -> float | None:
+        """About when that image was taken, in s; None if unknown."""
+        right, last = self._sides[1].stream, self.last_number
+        if right.time_base is None or not right.frame_rate or last is None:
+            return None
+        return float(right.begin_pts * right.time_base) + float(last / right.frame_rate)
 
     @property
     def counts(self) -> dict[str, Any]:

@@ -32,12 +32,14 @@ class Timeline(NamedTuple):
         stamps_ns: time of each in ns, rising; empty where nothing tells it.
         table: the file that told it.
         sha256: of that file, as hexadecimal digits.
+        note: what to see to in that file, empty if nothing.
     """
 
     files: list[Path]
     stamps_ns: Sequence[int] = ()
     table: Path | None = None
     sha256: str = ""
+    note: str = ""
 
 
 def timeline(path: Path, images: Iterable[Path], *, whole: bool) -> Timeline:
@@ -98,7 +100,12 @@ def _by_number(table: Path, files: list[Path], parse: Callable[[str], int], form
         ) from None
     if any(after <= before for before, after in itertools.pairwise(stamps_ns)):
         raise InputError(f"{table}: the times do not rise: mend it, or take it away")
-    return Timeline(files, stamps_ns, table, _sha256(content))
+    count, last = len(as_text(content).rstrip().splitlines()), int(files[-1].stem)
+    note = (
+        f"{table} has {count} times, but the last image is {files[-1].name}: the time of line n is "
+        "taken for the image of number n, from 0. See that the images are not renumbered"
+    )
+    return Timeline(files, stamps_ns, table, _sha256(content), note if count > last + 1 else "")
 
 
 def _seconds(line: str) -> int:
