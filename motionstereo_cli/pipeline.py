@@ -2,8 +2,8 @@
 
 Three steps, each apart from the others. The memories see the images one after the other, which
 is cheap. What one moment of the memories decides by itself is then found side by side, in threads
-or in pieces of a recording (:func:`look`). What follows from frame to frame, heading and objects,
-is done in order, on the few numbers that each look has left (:class:`Findings`).
+or in pieces of a recording (:func:`analyse`). What follows from frame to frame, heading and
+objects, is done in order, on the few numbers that each analysis has left (:func:`follow`).
 
 In permanency mode the memories forget ceil((Chmax - Chmin) / D) frames later.
 """
@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Collection, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -24,10 +24,22 @@ from motionstereo_cli.method.matching import MATCH
 from motionstereo_cli.method.memory import Memory, age_of, in_mirror, mirrored, see
 from motionstereo_cli.method.settings import AUTO, FOREVER, Settings
 from motionstereo_cli.robot.guide import Guide, guide_of
+from motionstereo_cli.robot.mapper import camera_points
 from motionstereo_cli.robot.tracker import Tracker, Tracks
-from motionstereo_cli.types import FrameResult, MovingObject, Pose, Rig, Steering, StereoFrame
+from motionstereo_cli.types import (
+    FrameImages,
+    FrameResult,
+    FrameTime,
+    MovingObject,
+    Pose,
+    Rig,
+    Step,
+    StereoFrame,
+)
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from motionstereo_cli.robot.objects import Region
     from motionstereo_cli.types import Grey, Real
 
@@ -39,60 +51,76 @@ FRESH_FRAMES = 3
 
 
 @dataclass(frozen=True, slots=True)
-class State:
-    """All that is kept from frame to frame; None before the first frame.
+class TrackingState:
+    """What follows from frame to frame, besides the memories.
 
     Attributes:
-        right, left: the permanency memories.
         guided: what the guide knows.
         tracks: the moving objects.
     """
 
-    right: Memory | None = None
-    left: Memory | None = None
     guided: Any = None
-    tracks: Tracks | None = None
+    tracks: Tracks = field(default_factory=Tracks)
 
 
 @dataclass(frozen=True, slots=True)
-class Findings:
+class State:
+    """All that is kept from frame to frame.
+
+    Attributes:
+        right, left: the permanency memories; None before the first frame.
+        tracking: heading and objects.
+    """
+
+    right: Memory | None = None
+    left: Memory | None = None
+    tracking: TrackingState = field(default_factory=TrackingState)
+
+
+@dataclass(frozen=True, slots=True)
+class FrameSummary:
     """The few numbers of a frame that later frames build on.
 
     Attributes:
+        time: which frame it is.
         profile: what the guide takes from it.
         regions: what may be an object.
-        charged, matched: shares of the image, 0..1, that carry charge and have a disparity.
+        charged, matched, points: as :class:`~motionstereo_cli.types.Step` has them.
     """
 
+    time: FrameTime
     profile: Any
     regions: tuple[Region, ...]
     charged: float
     matched: float
+    points: tuple[NDArray[np.float64], Grey] | None
 
 
-class Look(NamedTuple):
-    """What one moment of the memories decides by itself.
+class FrameAnalysis(NamedTuple):
+    """What one moment of the memories decides by itself: images, and what later frames need."""
+
+    images: FrameImages
+    summary: FrameSummary
+
+
+class StreamContext(NamedTuple):
+    """What is the same for all frames of a stream.
 
     Attributes:
-        age_frames, disparity_px, confidence, depth_m: as :class:`FrameResult` has them.
-        findings: what later frames build on.
+        settings: parameters of the processing.
+        rig: the camera; None if unknown.
+        guide: makes the headings.
+        tracker: follows moving objects; None where nobody asks for them.
+        extras: which of :data:`EXTRAS` the images have.
+        with_points: whether steps have points.
     """
-
-    age_frames: Grey | None
-    disparity_px: Real
-    confidence: Real | None
-    depth_m: Real | None
-    findings: Findings
-
-
-class Joints(NamedTuple):
-    """What is the same for all frames of a stream."""
 
     settings: Settings
     rig: Rig | None
     guide: Guide[Any, Any]
     tracker: Tracker | None
     extras: frozenset[str]
+    with_points: bool
 
     @classmethod
     def of(
@@ -103,7 +131,8 @@ class Joints(NamedTuple):
         with_poses: bool,
         with_objects: bool,
         extras: Collection[str] = EXTRAS,
-    ) -> Joints:
+        with_points: bool = False,
+    ) -> StreamContext:
         """Return what a stream needs.
 
         Raises:
@@ -115,7 +144,7 @@ class Joints(NamedTuple):
             )
         guide = guide_of(settings, rig, with_poses=with_poses)
         tracker = Tracker(settings, rig) if with_objects else None
-        return cls(settings, rig, guide, tracker, frozenset(extras))
+        return cls(settings, rig, guide, tracker, frozenset(extras), with_points)
 
 
 def process(
@@ -143,89 +172,102 @@ def process(
         state: what is known before the first frame, as the ``state`` of an earlier result; nothing
             if None.
     """
-    settings, state = settings or Settings(), state or State()
-    joints = Joints.of(
-        settings,
+    context = StreamContext.of(
+        settings or Settings(),
         rig,
         with_poses=pose_of is not None,
         with_objects=with_objects,
         extras=extras,
     )
-    course = Course(state.guided, state.tracks or Tracks())
-    for frame, right, left, seen in looked(frames, joints, state, jobs):
+    for frame, step, after in steps(frames, context, pose_of, jobs=jobs, state=state):
+        images = step.images
+        assert images is not None
+        assert images.bands is not None
+        assert images.motion is not None
+        yield FrameResult(
+            frame=frame,
+            bands=images.bands,
+            motion=images.motion,
+            charge=images.charge,
+            age_frames=images.age_frames,
+            disparity_px=images.disparity_px,
+            confidence=images.confidence,
+            depth_m=images.depth_m,
+            steering=step.steering,
+            charged=step.charged,
+            matched=step.matched,
+            state=after,
+            pose=step.pose,
+            objects=step.objects,
+        )
+
+
+def steps(
+    frames: Iterable[StereoFrame],
+    context: StreamContext,
+    pose_of: Callable[[StereoFrame], Pose | None] | None = None,
+    *,
+    jobs: int = 1,
+    state: State | None = None,
+) -> Iterator[tuple[StereoFrame, Step, State]]:
+    """Yield each frame, its step with images, and the state after it, in order.
+
+    Args:
+        frames, pose_of, jobs, state: see :func:`process`.
+        context: what is the same for all frames.
+    """
+    state = state or State()
+    tracking = state.tracking
+    for frame, right, left, found in analysed(frames, context, state, jobs):
         pose = None if pose_of is None else pose_of(frame)
-        course, steering, objects = follow(course, seen.findings, frame, pose, joints)
-        after = State(right, left, course.guided, course.tracks)
-        shown = right if settings.reference == "right" else left
-        yield result_of(frame, shown, seen, steering, state=after, pose=pose, objects=objects)
-
-
-class Course(NamedTuple):
-    """What follows from frame to frame, besides the memories: heading and objects."""
-
-    guided: Any = None
-    tracks: Tracks = Tracks()
+        tracking, step = follow(tracking, found.summary, pose, context, found.images)
+        yield frame, step, State(right, left, tracking)
 
 
 def follow(
-    course: Course, findings: Findings, frame: StereoFrame, pose: Pose | None, joints: Joints
-) -> tuple[Course, Steering, tuple[MovingObject, ...]]:
-    """Return the course after a frame, its heading, and the objects in it.
+    tracking: TrackingState,
+    summary: FrameSummary,
+    pose: Pose | None,
+    context: StreamContext,
+    images: FrameImages | None = None,
+) -> tuple[TrackingState, Step]:
+    """Return what is known after a frame, and the frame's step.
 
     Args:
-        course: that of the frame before.
-        findings: what the frame shows.
-        frame: its number and time.
+        tracking: what was known before.
+        summary: what the frame shows.
         pose: where the rig was; None where it is not known.
-        joints: what is the same for all frames.
+        context: what is the same for all frames.
+        images: what the step is to have for images.
     """
-    tracks = course.tracks
-    objects: tuple[MovingObject, ...] = ()
-    if joints.tracker is not None:
-        tracks, objects = joints.tracker.follow(tracks, findings.regions, frame, pose)
-    guided, steering = joints.guide.steer(course.guided, findings.profile, pose, objects)
-    return Course(guided, tracks), steering, objects
-
-
-def result_of(
-    frame: StereoFrame, shown: Memory, seen: Look, steering: Steering, **more: Any
-) -> FrameResult:
-    """Return all that was found out about a frame.
-
-    Args:
-        frame: the frame.
-        shown: the memory of the reference camera after it.
-        seen: what that moment shows.
-        steering: its heading.
-        more: state, pose and objects, as :class:`FrameResult` has them.
-    """
-    return FrameResult(
-        frame=frame,
-        bands=shown.bands,
-        motion=shown.moved,
-        charge=shown.charge,
-        age_frames=seen.age_frames,
-        disparity_px=seen.disparity_px,
-        confidence=seen.confidence,
-        depth_m=seen.depth_m,
+    tracks, objects = tracking.tracks, tuple[MovingObject, ...]()
+    if context.tracker is not None:
+        tracks, objects = context.tracker.follow(tracks, summary.regions, summary.time, pose)
+    guided, steering = context.guide.steer(tracking.guided, summary.profile, pose, objects)
+    return TrackingState(guided, tracks), Step(
+        time=summary.time,
         steering=steering,
-        charged=seen.findings.charged,
-        matched=seen.findings.matched,
-        **more,
+        objects=objects,
+        pose=pose,
+        charged=summary.charged,
+        matched=summary.matched,
+        points=summary.points,
+        images=images,
     )
 
 
-def looked(
-    frames: Iterable[StereoFrame], joints: Joints, state: State, jobs: int
-) -> Iterator[tuple[StereoFrame, Memory, Memory, Look]]:
+def analysed(
+    frames: Iterable[StereoFrame], context: StreamContext, state: State, jobs: int
+) -> Iterator[tuple[StereoFrame, Memory, Memory, FrameAnalysis]]:
     """Yield each frame, the right and the left memory after it, and what they show."""
     right, left = state.right, state.left
     with ThreadPoolExecutor(jobs, "match") as threads:
-        waiting: deque[tuple[StereoFrame, Memory, Memory, Future[Look]]] = deque()
+        waiting: deque[tuple[StereoFrame, Memory, Memory, Future[FrameAnalysis]]] = deque()
         for frame in frames:
-            right = see(right, frame.right, joints.settings)
-            left = see(left, frame.left, joints.settings)
-            waiting.append((frame, right, left, threads.submit(look, right, left, joints)))
+            right = see(right, frame.right, context.settings)
+            left = see(left, frame.left, context.settings)
+            found = threads.submit(analyse, frame, right, left, context)
+            waiting.append((frame, right, left, found))
             if len(waiting) >= jobs:
                 first, its_right, its_left, found = waiting.popleft()
                 yield first, its_right, its_left, found.result()
@@ -233,27 +275,58 @@ def looked(
             yield first, its_right, its_left, found.result()
 
 
-def look(right: Memory, left: Memory, joints: Joints) -> Look:
+def analyse(
+    frame: StereoFrame, right: Memory, left: Memory, context: StreamContext
+) -> FrameAnalysis:
     """Return what one moment of the memories decides by itself, in the reference view."""
-    s, rig = joints.settings, joints.rig
-    shown = right if s.reference == "right" else left
-    disparity, chance = match(right, left, s, with_confidence="confidence" in joints.extras)
-    with_depth = "depth_m" in joints.extras
+    with_confidence = "confidence" in context.extras
+    disparity_px, confidence = match(right, left, context.settings, with_confidence=with_confidence)
+    shown = right if context.settings.reference == "right" else left
+    return described(frame, shown, disparity_px, confidence, context)
+
+
+def described(
+    frame: StereoFrame,
+    shown: Memory,
+    disparity_px: Real,
+    confidence: Real | None,
+    context: StreamContext,
+) -> FrameAnalysis:
+    """Return all that follows from one frame's disparity.
+
+    Args:
+        frame: the frame.
+        shown: the memory of the reference camera after it.
+        disparity_px, confidence: as :func:`match` gives them.
+        context: what is the same for all frames.
+    """
+    s, rig = context.settings, context.rig
     regions: tuple[Region, ...] = ()
-    if joints.tracker is not None:
-        regions = joints.tracker.regions(disparity, age_of(shown, s) <= FRESH_FRAMES)
-    return Look(
-        age_of(shown, s) if "age_frames" in joints.extras else None,
-        disparity,
-        chance,
-        depth_of(disparity, rig) if with_depth else None,
-        Findings(
-            joints.guide.profile(disparity, shown.moved),
-            regions,
-            charged=float(np.count_nonzero(shown.charge > s.charge_min)) / disparity.size,
-            matched=float(np.count_nonzero(~np.isnan(disparity))) / disparity.size,
-        ),
+    if context.tracker is not None:
+        regions = context.tracker.regions(disparity_px, age_of(shown, s) <= FRESH_FRAMES)
+    images = FrameImages(
+        time=frame.time,
+        view=frame.right if s.reference == "right" else frame.left,
+        charge=shown.charge,
+        disparity_px=disparity_px,
+        bands=shown.bands,
+        motion=shown.moved,
+        age_frames=age_of(shown, s) if "age_frames" in context.extras else None,
+        confidence=confidence,
+        depth_m=depth_of(disparity_px, rig) if "depth_m" in context.extras else None,
     )
+    points = None
+    if context.with_points and rig is not None and images.depth_m is not None:
+        points = camera_points(images.depth_m, images.view, shown.moved, s.reference, rig)
+    summary = FrameSummary(
+        time=frame.time,
+        profile=context.guide.profile(disparity_px, shown.moved),
+        regions=regions,
+        charged=float(np.count_nonzero(shown.charge > s.charge_min)) / disparity_px.size,
+        matched=float(np.count_nonzero(~np.isnan(disparity_px))) / disparity_px.size,
+        points=points,
+    )
+    return FrameAnalysis(images, summary)
 
 
 def depth_of(disparity_px: Real, rig: Rig | None) -> Real | None:

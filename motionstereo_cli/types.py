@@ -1,4 +1,4 @@
-"""What flows through the house: frames in, results out."""
+"""Frames, rigs, poses and results."""
 
 from __future__ import annotations
 
@@ -115,6 +115,20 @@ class Pose:
 
 
 @dataclass(frozen=True, slots=True)
+class FrameTime:
+    """Which frame of a recording, and when it was taken.
+
+    Attributes:
+        index, pts, time_s, number: as :class:`StereoFrame` has them.
+    """
+
+    index: int
+    pts: int
+    time_s: float | None
+    number: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class StereoFrame:
     """Two rectified images taken at one moment.
 
@@ -133,6 +147,11 @@ class StereoFrame:
     left: Grey
     right: Grey
     number: int | None = None
+
+    @property
+    def time(self) -> FrameTime:
+        """The frame without its images."""
+        return FrameTime(self.index, self.pts, self.time_s, self.number)
 
 
 @dataclass(frozen=True, slots=True)
@@ -191,6 +210,53 @@ class MovingObject:
 
 
 @dataclass(frozen=True, slots=True)
+class FrameImages:
+    """The images of one frame in the reference camera's view; they are not to be written to.
+
+    Attributes:
+        time: which frame it is.
+        view: (height, width) uint8, the reference camera's image.
+        charge, disparity_px: as :class:`FrameResult` has them.
+        bands, motion, age_frames, confidence, depth_m: likewise; None where no output asks for it.
+    """
+
+    time: FrameTime
+    view: Grey
+    charge: Grey
+    disparity_px: Real
+    bands: NDArray[np.uint8 | np.uint16] | None = None
+    motion: NDArray[np.bool_] | None = None
+    age_frames: Grey | None = None
+    confidence: Real | None = None
+    depth_m: Real | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """The few numbers of one frame that follow from the frames up to it.
+
+    Attributes:
+        time: which frame it is.
+        steering: its heading.
+        objects: what moves, as far as it has been followed for a few frames.
+        pose: where the rig was; None where it is not known.
+        charged, matched: shares of the image, 0..1, that carry charge and have a disparity.
+        points: what moved, (n, 3) float64 m in the reference camera's optical frame, and its
+            grey, (n,) uint8; None where no output asks for it.
+        images: the frame's images; None where no output asks for them together with these numbers.
+    """
+
+    time: FrameTime
+    steering: Steering
+    objects: tuple[MovingObject, ...]
+    pose: Pose | None
+    charged: float
+    matched: float
+    points: tuple[NDArray[np.float64], Grey] | None = None
+    images: FrameImages | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class FrameResult:
     """All that the processing found out about one stereo frame, in the reference camera's view.
 
@@ -211,7 +277,6 @@ class FrameResult:
         state: what is known after this frame; :func:`~motionstereo_cli.pipeline.process` goes on
             from it.
         pose: where the rig was; None where it is not known.
-        moving_points: what the map takes from the frame, where that was found elsewhere.
         objects: what moves, as far as it has been followed for a few frames.
     """
 
@@ -229,4 +294,3 @@ class FrameResult:
     state: Any = None
     pose: Pose | None = None
     objects: tuple[MovingObject, ...] = ()
-    moving_points: tuple[NDArray[np.float64], Grey] | None = None

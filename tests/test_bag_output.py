@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
+from taken import taken
 
 from motionstereo_cli.__main__ import main
 from motionstereo_cli.method.settings import Settings
@@ -42,7 +43,7 @@ def written(folder: Path, results, *, checkpoints=()):
         if number in checkpoints:
             since = sink.checkpoint()
             sink = OUTPUTS["bag"].open(folder, context, since)
-        sink.write(result)
+        sink.write(taken("bag", result))
     sink.close()
     return folder / "results.mcap"
 

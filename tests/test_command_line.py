@@ -230,15 +230,15 @@ import os, signal, sys
 import motionstereo_cli.runs.run as library
 from motionstereo_cli.__main__ import main
 
-whole = library.process
+whole = library.steps
 
 def cut(*args, **options):
-    for result in whole(*args, **options):
-        if result.frame.index == 7:
+    for frame, step, state in whole(*args, **options):
+        if frame.index == 7:
             os.kill(os.getpid(), signal.Signals[sys.argv[1]])
-        yield result
+        yield frame, step, state
 
-library.process = cut
+library.steps = cut
 signal.signal(signal.SIGINT, signal.default_int_handler)
 sys.exit(main(sys.argv[2:]))
 """
@@ -425,7 +425,7 @@ def test_an_unexpected_error_is_one_line_unless_debugging(run_args, monkeypatch,
     def broken(*args: object, **options: object) -> None:
         raise ZeroDivisionError("by nought")
 
-    monkeypatch.setattr("motionstereo_cli.runs.run.process", broken)
+    monkeypatch.setattr("motionstereo_cli.runs.run.steps", broken)
     assert main([*run_args, "--save", "steering"]) == 1
     assert capsys.readouterr().err == "error: internal: ZeroDivisionError: by nought\n"
     monkeypatch.setenv("MOTIONSTEREO_DEBUG", "1")

@@ -216,8 +216,8 @@ class TestWalkers:
 
 def test_finds_its_way_round_a_corner():
     world = DriveWorld(DriveSettings(seed=0, laps=0.3))
-    for result in driven(world, Settings()):
-        world.act_on(result.steering)
+    for _, found in driven(world, Settings()):
+        world.act_on(found.steering)
     assert world.ended == "laps done"
     assert world.nearest_pass_m > 0.2
     assert world.path_m / world.laps < 1.2 * world.lap_m

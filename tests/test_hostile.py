@@ -67,16 +67,16 @@ def ran(*options):
 @contextlib.contextmanager
 def ending_at(frame, monkeypatch):
     """Have runs end as if the disk were full before a frame."""
-    whole = run_module.process
+    whole = run_module.steps
 
     def until(*args, **options):
-        for result in whole(*args, **options):
-            if result.frame.index == frame:
+        for each, step, state in whole(*args, **options):
+            if each.index == frame:
                 raise OutputError("the disk is full")
-            yield result
+            yield each, step, state
 
     with monkeypatch.context() as patch:
-        patch.setattr(run_module, "process", until)
+        patch.setattr(run_module, "steps", until)
         yield
 
 
@@ -208,16 +208,16 @@ def test_no_planted_link_is_written_through(recording, monkeypatch, frame):
 
 def test_a_folder_that_becomes_a_link_ends_the_run(recording, monkeypatch, capsys):
     Path("photos").mkdir()
-    whole = run_module.process
+    whole = run_module.steps
 
     def planting(*args, **options):
-        for result in whole(*args, **options):
-            if result.frame.index == 3:
+        for frame, step, state in whole(*args, **options):
+            if frame.index == 3:
                 Path("out/charge-png").rename("away")
                 Path("out/charge-png").symlink_to(recording / "photos")
-            yield result
+            yield frame, step, state
 
-    monkeypatch.setattr(run_module, "process", planting)
+    monkeypatch.setattr(run_module, "steps", planting)
     assert ran("-o", "out", "--save", "charge-png") == 1
     assert "charge-png has become a link" in capsys.readouterr().err
     assert not contents("photos")

@@ -13,6 +13,7 @@ import pytest
 from click.testing import CliRunner
 from hypothesis import given
 from hypothesis import strategies as st
+from taken import step_of, taken
 
 from bench import map as bench
 from motionstereo_cli.commands import cli
@@ -151,7 +152,8 @@ class TestPoints:
         sink = OUTPUTS["points"].open(tmp_path, stream)
         depth_m = np.array([[NAN, 1.0, NAN], [NAN, NAN, 2.0]])
         right = np.arange(6, dtype=np.uint8).reshape(2, 3)
-        sink.write(result(depth_m, index=7, right=right, left=right + 100))
+        shown = result(depth_m, index=7, right=right, left=right + 100)
+        sink.write(taken("points", shown, reference))
         sink.close()
         content = (tmp_path / "points" / "000007.ply").read_bytes()
         assert f"{reference} camera: x right, y down, z forward".encode() in content
@@ -284,6 +286,11 @@ def wall_depth(pose, ahead_m, rig=RIG, reference="right"):
     return (ahead_m - eye[0]) / rays[..., 0]
 
 
+def add(mapper, shown, reference="right", rig=RIG):
+    step = step_of(shown, rig, reference)
+    mapper.add(*step.points, step.pose)
+
+
 class TestMapper:
     def mapper(self, cell_m=0.05, **settings):
         return Mapper(Settings(**settings), RIG, cell_m)
@@ -295,7 +302,7 @@ class TestMapper:
         pose = Pose(0.3, 0.1, 1.2, *quaternion(axis, angle_rad))
         mapper = self.mapper(reference=reference)
         for _ in range(6):
-            mapper.add(result(wall_depth(pose, 3.0, reference=reference), pose))
+            add(mapper, result(wall_depth(pose, 3.0, reference=reference), pose), reference)
         floor = mapper.floor()
         x_m, y_m = ((np.argwhere(floor.occupied) + 0.5) * 0.05 + (floor.x_m, floor.y_m)).T
         assert len(x_m) > 40
@@ -315,11 +322,11 @@ class TestMapper:
         grey = np.where(thing < 2.5, 200, 50).astype(np.uint8)
         mapper = self.mapper()
         for _ in range(10):
-            mapper.add(result(thing, right=grey))
+            add(mapper, result(thing, right=grey))
         places, shown = mapper.points()
         assert (np.abs(places[shown == 200][:, 0] - 2) < 1e-5).sum() > 50
         for _ in range(40):
-            mapper.add(result(wall, right=np.full_like(grey, 50)))
+            add(mapper, result(wall, right=np.full_like(grey, 50)))
         places, shown = mapper.points()
         assert not (places[:, 0] < 2.9).any()
         floor = mapper.floor()
@@ -329,10 +336,10 @@ class TestMapper:
     def test_only_what_moves_now_goes_in_and_only_near_things(self):
         mapper = self.mapper()
         for _ in range(6):
-            mapper.add(result(wall_depth(STILL, 3.0), moved=np.zeros((120, 160), np.bool_)))
+            add(mapper, result(wall_depth(STILL, 3.0), moved=np.zeros((120, 160), np.bool_)))
         assert not len(mapper.points()[0])
         for _ in range(6):
-            mapper.add(result(wall_depth(STILL, 6.0)))  # 0.25 px are 0.5 m there
+            add(mapper, result(wall_depth(STILL, 6.0)))  # 0.25 px are 0.5 m there
         assert not len(mapper.points()[0])
         assert not mapper.floor().occupied.any()
         assert mapper.floor().free.any()
@@ -345,7 +352,7 @@ class TestMapper:
         pose = Pose(0.0, 0.0, 0.6, 0.0, 0.0, 0.0, 1.0)
         mapper = self.mapper(robot_below_m=0.4, robot_above_m=0.3)
         for _ in range(6):
-            mapper.add(result(np.repeat(depth_m[:, None], 160, axis=1), pose))
+            add(mapper, result(np.repeat(depth_m[:, None], 160, axis=1), pose))
         floor = mapper.floor()
         x_m = (np.argwhere(floor.occupied)[:, 0] + 0.5) * 0.05 + floor.x_m
         np.testing.assert_allclose(x_m, 2.5, atol=0.16)
@@ -360,8 +367,8 @@ class TestMapper:
         rig = dataclasses.replace(RIG, baseline_m=0.5)
         mapper = Mapper(Settings(reference=reference), rig, 0.05)
         pose = Pose(0.0, 0.0, 1.2, *quaternion((0, 0, 1), math.pi / 2))  # x is to the right
-        mapper.add(result(np.full((120, 160), 3.0), pose))
-        mapper.add(result(np.full((120, 160), 3.0), pose))
+        add(mapper, result(np.full((120, 160), 3.0), pose), reference, rig)
+        add(mapper, result(np.full((120, 160), 3.0), pose), reference, rig)
         floor = mapper.floor()
         x_m, y_m = ((np.argwhere(floor.free) + 0.5) * 0.05 + (floor.x_m, floor.y_m)).T
         eye_m = 0.25 if reference == "right" else -0.25
@@ -374,7 +381,7 @@ class TestMapper:
         for _ in range(3):
             for step in range(20):
                 pose = Pose(0.1 * step, 0.0, 1.2, 0.0, 0.0, 0.0, 1.0)
-                mapper.add(result(wall_depth(pose, 4.0), pose))
+                add(mapper, result(wall_depth(pose, 4.0), pose))
             mapper.points()
             known = mapper.known
             sizes.append((known.grid.evidence.nbytes, len(known.cloud.key), len(known.recent.key)))
@@ -389,7 +396,7 @@ class TestMapper:
             pose: RobotPose = corridor.path(frame)
             depth_m = corridor.render(pose, camera).depth_m
             for _ in range(2):
-                mapper.add(result(depth_m, pose.rig_pose))
+                add(mapper, result(depth_m, pose.rig_pose))
         floor = mapper.floor()
         cells = (np.argwhere(floor.occupied) + 0.5) * 0.05 + (floor.x_m, floor.y_m)
         square_m = np.abs(cells).max(axis=1)
@@ -446,7 +453,7 @@ class TestFiles:
         stream = RunContext(Fraction(1, 25), Settings(), RIG, OutputSettings(**output))
         sink = OUTPUTS["map"].open(tmp_path, stream)
         for _ in range(frames):
-            sink.write(result(wall_depth(STILL, 3.0)))
+            sink.write(step_of(result(wall_depth(STILL, 3.0)), RIG))
         return sink
 
     def test_nothing_is_there_before_all_is(self, tmp_path):

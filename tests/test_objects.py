@@ -33,7 +33,7 @@ from motionstereo_cli.robot.tracker import MAX_CONTACT_S, Tracker, Tracks
 from motionstereo_cli.simulate.settings import SimulateSettings
 from motionstereo_cli.sinks.outputs import OUTPUTS
 from motionstereo_cli.sinks.sink import RunContext
-from motionstereo_cli.types import FrameResult, MovingObject, Pose, Rig, Steering, StereoFrame
+from motionstereo_cli.types import MovingObject, Pose, Rig, Steering, Step, StereoFrame
 
 WIDTH = 160
 HEIGHT = 96
@@ -385,26 +385,11 @@ class TestNearestContact:
 
 def test_the_table_to_the_letter(tmp_path):
     sink = OUTPUTS["objects"].open(tmp_path, RunContext(Fraction(1, 30), Settings(), None))
-    image = np.zeros((4, 6), np.float32)
     known = MovingObject(3, 0, 4, 8, 12, 2.71849, -0.00001, 12.5, 1 / 3)
     unknown = MovingObject(12, 100, 4, 8, 12, None, None, None, 1.0)
     for index, seen in ((0, ()), (7, (known, unknown))):
-        sink.write(
-            FrameResult(
-                frame=frame(index, None),
-                bands=image,
-                motion=image,
-                charge=image,
-                age_frames=image,
-                disparity_px=image,
-                confidence=image,
-                depth_m=None,
-                steering=Steering("blind", None, None, None, None),
-                charged=0,
-                matched=0,
-                objects=seen,
-            )
-        )
+        blind = Steering("blind", None, None, None, None)
+        sink.write(Step(frame(index, None).time, blind, seen, None, charged=0, matched=0))
     assert [path.name for path in tmp_path.iterdir()] == ["objects.csv.part"]
     sink.close()
     assert (tmp_path / "objects.csv").read_bytes() == (

@@ -8,6 +8,7 @@ from fractions import Fraction
 import av
 import numpy as np
 import pytest
+from taken import step_of, taken
 
 from motionstereo_cli.files.lettering import (
     DARK,
@@ -103,7 +104,7 @@ def test_the_strip_of_the_depth_video_can_be_switched_off(tmp_path):
     heights = []
     for legend in (True, False):
         sink = OUTPUTS["depth-video"].open(tmp_path, context(legend=legend))
-        sink.write(result())
+        sink.write(taken("depth-video", result()))
         sink.close()
         [picture] = frames(tmp_path / "depth.mp4")
         heights.append(len(picture))
@@ -114,7 +115,7 @@ def test_the_strip_of_the_depth_video_can_be_switched_off(tmp_path):
 
 def test_where_nothing_is_known_the_dark_view_is_shown(tmp_path):
     sink = OUTPUTS["depth-video"].open(tmp_path, context())
-    sink.write(result(BLIND, np.nan))
+    sink.write(taken("depth-video", result(BLIND, np.nan)))
     sink.close()
     [picture] = frames(tmp_path / "depth.mp4")
     assert np.abs(picture[:HEIGHT].astype(int) - 30).max() <= 3
@@ -123,7 +124,7 @@ def test_where_nothing_is_known_the_dark_view_is_shown(tmp_path):
 def test_the_preview_has_three_panels_and_the_heading(tmp_path):
     sink = OUTPUTS["preview"].open(tmp_path, context())
     for steering in (LEFT, BLIND):
-        sink.write(result(steering))
+        sink.write(taken("preview", result(steering)))
     sink.close()
     with_arrow, without = (picture.astype(int) for picture in frames(tmp_path / "preview.mp4"))
     assert with_arrow.shape[1] >= 3 * WIDTH
@@ -139,7 +140,7 @@ def test_wide_panels_are_made_smaller():
     large = dataclasses.replace(
         result(), frame=StereoFrame(0, 0, None, wide, wide), charge=wide, disparity_px=real
     )
-    assert preview_picture(large, context()).shape[1] == 3 * 640 + 2 * 4
+    assert preview_picture(step_of(large), context()).shape[1] == 3 * 640 + 2 * 4
 
 
 @pytest.mark.parametrize("steer", [-1.0, -0.5, 0.0, 0.5, 1.0])

@@ -48,15 +48,15 @@ when = sys.argv[1]
 def kill(*args, **options):
     os.kill(os.getpid(), signal.SIGKILL)
 
-whole = library.process
+whole = library.steps
 
 def until(*args, **options):
-    for result in whole(*args, **options):
-        if str(result.frame.index) == when:
+    for frame, step, state in whole(*args, **options):
+        if str(frame.index) == when:
             kill()
-        yield result
+        yield frame, step, state
 
-library.process = until
+library.steps = until
 if when == "complete":
     folder.complete = kill
 if when == "clear":
@@ -129,7 +129,7 @@ def test_a_killed_run_goes_on(command, undisturbed, tmp_path, capsys, monkeypatc
     assert killed.returncode == -signal.SIGKILL
     assert (out / "run.json").exists() == (when == "clear")
     if when == "clear":
-        monkeypatch.delattr("motionstereo_cli.runs.run.process")  # nothing is left to do
+        monkeypatch.delattr("motionstereo_cli.runs.run.steps")  # nothing is left to do
     assert main([*args, "--resume"]) == 0
     assert contents(out) == contents(undisturbed)
     assert table.read_bytes() == (undisturbed.parent / "table.csv").read_bytes()

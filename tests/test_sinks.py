@@ -19,6 +19,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from taken import step_of, taken
 
 from motionstereo_cli.errors import OutputError, SettingsError
 from motionstereo_cli.files.atomic import part_of, reported, segment_of, write_whole
@@ -36,7 +37,7 @@ from motionstereo_cli.sinks.scale import palette
 from motionstereo_cli.sinks.settings import OutputSettings
 from motionstereo_cli.sinks.sink import RunContext
 from motionstereo_cli.sinks.steering_table import SteeringFile, SteeringStream
-from motionstereo_cli.types import FrameResult, Rig, Steering, StereoFrame
+from motionstereo_cli.types import FrameResult, Rig, Steering, Step, StereoFrame
 
 BLIND = Steering("blind", None, None, None, None)
 NAN = float("nan")
@@ -82,7 +83,7 @@ def saved(
     """Write results as an output of a run; return the file, of numbered ones that of a frame."""
     sink = OUTPUTS[name].open(out, stream)
     for result in results:
-        sink.write(result)
+        sink.write(taken(name, result))
     sink.close()
     return out / OUTPUTS[name].path.format(index)
 
@@ -112,11 +113,13 @@ def test_age_and_confidence_are_read_back(tmp_path):
 
 def test_the_steering_table_to_the_letter(tmp_path):
     sink = SteeringFile(tmp_path / "steering.csv")
-    sink.write(frame_result(0))
+    sink.write(step_of(frame_result(0)))
     held = Steering("held", -0.00001, 0.12345, 2.71849, 0.0006)
-    sink.write(frame_result(1, pts=512, time_s=1 / 30, steering=held, charged=1 / 3, matched=1))
+    sink.write(
+        step_of(frame_result(1, pts=512, time_s=1 / 30, steering=held, charged=1 / 3, matched=1))
+    )
     odd = Steering("ok", 1.0, None, float("inf"), NAN)
-    sink.write(frame_result(2, pts=-7, time_s=-0.25, steering=odd))
+    sink.write(step_of(frame_result(2, pts=-7, time_s=-0.25, steering=odd)))
     sink.close()
     assert (tmp_path / "steering.csv").read_bytes() == (
         b"frame,pts,time_s,status,steer,steer_rad,depth_m,nearest_m,charged,matched\n"
@@ -148,7 +151,7 @@ def test_json_lines_hold_the_same_numbers_and_null_where_unknown(tmp_path):
 def test_rows_are_passed_on_at_once_but_the_name_comes_last(tmp_path):
     path = tmp_path / "steering.csv"
     sink = SteeringFile(path)
-    sink.write(frame_result(0))
+    sink.write(step_of(frame_result(0)))
     assert part_of(path).read_text().count("\n") == 2
     assert not path.exists()
     sink.close()
@@ -159,7 +162,7 @@ def test_rows_are_passed_on_at_once_but_the_name_comes_last(tmp_path):
 def test_an_abandoned_table_never_gets_its_name(tmp_path, keep):
     path = tmp_path / "steering.csv"
     sink = SteeringFile(path)
-    sink.write(frame_result(0))
+    sink.write(step_of(frame_result(0)))
     sink.abandon(keep=keep)
     assert list(tmp_path.iterdir()) == ([part_of(path)] if keep else [])
 
@@ -306,7 +309,7 @@ def test_the_charge_video_gives_the_charge_back_at_the_same_times(tmp_path):
     sink = OUTPUTS["charge"].open(tmp_path, RunContext(Fraction(1, 1000), Settings(), None))
     stamps = [40, 80, 95, 95, 400]  # uneven, and one that does not come after the one before
     for index, (pts, charge) in enumerate(zip(stamps, charges, strict=True)):
-        sink.write(frame_result(index, pts=pts, charge=charge))
+        sink.write(taken("charge", frame_result(index, pts=pts, charge=charge)))
     sink.close()
     read = decoded(tmp_path / "charge.mp4")
     assert [round(time_s, 6) for time_s, _ in read] == [0.04, 0.08, 0.095, 0.096, 0.4]
@@ -387,7 +390,7 @@ def test_an_interrupted_video_can_be_played_under_its_part_name(tmp_path):
     path = tmp_path / "charge.mp4"
     sink = OUTPUTS["charge"].open(tmp_path, STREAM)
     for index in range(3):
-        sink.write(frame_result(index))
+        sink.write(taken("charge", frame_result(index)))
     sink.abandon(keep=True)
     assert len(decoded(segment_of(path, 0))) == 3
     assert not path.exists()
@@ -395,7 +398,7 @@ def test_an_interrupted_video_can_be_played_under_its_part_name(tmp_path):
 
 def test_a_video_given_up_leaves_nothing(tmp_path):
     sink = OUTPUTS["charge"].open(tmp_path, STREAM)
-    sink.write(frame_result(0))
+    sink.write(taken("charge", frame_result(0)))
     sink.abandon(keep=False)
     assert not list(tmp_path.iterdir())
 
@@ -439,10 +442,10 @@ class Listing:
         self.events: list[object] = []
         self._fails_at = fails_at
 
-    def write(self, result: FrameResult) -> None:
-        if result.frame.index == self._fails_at:
+    def write(self, step: Step) -> None:
+        if step.time.index == self._fails_at:
             raise OutputError("no room")
-        self.events.append(result.frame.index)
+        self.events.append(step.time.index)
 
     def close(self) -> None:
         self.events.append("closed")
@@ -455,7 +458,7 @@ def test_a_threaded_sink_writes_all_in_order_and_closes_once():
     inner = Listing()
     sink = Threaded(inner)
     for index in range(50):
-        sink.write(frame_result(index))
+        sink.write(step_of(frame_result(index)))
     sink.close()
     sink.abandon(keep=False)
     assert inner.events == [*range(50), "closed"]
@@ -467,7 +470,7 @@ def test_an_error_in_the_thread_stops_the_stream():
 
     def write_all() -> None:
         for index in range(1000):
-            sink.write(frame_result(index))
+            sink.write(step_of(frame_result(index)))
 
     with pytest.raises(OutputError, match="no room"):
         write_all()
@@ -478,8 +481,8 @@ def test_an_error_in_the_thread_stops_the_stream():
 def test_an_error_at_the_last_frame_is_raised_by_close():
     inner = Listing(fails_at=1)
     sink = Threaded(inner)
-    sink.write(frame_result(0))
-    sink.write(frame_result(1))
+    sink.write(step_of(frame_result(0)))
+    sink.write(step_of(frame_result(1)))
     with pytest.raises(OutputError, match="no room"):
         sink.close()
     sink.abandon(keep=True)

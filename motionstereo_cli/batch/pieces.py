@@ -1,9 +1,9 @@
 """One long recording in pieces, on several workers at a time; its files are those of one run.
 
-What each frame decides by itself (images, videos, :class:`~motionstereo_cli.pipeline.Findings`) is
-made in pieces, each in a folder of its own. A piece begins as many frames early as the memories
-last. What follows from frame to frame (heading, objects, map) is then made in order, from the few
-numbers that the pieces keep of each frame.
+What each frame decides by itself (images, videos and its
+:class:`~motionstereo_cli.pipeline.FrameSummary`) is made in pieces, each in a folder of its own. A
+piece begins as many frames early as the memories last. What follows from frame to frame (heading,
+objects, map) is then made in order, from the summaries that the pieces keep.
 
 Pieces begin at multiples of ``checkpoint_frames``, where videos have key frames. They seek where
 the recordings let them, which passes over damage without seeing it: behind damage that another
@@ -23,52 +23,41 @@ import zlib
 from collections.abc import Iterable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
-
-import numpy as np
+from typing import Any, NamedTuple
 
 from motionstereo_cli.errors import NO_FRAMES, InputError, OutputError, SettingsError
 from motionstereo_cli.files.atomic import part_of, reported
 from motionstereo_cli.files.video import join
 from motionstereo_cli.pipeline import (
-    Course,
-    Findings,
-    Joints,
+    FrameAnalysis,
+    FrameSummary,
     State,
+    TrackingState,
+    analysed,
     depth_of,
     follow,
-    looked,
-    result_of,
 )
 from motionstereo_cli.robot.free_space import FreeSpace
 from motionstereo_cli.robot.guide import ImageProfile, MapProfile
-from motionstereo_cli.robot.mapper import Mapper
 from motionstereo_cli.runs.checkpoint import Reader
 from motionstereo_cli.runs.folder import RunFolder, record_of
 from motionstereo_cli.runs.folder_files import FolderKind
+from motionstereo_cli.runs.open_outputs import Totals
 from motionstereo_cli.runs.plan import RunPlan
 from motionstereo_cli.runs.record import Job, RunReport, identity_of, outcome, report_of, report_on
 from motionstereo_cli.runs.run import Watcher, add_table, inputs_of, job_of, opened
 from motionstereo_cli.sinks.outputs import OUTPUTS
 from motionstereo_cli.sinks.videos import beginning
 from motionstereo_cli.sources import open_stereo
-from motionstereo_cli.types import FrameResult, Steering, StereoFrame
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
+from motionstereo_cli.types import FrameImages, FrameTime, Rig, StereoFrame
 
 #: What a piece keeps of its frames, one after the other.
-_FINDINGS = "findings"
+_KEPT = "summaries"
 PIECE = FolderKind(
     "motionstereo piece",
     "piece.json",
-    {**{name: each.paths for name, each in OUTPUTS.items()}, _FINDINGS: ("findings.bin",)},
+    {**{name: each.paths for name, each in OUTPUTS.items()}, _KEPT: ("summaries.bin",)},
 )
-
-#: Outputs that follow from frame to frame and show images, which pieces keep for them.
-_SHOWING = {"preview", "bag"}
-
-_UNKNOWN = Steering("blind", None, None, None, None)
 
 
 class Piece(NamedTuple):
@@ -130,8 +119,8 @@ def run_piece(plan: RunPlan, piece: Piece, watcher: Watcher, *, seek: bool = Tru
         shutil.rmtree(folder)
     with open_stereo(plan.left, plan.right, plan.input_settings) as source:
         job = job_of(plan, source, watcher)
-        names = tuple(name for name in job.save if not OUTPUTS[name].in_order)
-        outputs = (*names, _FINDINGS)
+        names = tuple(name for name in job.save if OUTPUTS[name].takes == "images")
+        outputs = (*names, _KEPT)
         identity = {
             **identity_of(job, inputs_of(job)),
             "program": PIECE.program,
@@ -146,20 +135,22 @@ def run_piece(plan: RunPlan, piece: Piece, watcher: Watcher, *, seek: bool = Tru
             if seek and begin and not sought:
                 watcher.say("note", "the recordings do not let seek: decoded from the start")
             frames = itertools.islice(source, 0 if seek else begin, None)
-            findings = sinks.own(_FindingsFile(folder / PIECE.outputs[_FINDINGS][0]))
+            kept = sinks.own(_KeptFile(folder / PIECE.outputs[_KEPT][0]))
+            shows_images = any(OUTPUTS[name].shows_images for name in job.save)
             stop = None if piece.stop is None else piece.stop - begin
-            part = itertools.islice(frames, stop)
-            for result, kept in _results(job, piece, part, sinks, names):
-                sinks.write(result)
-                findings.add(kept)
-                if (result.frame.index + 1) % plan.output_settings.checkpoint_frames == 0:
+            totals = Totals()
+            for found in _analyses(job, piece, itertools.islice(frames, stop), sinks, names):
+                sinks.show(found.images)
+                kept.add(found.summary, found.images if shows_images else None)
+                totals = totals.plus(found.summary)
+                if (found.summary.time.index + 1) % plan.output_settings.checkpoint_frames == 0:
                     sinks.end_segments()
                 watcher.progress()
-            if not sinks.totals.frames and piece.first == 0:
+            if not totals.frames and piece.first == 0:
                 raise InputError(NO_FRAMES)
             sinks.close()
-            came = outcome(source, report_on(job, sinks.totals, 0, time.perf_counter()))
-            counts = {"written": sinks.totals.frames}
+            came = outcome(source, report_on(job, totals, 0, time.perf_counter()))
+            counts = {"written": totals.frames}
             sinks.complete({"counts": counts, "outcome": came, "sought": sought})
 
 
@@ -180,17 +171,16 @@ def _run_in(plan: RunPlan) -> int:
     return math.ceil((s.charge_max - s.charge_min) / s.charge_leak)
 
 
-def _results(
+def _analyses(
     job: Job,
     piece: Piece,
     frames: Iterable[StereoFrame],
     sinks: RunFolder,
     names: Sequence[str],
-) -> Iterator[tuple[FrameResult, tuple[Any, ...]]]:
-    """Open the outputs at the first frame; yield each result and what is kept of its frame."""
-    plan, s = job.plan, job.plan.settings
-    mapper, last_pts = _mapper(job), None
-    for frame, right, left, seen in looked(frames, _joints(job), State(), plan.jobs or 1):
+) -> Iterator[FrameAnalysis]:
+    """Open the outputs at the first frame; yield the analysis of each frame."""
+    last_pts = None
+    for frame, _, _, found in analysed(frames, job.stream, State(), job.plan.jobs or 1):
         if frame.index < piece.first:
             last_pts = frame.pts
             continue
@@ -199,39 +189,15 @@ def _results(
             last = None if last_pts is None else last_pts - begin
             for name in names:
                 mark = (((), last), begin) if OUTPUTS[name].is_video else None
-                sinks.add(name, partial(_at, mark, name, sinks.path, job))
-        shown = right if s.reference == "right" else left
-        pose = None if job.poses is None else job.poses.of(frame)
-        result = result_of(frame, shown, seen, _UNKNOWN, pose=pose)
-        points = None if mapper is None else mapper.points_of(result)
-        images = None
-        if _SHOWING.intersection(job.save):
-            kept = getattr(frame, s.reference), result.charge, result.disparity_px
-            images = zlib.compress(pickle.dumps(kept), 1)
-        yield result, (frame.index, frame.pts, frame.time_s, seen.findings, points, images)
+                sinks.add(name, partial(_at, mark, name, sinks.path, job), "images")
+        yield found
 
 
 def _at(mark: object, name: str, folder: Path, job: Job, _: object) -> Any:
     return opened(name, folder, job.context, mark)
 
 
-def _joints(job: Job) -> Joints:
-    return Joints.of(
-        job.plan.settings,
-        job.context.rig,
-        with_poses=job.poses is not None,
-        with_objects="objects" in job.save or job.poses is not None,
-        extras={extra for name in job.save for extra in OUTPUTS[name].extras},
-    )
-
-
-def _mapper(job: Job) -> Mapper | None:
-    if "map" not in job.save or job.context.rig is None:
-        return None
-    return Mapper(job.plan.settings, job.context.rig, job.context.output.map_cell_m)
-
-
-class _FindingsFile:
+class _KeptFile:
     """What is kept of frames, one after the other."""
 
     def __init__(self, path: Path) -> None:
@@ -239,9 +205,14 @@ class _FindingsFile:
         with reported(path):
             self._file = part_of(path).open("wb")
 
-    def add(self, kept: tuple[Any, ...]) -> None:
+    def add(self, summary: FrameSummary, images: FrameImages | None) -> None:
+        """Append a frame, with those of its images that are shown beside its step."""
+        packed = None
+        if images is not None:
+            shown = images.view, images.charge, images.disparity_px
+            packed = zlib.compress(pickle.dumps(shown), 1)
         with reported(self._path):
-            pickle.dump(kept, self._file)
+            pickle.dump((summary, packed), self._file)
 
     def close(self) -> None:
         """Complete the file and give it its name."""
@@ -275,7 +246,7 @@ def join_pieces(plan: RunPlan, pieces: Sequence[Piece], watcher: Watcher) -> Run
             folders = [folder_of(plan, piece) for piece in pieces]
             _follow(job, folders, sinks, watcher)
             for name in job.save:
-                if not OUTPUTS[name].in_order:
+                if OUTPUTS[name].takes == "images":
                     _put_together(OUTPUTS[name].path, folders, plan.folder)
             sinks.close()
             came = PIECE.parse((folders[-1] / PIECE.record).read_bytes())["outcome"]
@@ -293,57 +264,38 @@ def _follow(job: Job, folders: Sequence[Path], sinks: RunFolder, watcher: Watche
     plan = job.plan
     add_table(sinks, job)
     for name in job.save:
-        if OUTPUTS[name].in_order:
+        if OUTPUTS[name].takes == "step":
             sinks.add(name, partial(_at, None, name, sinks.path, job))
-    joints, course = _joints(job), Course()
+    stream, tracking = job.stream, TrackingState()
     for folder in folders:
-        for index, pts, time_s, findings, points, images in _kept(folder):
-            view, charge, disparity = (_NOTHING,) * 3 if images is None else _images_of(images)
-            frame = StereoFrame(index, pts, time_s, view, view)
-            pose = None if job.poses is None else job.poses.of(frame)
-            course, steering, objects = follow(course, findings, frame, pose, joints)
-            sinks.write(
-                FrameResult(
-                    frame=frame,
-                    bands=_NOTHING,
-                    motion=_NOTHING,
-                    charge=charge,
-                    age_frames=None,
-                    disparity_px=disparity,
-                    confidence=None,
-                    depth_m=None if images is None else depth_of(disparity, joints.rig),
-                    steering=steering,
-                    charged=findings.charged,
-                    matched=findings.matched,
-                    pose=pose,
-                    objects=objects,
-                    moving_points=points,
-                )
-            )
-            if (index + 1) % plan.output_settings.checkpoint_frames == 0:
+        for summary, images in _kept(folder, stream.rig):
+            pose = job.pose_of(summary.time)
+            tracking, step = follow(tracking, summary, pose, stream, images)
+            sinks.write(step)
+            if (summary.time.index + 1) % plan.output_settings.checkpoint_frames == 0:
                 sinks.end_segments()
             watcher.progress()
 
 
-_NOTHING: NDArray[Any] = np.empty((0, 0))
-
-
-def _kept(folder: Path) -> Iterator[Any]:
+def _kept(folder: Path, rig: Rig | None) -> Iterator[tuple[FrameSummary, FrameImages | None]]:
     """Yield what a piece has kept of its frames."""
-    path = folder / PIECE.outputs[_FINDINGS][0]
+    path = folder / PIECE.outputs[_KEPT][0]
+    classes = FrameSummary, FrameTime, ImageProfile, MapProfile, FreeSpace
     try:
         with path.open("rb") as file:
             while file.peek(1):
-                yield Reader(file, (Findings, ImageProfile, MapProfile, FreeSpace)).load()
+                summary, packed = Reader(file, classes).load()
+                images = None
+                if packed is not None:
+                    unpacked = Reader(io.BytesIO(zlib.decompress(packed))).load()
+                    view, charge, disparity_px = unpacked
+                    depth_m = depth_of(disparity_px, rig)
+                    images = FrameImages(summary.time, view, charge, disparity_px, depth_m=depth_m)
+                yield summary, images
     except (OSError, ValueError, EOFError, AttributeError, pickle.UnpicklingError) as error:
         raise OutputError(
             f"{path} cannot be used ({error}): give the same command again"
         ) from error
-
-
-def _images_of(images: bytes) -> Any:
-    """Return view, charge and disparity in px of a frame."""
-    return Reader(io.BytesIO(zlib.decompress(images))).load()
 
 
 def _put_together(path: str, folders: Sequence[Path], out: Path) -> None:

@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 
 from motionstereo_cli.errors import InputError, SettingsError
+from motionstereo_cli.report import write_report
 from motionstereo_cli.report.pictures import Picture, address_of, encoded, histogram, poster
 from motionstereo_cli.report.render import render
 from motionstereo_cli.report.run_folder import FRAME_S, Results, Steering, read_results
@@ -74,6 +75,15 @@ def run_page(out: Path, page: Path, record: Mapping[str, Any] | None = None) -> 
         command=command(said),
         outputs=_outputs(run),
     )
+
+
+def write_page(out: Path, page: Path, record: Mapping[str, Any]) -> None:
+    """Write the page of a run whose other outputs are complete, see :func:`run_page`.
+
+    Raises:
+        OutputError: it cannot be written.
+    """
+    write_report(page, run_page(out, page, record))
 
 
 def _drawn(scale: DepthScale) -> dict[str, Any]:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from motionstereo_cli.errors import InputError
 from motionstereo_cli.rig.pose_forms import PoseTable, quaternions, read_pose_table, rotations
 from motionstereo_cli.rig.settings import PoseSettings
-from motionstereo_cli.types import Pose, StereoFrame
+from motionstereo_cli.types import FrameTime, Pose, StereoFrame
 
 if TYPE_CHECKING:
     from motionstereo_cli.types import Rig
@@ -105,8 +105,8 @@ class Trajectory:
         mixed[3:] /= np.linalg.norm(mixed[3:])
         return Pose(*mixed.tolist())
 
-    def of(self, frame: StereoFrame) -> Pose:
-        """Return the pose of a stereo frame.
+    def of(self, frame: StereoFrame | FrameTime) -> Pose:
+        """Return the pose of a frame.
 
         Raises:
             InputError: the frame has no time, or one outside the trajectory.

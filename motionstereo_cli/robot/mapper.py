@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from motionstereo_cli.method.settings import Settings
-    from motionstereo_cli.types import FrameResult, Grey, Pose, Rig
+    from motionstereo_cli.types import Grey, Pose, Real, Rig
 
     Points = NDArray[np.float64]
 
@@ -49,31 +49,29 @@ _RECENT = 30_000
 
 
 def camera_points(
-    result: FrameResult, which: NDArray[np.bool_], settings: Settings, rig: Rig
+    depth_m: Real, view: Grey, which: NDArray[np.bool_], camera: str, rig: Rig
 ) -> tuple[Points, Grey]:
-    """Return what a frame shows as points of the reference camera's optical frame, with their grey.
+    """Return what a frame shows as points of a camera's optical frame, with their grey.
 
     Args:
-        result: the frame; it has depth.
+        depth_m: depth in the camera's view, (height, width) float32, NaN = unknown.
+        view: the camera's image, (height, width) uint8.
         which: pixels to give, (height, width) bool; those of unknown depth are left out.
-        settings: says which camera is the reference.
-        rig: the camera.
+        camera: ``right`` or ``left``.
+        rig: both cameras.
 
     Returns:
         (n, 3) float64 m, x right, y down, z forward; (n,) uint8.
     """
-    assert result.depth_m is not None
-    which = which & ~np.isnan(result.depth_m)
-    frame, camera = result.frame, settings.reference
-    grey = frame.right if camera == "right" else frame.left
+    which = which & ~np.isnan(depth_m)
     found = points(
-        result.depth_m,
+        depth_m,
         which,
         focal_px=(rig.focal_px, rig.fy_px),
         cx_px=rig.cx_of(camera),
         cy_px=rig.cy,
     )
-    return found, grey[which]
+    return found, view[which]
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,17 +130,13 @@ class Mapper:
         self._reach_m = min(reach_m, _MAX_CELLS * cell_m)
         self.known: Surroundings | None = None
 
-    def add(self, result: FrameResult) -> None:
-        """Take in a frame; its result has depth and pose."""
-        assert result.pose is not None
-        self.add_points(*self.points_of(result), result.pose)
+    def add(self, seen: Points, grey: Grey, pose: Pose) -> None:
+        """Take in what moves in a frame.
 
-    def points_of(self, result: FrameResult) -> tuple[Points, Grey]:
-        """Return what moves in a frame, as :func:`camera_points` does; from this frame only."""
-        return camera_points(result, result.motion, self._settings, self._rig)
-
-    def add_points(self, seen: Points, grey: Grey, pose: Pose) -> None:
-        """Take in the points of a frame, as :meth:`points_of` gives them, and its pose."""
+        Args:
+            seen, grey: its points, as :func:`camera_points` gives them.
+            pose: where the rig was.
+        """
         s = self._settings
         known = self.known or self._nothing(pose)
         placed = in_world(

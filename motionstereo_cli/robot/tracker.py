@@ -21,10 +21,10 @@ from motionstereo_cli.robot.objects import (
     trust,
 )
 from motionstereo_cli.types import (
+    FrameTime,
     MovingObject,
     Pose,
     Rig,
-    StereoFrame,
 )
 
 if TYPE_CHECKING:
@@ -80,7 +80,7 @@ class Tracker:
         self,
         tracks: Tracks,
         found: Iterable[Region],
-        frame: StereoFrame,
+        frame: FrameTime,
         pose: Pose | None = None,
     ) -> tuple[Tracks, tuple[MovingObject, ...]]:
         """Return the tracks after a frame, and the objects in it.
@@ -88,7 +88,7 @@ class Tracker:
         Args:
             tracks: those before.
             found: the regions of the frame.
-            frame: its number and time.
+            frame: which it is.
             pose: where the rig is; None where it is not known.
         """
         time_s = float(frame.index) if frame.time_s is None else frame.time_s

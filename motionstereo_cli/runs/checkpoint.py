@@ -22,7 +22,7 @@ from motionstereo_cli.files.atomic import write_whole
 from motionstereo_cli.files.reading import open_regular
 from motionstereo_cli.method.memory import Memory
 from motionstereo_cli.method.settings import Settings
-from motionstereo_cli.pipeline import State
+from motionstereo_cli.pipeline import State, TrackingState
 from motionstereo_cli.robot.course import Course
 from motionstereo_cli.robot.fused_map import Grid, Voxels
 from motionstereo_cli.robot.guide import ImageHeading, MapCourse
@@ -37,12 +37,24 @@ from motionstereo_cli.types import Pose
 #: What may stand in a checkpoint besides plain values and NumPy's arrays: the classes of what is
 #: kept from frame to frame. They are stored by these names, wherever they are defined.
 STATE_TYPES: tuple[type, ...] = (
-    *(State, Memory, ImageHeading, MapCourse, Course, LocalMap, Tracks, Track, Observation, Region),
+    *(
+        State,
+        TrackingState,
+        Memory,
+        ImageHeading,
+        MapCourse,
+        Course,
+        LocalMap,
+        Tracks,
+        Track,
+        Observation,
+        Region,
+    ),
     *(Surroundings, Grid, Voxels, Pose, Totals),
 )
 _NAMED = {each.__qualname__: each for each in STATE_TYPES}
 _OF_NUMPY = {"ndarray", "dtype", "scalar", "_reconstruct", "_frombuffer"}
-_HEAD = b"motionstereo checkpoint 2"
+_HEAD = b"motionstereo checkpoint 3"
 
 #: Arrays by what annotations call them; all others may be of any kind of number.
 _ARRAYS = {"Grey": "uint8", "Real": "float32"}
@@ -73,7 +85,11 @@ class Checkpoint:
 
 
 def write_checkpoint(
-    path: Path, identity: Mapping[str, Any], state: State, totals: Totals, sinks: Mapping[str, Sink]
+    path: Path,
+    identity: Mapping[str, Any],
+    state: State,
+    totals: Totals,
+    sinks: Mapping[str, Sink[Any]],
 ) -> None:
     """Write a checkpoint in the place of the one before, once all outputs have made theirs.
 

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any, Self
 from motionstereo_cli.errors import OutputError
 from motionstereo_cli.files.atomic import part_of, remove, reported, write_whole
 from motionstereo_cli.files.lock import LOCK, locked
-from motionstereo_cli.report import PAGE, write_report
 from motionstereo_cli.runs.checkpoint import (
     check_same,
     read_checkpoint,
@@ -32,6 +31,7 @@ from motionstereo_cli.runs.folder_files import (
     written,
 )
 from motionstereo_cli.runs.open_outputs import Sinks
+from motionstereo_cli.sinks.outputs import OUTPUTS
 
 if TYPE_CHECKING:
     from motionstereo_cli.pipeline import State
@@ -127,17 +127,15 @@ class RunFolder(Sinks):
             OutputError: it cannot be written.
         """
         said = {**self._identity, **record}
-        if self._kind is RUN and "report" in self._outputs:
-            from motionstereo_cli.report.run_page import run_page
-
-            page = self.path / PAGE
-            write_report(page, run_page(self.path, page, said))
+        if self._kind is RUN:
+            for name in self._outputs:
+                OUTPUTS[name].complete(self.path, said)
         if self._kind.keeps:
             with reported(self.path):
                 said["sums"] = {
                     name: sums_of(self.path, self._kind.outputs[name], said["counts"]["written"])
                     for name in self._outputs
-                    if name != "report"  # the command report writes it again
+                    if not OUTPUTS[name].finish  # what is made of others is made again
                 }
         complete(self.path, said, self._kind)
         super().complete(record)

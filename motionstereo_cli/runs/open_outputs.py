@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import contextlib
-import dataclasses
 from concurrent.futures import Future
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Protocol, Self, TypeVar
 
@@ -14,9 +13,10 @@ from motionstereo_cli.errors import OutputError
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-    from motionstereo_cli.pipeline import State
+    from motionstereo_cli.pipeline import FrameSummary, State
+    from motionstereo_cli.sinks.outputs import Input
     from motionstereo_cli.sinks.sink import Sink
-    from motionstereo_cli.types import FrameResult
+    from motionstereo_cli.types import FrameImages, Step
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,14 +32,9 @@ class Totals:
     charged: float = 0.0
     matched: float = 0.0
 
-    def plus(self, result: FrameResult) -> Totals:
+    def plus(self, shares: Step | FrameSummary) -> Totals:
         """Return the sums with a further frame."""
-        return replace(
-            self,
-            frames=self.frames + 1,
-            charged=self.charged + result.charged,
-            matched=self.matched + result.matched,
-        )
+        return Totals(self.frames + 1, self.charged + shares.charged, self.matched + shares.matched)
 
 
 class Ends(Protocol):
@@ -71,7 +66,8 @@ class Sinks:
         self.resumed = False
         self.finished: Mapping[str, Any] | None = None
         self._marks: Mapping[str, Any] = {}
-        self._sinks: dict[str, Sink] = {}
+        self._sinks: dict[str, Sink[Any]] = {}
+        self._takes: dict[str, Input] = {}
         self._others: list[Ends] = []
         self._keep = False
         self._complete = False
@@ -90,12 +86,13 @@ class Sinks:
                 with contextlib.suppress(OutputError):  # why the block ends matters more
                     sink.abandon(keep=self._keep)
 
-    def add(self, name: str, opened: Callable[[Any], Sink]) -> None:
-        """Open an output that gets the result of each frame.
+    def add(self, name: str, opened: Callable[[Any], Sink[Any]], takes: Input = "step") -> None:
+        """Open an output that gets something of each frame.
 
         Args:
             name: what to call it.
             opened: makes it from the checkpoint that it goes on from; None: from nothing.
+            takes: what it gets, see :class:`~motionstereo_cli.sinks.outputs.Output`.
 
         Raises:
             OutputError: it cannot be opened, or is not what the checkpoint says.
@@ -103,6 +100,7 @@ class Sinks:
         mark = self._marks.get(name)
         try:
             self._sinks[name] = opened(mark)
+            self._takes[name] = takes
         except (TypeError, ValueError, LookupError, AttributeError) as error:
             if mark is None:
                 raise
@@ -115,16 +113,33 @@ class Sinks:
         self._others.append(output)
         return output
 
-    def write(self, result: FrameResult) -> None:
-        """Hand the result of a frame to the outputs.
+    def write(self, step: Step, state: State | None = None) -> None:
+        """Hand a frame to the outputs.
+
+        Args:
+            step: that of the frame.
+            state: what is known after it, which a checkpoint needs.
 
         Raises:
             OutputError: it cannot be written.
         """
-        seen = dataclasses.replace(result, state=None)  # what waits for a sink is small
-        for sink in self._sinks.values():
-            sink.write(seen)
-        self.state, self.totals = result.state, self.totals.plus(result)
+        if step.images is not None:
+            self.show(step.images)
+        self._hand("step", step)
+        self.state, self.totals = state, self.totals.plus(step)
+
+    def show(self, images: FrameImages) -> None:
+        """Hand a frame to the outputs that take images only.
+
+        Raises:
+            OutputError: it cannot be written.
+        """
+        self._hand("images", images)
+
+    def _hand(self, takes: Input, given: FrameImages | Step) -> None:
+        for name, sink in self._sinks.items():
+            if self._takes[name] == takes:
+                sink.write(given)
         self._keep = True
 
     def checkpoint(self) -> None:

@@ -18,6 +18,7 @@ from motionstereo_cli import __version__
 from motionstereo_cli.errors import OutputError
 from motionstereo_cli.files.reading import sha256_of
 from motionstereo_cli.files.targets import is_stream
+from motionstereo_cli.pipeline import StreamContext
 from motionstereo_cli.rig import rig_values
 from motionstereo_cli.rig.poses import Trajectory
 from motionstereo_cli.runs.folder_files import head
@@ -26,7 +27,7 @@ from motionstereo_cli.runs.plan import RunPlan
 from motionstereo_cli.sinks.outputs import OUTPUTS, available
 from motionstereo_cli.sinks.sink import RunContext
 from motionstereo_cli.sources import StereoSource
-from motionstereo_cli.types import StereoFrame
+from motionstereo_cli.types import FrameTime, Pose, StereoFrame
 
 GREY = (
     "luma of the decoded video, expanded to 0..255 where the stream is limited range; "
@@ -89,6 +90,28 @@ class Job:
             rig=self.context.rig is not None,
             poses=self.poses is not None,
             steering_format=self.context.output.steering_format,
+        )
+
+    def pose_of(self, frame: StereoFrame | FrameTime) -> Pose | None:
+        """Return where the rig was; None where it is not known.
+
+        Raises:
+            InputError: the poses do not cover the frame.
+        """
+        return None if self.poses is None else self.poses.of(frame)
+
+    @property
+    def stream(self) -> StreamContext:
+        """What the outputs have the processing find, and no more: it takes time."""
+        rows = [OUTPUTS[name] for name in self.save]
+        with_poses = self.poses is not None
+        return StreamContext.of(
+            self.plan.settings,
+            self.context.rig,
+            with_poses=with_poses,
+            with_objects=with_poses or any(row.needs_objects for row in rows),
+            extras={extra for row in rows for extra in row.extras},
+            with_points=any(row.needs_points for row in rows),
         )
 
 

@@ -25,7 +25,7 @@ from motionstereo_cli.errors import (
 from motionstereo_cli.files.atomic import part_of, reported
 from motionstereo_cli.files.targets import check_target, is_stream, open_stream
 from motionstereo_cli.method.settings import FOREVER
-from motionstereo_cli.pipeline import process
+from motionstereo_cli.pipeline import State, steps
 from motionstereo_cli.rig.calibration import rectify_source
 from motionstereo_cli.rig.poses import read_poses
 from motionstereo_cli.runs.checkpoint import check_state
@@ -42,7 +42,7 @@ from motionstereo_cli.sinks.sink import RunContext, Sink
 from motionstereo_cli.sinks.steering_table import SteeringFile, SteeringStream
 from motionstereo_cli.sources import StereoSource, open_stereo
 from motionstereo_cli.sources.settings import adapted_rig
-from motionstereo_cli.types import FrameResult, Rig, StereoFrame
+from motionstereo_cli.types import Rig, Step, StereoFrame
 
 #: Time from frame to frame in the videos written, in s, where the source has no time.
 DEFAULT_TIME_BASE = Fraction(1, 25)
@@ -50,6 +50,8 @@ DEFAULT_TIME_BASE = Fraction(1, 25)
 #: What frames under way may take together by default, and what a pixel of each takes: memories of
 #: both views, disparity, depth, and the workspace of a thread.
 _IN_FLIGHT_BYTES, _BYTES_PER_PX = 1 << 30, 40
+
+_Step = tuple[StereoFrame, Step, State]
 
 #: The steering table that lies elsewhere, among the names of outputs.
 _TABLE = "table"
@@ -240,7 +242,8 @@ def _open(sinks: Sinks, job: Job, stdout: BinaryIO | None) -> None:
         add_table(sinks, job)
     if plan.folder is not None:
         for name in job.save:
-            sinks.add(name, partial(opened, name, plan.folder, job.context))
+            if (takes := OUTPUTS[name].takes) is not None:
+                sinks.add(name, partial(opened, name, plan.folder, job.context), takes)
 
 
 def add_table(sinks: Sinks, job: Job) -> None:
@@ -250,7 +253,7 @@ def add_table(sinks: Sinks, job: Job) -> None:
         sinks.add(_TABLE, partial(_table, path, job.plan, sinks.resumed, table_format))
 
 
-def _table(path: Path, plan: RunPlan, resumed: bool, table_format: str, since: Any) -> Sink:
+def _table(path: Path, plan: RunPlan, resumed: bool, table_format: str, since: Any) -> Sink[Step]:
     if is_stream(path):
         with reported(path):
             return SteeringStream(open_stream(path), path, table_format)
@@ -274,10 +277,10 @@ def default_jobs(source: StereoSource) -> int:
 def _write(sinks: Sinks, job: Job, watcher: Watcher) -> StereoFrame | None:
     """Process the frames that are left, complete the outputs, and return the last of the frames."""
     last = None
-    for result in _results(job, sinks, watcher):
-        last = result.frame
+    for frame, step, state in _steps(job, sinks, watcher):
+        last = frame
         with finishing():
-            sinks.write(result)
+            sinks.write(step, state)
             due = sinks.totals.frames % job.context.output.checkpoint_frames == 0
             if due and job.source.rereadable:
                 sinks.checkpoint()
@@ -300,28 +303,23 @@ def _say_what_is_missing(
         watcher.say("warning", found)
 
 
-def _results(job: Job, sinks: Sinks, watcher: Watcher) -> Iterator[FrameResult]:
-    """Yield the results that an earlier process did not give."""
-    plan, context = job.plan, job.context
-    frames = job.frames
+def _steps(job: Job, sinks: Sinks, watcher: Watcher) -> Iterator[_Step]:
+    """Yield the frames that an earlier process did not do, the step and the state of each."""
+    plan, frames = job.plan, job.frames
     if plan.with_check:
         frames = watched(
             frames,
             plan.settings.max_disparity,
             lambda finding: watcher.say("warning", finding.text),
-            rig=context.rig,
+            rig=job.context.rig,
         )
     frames = iter(frames)
     for _ in itertools.islice(frames, sinks.totals.frames):
         watcher.progress()
-    results = process(
+    results = steps(
         frames,
-        plan.settings,
-        context.rig,
-        None if job.poses is None else job.poses.of,
-        # They take time: only where they are asked for.
-        with_objects="objects" in job.save or job.poses is not None,
-        extras={extra for name in job.save for extra in OUTPUTS[name].extras},
+        job.stream,
+        job.pose_of,
         jobs=plan.jobs or (default_jobs(job.source) if job.source.rereadable else 1),
         state=sinks.state,
     )
@@ -330,7 +328,7 @@ def _results(job: Job, sinks: Sinks, watcher: Watcher) -> Iterator[FrameResult]:
     yield from results
 
 
-def _first(results: Iterator[FrameResult], plan: RunPlan) -> Iterable[FrameResult]:
+def _first(results: Iterator[_Step], plan: RunPlan) -> Iterable[_Step]:
     """Return the first result after a checkpoint, which tells whether it made sense."""
     try:
         return list(itertools.islice(results, 1))

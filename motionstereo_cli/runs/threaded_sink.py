@@ -6,11 +6,12 @@ import pickle
 from concurrent.futures import Future
 from queue import Queue
 from threading import Thread
+from typing import Any
 
 from motionstereo_cli.sinks.sink import Sink
-from motionstereo_cli.types import FrameResult
+from motionstereo_cli.types import FrameImages, Step
 
-#: Results that may wait for a sink; the stream waits for the slowest sink beyond that.
+#: Frames that may wait for a sink; the stream waits for the slowest sink beyond that.
 _WAITING = 2
 
 
@@ -20,22 +21,22 @@ class Threaded:
     An error of the sink is raised by the next :meth:`write`, or by :meth:`close`.
     """
 
-    def __init__(self, sink: Sink) -> None:
+    def __init__(self, sink: Sink[Any]) -> None:
         self._sink = sink
-        self._queue: Queue[FrameResult | Future[bytes] | None] = Queue(_WAITING)
+        self._queue: Queue[FrameImages | Step | Future[bytes] | None] = Queue(_WAITING)
         self._error: Exception | None = None
         self._closed = False
         self._thread = Thread(target=self._work, name=type(sink).__name__, daemon=True)
         self._thread.start()
 
-    def write(self, result: FrameResult) -> None:
-        """Hand over the result of the next frame."""
+    def write(self, given: FrameImages | Step) -> None:
+        """Hand over the next frame."""
         if self._error is not None:
             raise self._error
-        self._queue.put(result)
+        self._queue.put(given)
 
     def checkpoint(self) -> Future[bytes]:
-        """Return the sink's checkpoint after the results so far, pickled, once it has made it."""
+        """Return the sink's checkpoint after the frames so far, pickled, once it has made it."""
         made: Future[bytes] = Future()
         self._queue.put(made)
         return made

@@ -17,7 +17,7 @@ from motionstereo_cli.files.atomic import write_whole
 from motionstereo_cli.files.encode import encode_png
 from motionstereo_cli.files.video import VideoWriter
 from motionstereo_cli.method.settings import Settings
-from motionstereo_cli.pipeline import process
+from motionstereo_cli.pipeline import StreamContext, steps
 from motionstereo_cli.rig import write_rig
 from motionstereo_cli.rig.poses import HEAD, format_pose
 from motionstereo_cli.runs.folder import RunFolder
@@ -25,12 +25,12 @@ from motionstereo_cli.runs.folder_files import FolderKind
 from motionstereo_cli.simulate.drive_plan import Plan, plan_sheet
 from motionstereo_cli.simulate.drive_world import DriveWorld, Shot
 from motionstereo_cli.simulate.settings import ROBOT_RADIUS_M
-from motionstereo_cli.sinks.drawing import depth_picture, grey_picture, reference_view
+from motionstereo_cli.sinks.drawing import depth_picture, grey_picture
 from motionstereo_cli.sinks.map import MapFiles
 from motionstereo_cli.sinks.preview import framed, with_heading
 from motionstereo_cli.sinks.sink import RunContext
 from motionstereo_cli.sinks.steering_table import SteeringFile
-from motionstereo_cli.types import FrameResult, Pose, StereoFrame
+from motionstereo_cli.types import Pose, Step, StereoFrame
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -89,19 +89,18 @@ def drive(
         surroundings = MapFiles(out / "map.ply", context)
         folder.add("map", lambda _: surroundings)
         folder.add("steering", lambda _: SteeringFile(out / "steering.csv"))
-        for result in driven(world, settings):
-            frame = result.frame
-            assert result.pose is not None
-            poses.append(format_pose(frame.pts * float(_TIME_BASE), result.pose))
-            folder.write(result)
+        for frame, step in driven(world, settings):
+            assert step.pose is not None
+            poses.append(format_pose(frame.pts * float(_TIME_BASE), step.pose))
+            folder.write(step)
             plan.add_walkers()
             images = [frame.left, frame.right]
             if view:
                 picture = plan.draw(surroundings.mapper.floor())
-                images.append(_view(result, picture, context))
+                images.append(_view(step, picture, context))
             for video, image in zip(videos, images, strict=True):
                 video.write(image, frame.pts)
-            world.act_on(result.steering)
+            world.act_on(step.steering)
             progress()
         folder.close()
         write_rig(out / "rig.yaml", rig)
@@ -113,8 +112,8 @@ def drive(
     return record
 
 
-def driven(world: DriveWorld, settings: Settings) -> Iterator[FrameResult]:
-    """Yield the result of each frame; the caller moves the robot before the next.
+def driven(world: DriveWorld, settings: Settings) -> Iterator[tuple[StereoFrame, Step]]:
+    """Yield each frame and its step, with points; the caller moves the robot before the next.
 
     See :meth:`DriveWorld.act_on`.
     """
@@ -128,7 +127,14 @@ def driven(world: DriveWorld, settings: Settings) -> Iterator[FrameResult]:
     def pose_of(_: StereoFrame) -> Pose:
         return shot.pose
 
-    return process(frames(), settings, world.settings.rig, pose_of)
+    stream = StreamContext.of(
+        *(settings, world.settings.rig),
+        with_poses=True,
+        with_objects=True,
+        with_points=True,
+        extras=("depth_m",),
+    )
+    return ((frame, step) for frame, step, _ in steps(frames(), stream, pose_of))
 
 
 def _record(world: DriveWorld, settings: Settings) -> dict[str, Any]:
@@ -155,18 +161,19 @@ def _record(world: DriveWorld, settings: Settings) -> dict[str, Any]:
     }
 
 
-def _view(result: FrameResult, plan: NDArray[np.uint8], context: RunContext) -> NDArray[np.uint8]:
+def _view(step: Step, plan: NDArray[np.uint8], context: RunContext) -> NDArray[np.uint8]:
     """Return reference image, memory, depth and the plan side by side, RGB."""
-    height = result.charge.shape[0]
+    images = step.images
+    assert images is not None
+    height = images.charge.shape[0]
     width = 2 * math.ceil(plan.shape[1] * height / plan.shape[0] / 2)
     small = cv2.resize(plan, (width, height), interpolation=cv2.INTER_AREA)
-    view = grey_picture(reference_view(result, context))
     panels = [
-        with_heading(view, result.steering),
-        grey_picture(result.charge),
-        depth_picture(result, context),
+        with_heading(grey_picture(images.view), step.steering),
+        grey_picture(images.charge),
+        depth_picture(images, context),
         np.asarray(small, np.uint8),
     ]
     reference = context.settings.reference.capitalize()
     titles = (f"{reference} view, heading", "Charge", "Depth", "Plan: path blue, seen black")
-    return framed(panels, titles, result, context)
+    return framed(panels, titles, step, context)

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from motionstereo_cli.sinks.sink import RunContext
-    from motionstereo_cli.types import FrameResult, MovingObject, Rig
+    from motionstereo_cli.types import FrameImages, MovingObject, Rig, Step
 
 #: Frames of REP 103 and 105: x right, y down, z forward; and x forward, y left, z up.
 OPTICAL_FRAME = "camera_optical_frame"
@@ -62,12 +62,12 @@ class BagFile:
         self._messages = _Messages(stream.rig, stream)
         self._writer: _Writer | None = None
 
-    def write(self, result: FrameResult) -> None:
+    def write(self, step: Step) -> None:
         """Append the messages of a frame."""
         if self._writer is None:
             self._writer = _Writer(self._segments.next, self._messages.types)
-        stamp_ns = round(result.frame.pts * self._stream.time_base * 10**9)
-        for topic, message in self._messages.of(result, stamp_ns):
+        stamp_ns = round(step.time.pts * self._stream.time_base * 10**9)
+        for topic, message in self._messages.of(step, stamp_ns):
             self._writer.add(topic, self._messages.packed(message), stamp_ns)
 
     def checkpoint(self) -> tuple[str, ...]:
@@ -147,26 +147,28 @@ class _Messages:
         """Return a message as it lies in a bag."""
         return bytes(self.types.serialize_cdr(message, message.__msgtype__))
 
-    def of(self, result: FrameResult, stamp_ns: int) -> Iterator[tuple[str, Any]]:
+    def of(self, step: Step, stamp_ns: int) -> Iterator[tuple[str, Any]]:
         """Yield the messages of a frame by topic."""
+        images = step.images
+        assert images is not None
         optical = self._header(stamp_ns, OPTICAL_FRAME)
-        depth_mm = depth_png(known_depth_m(result), _MM_PER_M)
+        depth_mm = depth_png(known_depth_m(images), _MM_PER_M)
         yield "/depth/image_rect", self._image(optical, depth_mm, "16UC1")
         yield "/depth/camera_info", self._camera_info(optical)
-        yield "/disparity", self._disparity(optical, result)
+        yield "/disparity", self._disparity(optical, images)
         yield (
             "/charge/compressed",
             self._make(
                 "sensor_msgs/msg/CompressedImage",
                 header=optical,
                 format="mono8; png compressed",
-                data=np.frombuffer(encode_png(result.charge), np.uint8),
+                data=np.frombuffer(encode_png(images.charge), np.uint8),
             ),
         )
-        if result.steering.steer_rad is not None:
+        if step.steering.steer_rad is not None:
             header = self._header(stamp_ns, CAMERA_FRAME)
-            yield "/steering", self._heading(header, result.steering.steer_rad)
-        yield "/objects", self._objects(optical, result.objects)
+            yield "/steering", self._heading(header, step.steering.steer_rad)
+        yield "/objects", self._objects(optical, step.objects)
 
     def _make(self, kind: str, **fields: Any) -> Any:
         return self.types.types[kind](**fields)
@@ -217,10 +219,10 @@ class _Messages:
             roi=self._region(),
         )
 
-    def _disparity(self, header: Any, result: FrameResult) -> Any:
+    def _disparity(self, header: Any, images: FrameImages) -> Any:
         """Return the disparity as ROS has it: depth = f T / disparity; below the least, unknown."""
         rig, doffs = self._rig, self._rig.doffs
-        values = np.nan_to_num(result.disparity_px + np.float32(doffs), nan=doffs - 1)
+        values = np.nan_to_num(images.disparity_px + np.float32(doffs), nan=doffs - 1)
         return self._make(
             "stereo_msgs/msg/DisparityImage",
             header=header,

@@ -1,4 +1,4 @@
-"""Depth, charge and views of a result as pictures."""
+"""Depth, charge and views of a frame as pictures."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from motionstereo_cli.sinks.sink import RunContext
-    from motionstereo_cli.types import FrameResult, Grey, Real
+    from motionstereo_cli.types import FrameImages, Grey, Real
 
 #: Steps in which disparities are told apart for their colours, and how many there are at most.
 _LEVELS_PER_PX = 256
@@ -85,26 +85,20 @@ def depth_scale(stream: RunContext) -> DepthScale:
     return DepthScale.of(stream.settings, stream.output, stream.rig)
 
 
-def reference_view(result: FrameResult, stream: RunContext) -> Grey:
-    """Return the reference camera's image, (height, width) uint8."""
-    view: Grey = getattr(result.frame, stream.settings.reference)
-    return view
-
-
 def grey_picture(grey: Grey) -> NDArray[np.uint8]:
     """Return grey levels, (height, width) uint8, as RGB."""
     return np.asarray(cv2.cvtColor(grey, cv2.COLOR_GRAY2RGB), np.uint8)
 
 
-def depth_picture(result: FrameResult, stream: RunContext) -> NDArray[np.uint8]:
+def depth_picture(images: FrameImages, stream: RunContext) -> NDArray[np.uint8]:
     """Return depth in colour, (height, width, 3) uint8 RGB.
 
     Where nothing at all is known, as at the beginning of a recording, it is the reference view,
     darkened: a black picture says nothing, and players show it for the file.
     """
-    if np.isnan(result.disparity_px).all():
-        return grey_picture(reference_view(result, stream) // np.uint8(3))
+    if np.isnan(images.disparity_px).all():
+        return grey_picture(images.view // np.uint8(3))
     scale = depth_scale(stream)
     return depth_colours(
-        result.disparity_px + np.float32(scale.doffs), scale.near_px, scale.far_px, scale.colours
+        images.disparity_px + np.float32(scale.doffs), scale.near_px, scale.far_px, scale.colours
     )

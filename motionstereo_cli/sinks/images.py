@@ -5,20 +5,22 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
 from motionstereo_cli.compiled.pictures import to_uint16
 from motionstereo_cli.files.encode import encode_pfm, encode_png, encode_tiff
 from motionstereo_cli.sinks.writers import FilesMark, NumberedFiles
-from motionstereo_cli.types import FrameResult
+from motionstereo_cli.types import FrameImages
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from motionstereo_cli.sinks.sink import RunContext
     from motionstereo_cli.types import Real
+
+_Pixel = TypeVar("_Pixel", bound=np.generic)
 
 _UINT16_MAX = 65535
 #: Units per px of a 16-bit disparity image, as KITTI has it.
@@ -69,16 +71,15 @@ def motion_png(motion: NDArray[np.bool_]) -> NDArray[np.uint8]:
     return motion.astype(np.uint8) * np.uint8(255)
 
 
-def _given(image: NDArray[Any] | None) -> NDArray[Any]:
-    """Return what a result has because an output asks for it."""
+def asked_for(image: NDArray[_Pixel] | None) -> NDArray[_Pixel]:
+    """Return an image that a frame has because an output asks for it."""
     assert image is not None
     return image
 
 
-def known_depth_m(result: FrameResult) -> Real:
-    """Return the depth of a result that has one, because there is a rig."""
-    assert result.depth_m is not None
-    return result.depth_m
+def known_depth_m(images: FrameImages) -> Real:
+    """Return the depth of a frame that has one, because there is a rig."""
+    return asked_for(images.depth_m)
 
 
 def _to_uint16(values: Real, per_unit: int) -> NDArray[np.uint16]:
@@ -103,7 +104,7 @@ class NumberedImages(NumberedFiles):
             format: uint8 and uint16 images go to .png, float32 ones to .pfm and .tiff.
         stream: what is known of the run.
         since: go on from this checkpoint.
-        image: makes the (height, width) image of a result.
+        image: makes the (height, width) image from those of a frame.
     """
 
     def __init__(
@@ -112,31 +113,31 @@ class NumberedImages(NumberedFiles):
         stream: RunContext,
         since: FilesMark | None = None,
         *,
-        image: Callable[[FrameResult, RunContext], NDArray[Any]],
+        image: Callable[[FrameImages, RunContext], NDArray[Any]],
     ) -> None:
         super().__init__(path, since)
         self._stream = stream
         self._image = image
         self._encode = _ENCODE[path.suffix]
 
-    def write(self, result: FrameResult) -> None:
+    def write(self, images: FrameImages) -> None:
         """Write the image of a frame."""
-        self.add(result.frame.index, self._encode(self._image(result, self._stream)))
+        self.add(images.time.index, self._encode(self._image(images, self._stream)))
 
 
 # The sinks by their names in OUTPUTS; each takes the path and the stream.
 
 
-def _images(image: Callable[[FrameResult, RunContext], NDArray[Any]]) -> partial[NumberedImages]:
+def _images(image: Callable[[FrameImages, RunContext], NDArray[Any]]) -> partial[NumberedImages]:
     return partial(NumberedImages, image=image)
 
 
-depth = _images(lambda result, stream: depth_png(known_depth_m(result), stream.output.depth_scale))
-depth_m = _images(lambda result, _: known_depth_m(result))
-disparity = _images(lambda result, _: disparity_png(result.disparity_px))
-disparity_px = _images(lambda result, _: result.disparity_px)
-age = _images(lambda result, _: _given(result.age_frames))
-confidence = _images(lambda result, _: confidence_png(_given(result.confidence)))
-bands = _images(lambda result, _: result.bands)
-motion = _images(lambda result, _: motion_png(result.motion))
-charge = _images(lambda result, _: result.charge)
+depth = _images(lambda images, stream: depth_png(known_depth_m(images), stream.output.depth_scale))
+depth_m = _images(lambda images, _: known_depth_m(images))
+disparity = _images(lambda images, _: disparity_png(images.disparity_px))
+disparity_px = _images(lambda images, _: images.disparity_px)
+age = _images(lambda images, _: asked_for(images.age_frames))
+confidence = _images(lambda images, _: confidence_png(asked_for(images.confidence)))
+bands = _images(lambda images, _: asked_for(images.bands))
+motion = _images(lambda images, _: motion_png(asked_for(images.motion)))
+charge = _images(lambda images, _: images.charge)

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from motionstereo_cli.sinks.scale import DepthScale
-    from motionstereo_cli.types import StereoFrame
+    from motionstereo_cli.types import FrameTime
 
 #: Minimum height of a strip, and the width of picture for each px of it.
 _MIN_HEIGHT_PX, _WIDTH_PER_PX = 28, 36
@@ -44,9 +44,9 @@ def strip(
     return lettered(ruler, [Label(height // 4, height / 2, text)], size_px=size_px)
 
 
-def time_text(frame: StereoFrame) -> str:
+def time_text(time: FrameTime) -> str:
     """Return when a frame is in words: its time or, where the source has none, its number."""
-    return f"frame {frame.index}" if frame.time_s is None else f"{frame.time_s:.2f} s"
+    return f"frame {time.index}" if time.time_s is None else f"{time.time_s:.2f} s"
 
 
 @functools.lru_cache(maxsize=8)

@@ -13,7 +13,7 @@ from motionstereo_cli.files.encode import encode_png
 from motionstereo_cli.files.lettering import LIGHT, colour_key, length_bar, titled
 from motionstereo_cli.robot.mapper import Floor, Mapper, Surroundings
 from motionstereo_cli.sinks.points import encode_ply
-from motionstereo_cli.types import FrameResult
+from motionstereo_cli.types import Step
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -81,7 +81,7 @@ class MapFiles:
 
     Args:
         path: name of the point cloud.
-        stream: what is known of the run; it has a rig, and its results have poses.
+        stream: what is known of the run; it has a rig, and its steps have poses and points.
         since: go on from this checkpoint: what was known then.
 
     Attributes:
@@ -95,13 +95,11 @@ class MapFiles:
         self.mapper.known = since
         self._closed = False
 
-    def write(self, result: FrameResult) -> None:
+    def write(self, step: Step) -> None:
         """Take in a frame."""
-        if result.moving_points is None:
-            self.mapper.add(result)
-        else:
-            assert result.pose is not None
-            self.mapper.add_points(*result.moving_points, result.pose)
+        assert step.points is not None
+        assert step.pose is not None
+        self.mapper.add(*step.points, step.pose)
 
     def checkpoint(self) -> Surroundings | None:
         """Return what is known so far."""

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from motionstereo_cli.sinks.writers import TableFile, TableMark, cell
-from motionstereo_cli.types import FrameResult, MovingObject
+from motionstereo_cli.types import MovingObject, Step
 
 if TYPE_CHECKING:
     from motionstereo_cli.sinks.sink import RunContext
@@ -34,9 +34,9 @@ def object_row(frame: int, item: MovingObject) -> str:
 class ObjectsFile(TableFile):
     """The table of moving objects as a file: a row for each object of each frame."""
 
-    def write(self, result: FrameResult) -> None:
+    def write(self, step: Step) -> None:
         """Append the rows of a frame."""
-        self.add(object_row(result.frame.index, item) for item in result.objects)
+        self.add(object_row(step.time.index, item) for item in step.objects)
 
 
 def objects_file(path: Path, _: RunContext, since: TableMark | None = None) -> ObjectsFile:

@@ -6,9 +6,10 @@ A sink's module loads when its output is asked for.
 from __future__ import annotations
 
 import importlib
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from motionstereo_cli.errors import SettingsError
 
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
     from motionstereo_cli.sinks.sink import RunContext, Sink
 
 Kind = Literal["disparity", "depth", "table", "other"]
+Input = Literal["images", "step"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,30 +30,39 @@ class Output:
         path: its path under the output folder; ``{:06d}`` is the number of the frame.
         what: what it holds, with units.
         sink: module and function that make the sink from its path, the stream and a checkpoint.
+        takes: what its sink takes of each frame: its ``images``, which it alone decides, or its
+            ``step``, which follows from the frames up to it; None: it has no sink.
+        shows_images: the steps that it takes have images.
+        extras: what it needs of :data:`motionstereo_cli.pipeline.EXTRAS`.
         needs_rig: it needs a rig.
         needs_poses: it needs poses.
+        needs_objects: it needs moving objects.
+        needs_points: the steps that it takes have points.
         beside: further files that come with it.
-        in_order: what it says of a frame depends on the frames before.
         brings: other outputs that come with it, because it is made of them.
+        finish: module and function that make it, from the folder and the record, when all other
+            outputs are complete.
+        without_rig: the output that takes its place where there is no rig.
+        max_view_px: views whose longer side is larger cannot be written.
         kind: what its files are to a reader: images of disparity or of depth, a table, or other.
     """
 
     path: str
     what: str
-    sink: str
+    sink: str = ""
+    takes: Input | None = "images"
+    shows_images: bool = False
+    extras: tuple[str, ...] = ()
     needs_rig: bool = False
     needs_poses: bool = False
+    needs_objects: bool = False
+    needs_points: bool = False
     beside: tuple[str, ...] = ()
     brings: tuple[str, ...] = ()
+    finish: str = ""
+    without_rig: str = ""
+    max_view_px: float = math.inf
     kind: Kind = "other"
-    in_order: bool = False
-
-    @property
-    def extras(self) -> frozenset[str]:
-        """What it needs of :data:`motionstereo_cli.pipeline.EXTRAS`."""
-        own = {"age": {"age_frames"}, "confidence": {"confidence"}}
-        depth = {"depth_m"} if self.needs_rig else set()
-        return frozenset(depth | own.get(self.path.partition("/")[0], set()))
 
     @property
     def paths(self) -> tuple[str, ...]:
@@ -68,7 +79,7 @@ class Output:
         """The path as told to users: a folder for numbered files."""
         return self.path.partition("{")[0]
 
-    def open(self, out: Path, stream: RunContext, since: object = None) -> Sink:
+    def open(self, out: Path, stream: RunContext, since: object = None) -> Sink[Any]:
         """Return the sink of a run into the folder ``out``.
 
         Args:
@@ -79,17 +90,41 @@ class Output:
         Raises:
             OutputError: the output cannot be written, or is not what the checkpoint says.
         """
-        module, function = self.sink.split(".")
-        factory = getattr(importlib.import_module(f"motionstereo_cli.sinks.{module}"), function)
-        sink: Sink = factory(out / self.path, stream, since)
+        sink: Sink[Any] = _named(f"sinks.{self.sink}")(out / self.path, stream, since)
         return sink
 
+    def complete(self, out: Path, record: Mapping[str, Any]) -> None:
+        """Make what is made of the other outputs, if it is such an output.
+
+        Args:
+            out: the folder, in which the others are complete.
+            record: what the run says of itself.
+
+        Raises:
+            OutputError: it cannot be written.
+        """
+        if self.finish:
+            _named(self.finish)(out, out / self.path, record)
+
+
+def _named(name: str) -> Callable[..., Any]:
+    module, _, function = name.rpartition(".")
+    found: Callable[..., Any] = getattr(
+        importlib.import_module(f"motionstereo_cli.{module}"), function
+    )
+    return found
+
+
+#: H.264 takes images up to this size in px a side, here with room for the scale below depth.
+MAX_VIDEO_PX = 16_384 - 128
 
 #: Tells what a run wrote. Written last; until then its ``.part`` lists what is being written.
 RECORD = "run.json"
 
 #: Names follow one scheme: PNG images have the bare name of what they show, other formats add
 #: theirs, and -video is one to look at. Only for the charge the bare name is the video.
+_DEPTH = ("depth_m",)
+
 OUTPUTS = {
     "steering": Output(
         "steering.csv",
@@ -98,13 +133,13 @@ OUTPUTS = {
         "empty = unknown",
         "steering_table.steering_file",
         kind="table",
-        in_order=True,
+        takes="step",
     ),
     "steering-jsonl": Output(
         "steering.jsonl",
         "the same as JSON lines, one object for each frame; null = unknown",
         "steering_table.steering_file",
-        in_order=True,
+        takes="step",
     ),
     "objects": Output(
         "objects.csv",
@@ -113,7 +148,8 @@ OUTPUTS = {
         "0..1; empty = unknown",
         "objects_table.objects_file",
         kind="table",
-        in_order=True,
+        takes="step",
+        needs_objects=True,
     ),
     "depth": Output(
         "depth/{:06d}.png",
@@ -122,6 +158,8 @@ OUTPUTS = {
         "images.depth",
         needs_rig=True,
         kind="depth",
+        extras=_DEPTH,
+        without_rig="disparity",
     ),
     "depth-pfm": Output(
         "depth-pfm/{:06d}.pfm",
@@ -129,6 +167,8 @@ OUTPUTS = {
         "images.depth_m",
         needs_rig=True,
         kind="depth",
+        extras=_DEPTH,
+        without_rig="disparity-pfm",
     ),
     "depth-tiff": Output(
         "depth-tiff/{:06d}.tiff",
@@ -136,12 +176,14 @@ OUTPUTS = {
         "images.depth_m",
         needs_rig=True,
         kind="depth",
+        extras=_DEPTH,
     ),
     "depth-mkv": Output(
         "depth.mkv",
         "lossless video (FFV1, gray16le) of the images of depth; times in whole ms",
         "videos.depth_lossless",
         needs_rig=True,
+        extras=_DEPTH,
     ),
     "depth-video": Output(
         "depth.mp4",
@@ -150,6 +192,7 @@ OUTPUTS = {
         "doffs from max_disparity, or near_m, to 1 px, or far_m; below it (output_settings.legend) "
         "a strip with that scale in m or px and the time",
         "videos.depth",
+        max_view_px=MAX_VIDEO_PX,
     ),
     "disparity": Output(
         "disparity/{:06d}.png",
@@ -167,12 +210,14 @@ OUTPUTS = {
         "age/{:06d}.png",
         "uint8 frames since something moved there, reference view; 255 = forgotten",
         "images.age",
+        extras=("age_frames",),
     ),
     "confidence": Output(
         "confidence/{:06d}.png",
         "uint8 chance that the disparity is right within 1 px, in 1/255, reference view; "
         "0 = no disparity",
         "images.confidence",
+        extras=("confidence",),
     ),
     "bands": Output(
         "bands/{:06d}.png",
@@ -180,31 +225,45 @@ OUTPUTS = {
         "images.bands",
     ),
     "bands-video": Output(
-        "bands.mp4", "grey-level bands, reference view; 1..n as black..white", "videos.bands"
+        "bands.mp4",
+        "grey-level bands, reference view; 1..n as black..white",
+        "videos.bands",
+        max_view_px=MAX_VIDEO_PX,
     ),
     "motion": Output(
         "motion/{:06d}.png",
         "uint8, reference view; 255 = the band has just changed, 0 = it has not",
         "images.motion",
     ),
-    "motion-video": Output("motion.mp4", "the images of motion as video", "videos.motion"),
-    "view-video": Output("view.mp4", "the reference view as it was processed, grey", "videos.view"),
+    "motion-video": Output(
+        "motion.mp4", "the images of motion as video", "videos.motion", max_view_px=MAX_VIDEO_PX
+    ),
+    "view-video": Output(
+        "view.mp4",
+        "the reference view as it was processed, grey",
+        "videos.view",
+        max_view_px=MAX_VIDEO_PX,
+    ),
     "preview": Output(
         "preview.mp4",
         "to show to others: reference view with the heading as an arrow, charge and depth beside "
         "each other, with scale and time; panels of at most 640 px",
         "videos.preview",
-        in_order=True,
+        takes="step",
+        shows_images=True,
     ),
     "report": Output(
         "report.html",
         "all of it as one page for a browser; it brings the outputs that it shows",
-        "page.page",
         brings=("steering", "objects", "depth", "view-video", "charge", "depth-video"),
-        in_order=True,
+        takes=None,
+        finish="report.run_page.write_page",
     ),
     "charge": Output(
-        "charge.mp4", "permanency memory of the reference view, charge as grey", "videos.charge"
+        "charge.mp4",
+        "permanency memory of the reference view, charge as grey",
+        "videos.charge",
+        max_view_px=MAX_VIDEO_PX,
     ),
     "charge-png": Output(
         "charge-png/{:06d}.png",
@@ -217,6 +276,7 @@ OUTPUTS = {
         "in m, colour = grey",
         "points.NumberedClouds",
         needs_rig=True,
+        extras=_DEPTH,
     ),
     "bag": Output(
         "results.mcap",
@@ -225,7 +285,9 @@ OUTPUTS = {
         "objects (MarkerArray); images and objects in camera_optical_frame",
         "bag.BagFile",
         needs_rig=True,
-        in_order=True,
+        takes="step",
+        extras=_DEPTH,
+        shows_images=True,
     ),
     "map": Output(
         "map.ply",
@@ -237,18 +299,13 @@ OUTPUTS = {
         needs_rig=True,
         needs_poses=True,
         beside=("map.png", "map.yaml", "map-sheet.png"),
-        in_order=True,
+        takes="step",
+        extras=_DEPTH,
+        needs_points=True,
     ),
 }
 
 DEFAULT_OUTPUTS = ("steering", "depth", "charge", "depth-video")
-
-
-#: H.264 takes images up to this size in px a side, here with room for the scale below depth.
-MAX_VIDEO_PX = 16_384 - 128
-
-#: What takes the place of an output in metres where there is no rig.
-_WITHOUT_RIG = {"depth": "disparity", "depth-pfm": "disparity-pfm"}
 
 
 def available(
@@ -261,7 +318,9 @@ def available(
     Raises:
         SettingsError: an output without such a substitute needs a rig, or one needs poses.
     """
-    instead = {} if rig else _WITHOUT_RIG
+    instead = {
+        name: row.without_rig for name, row in OUTPUTS.items() if row.without_rig and not rig
+    }
     if steering_format != "csv":
         instead = instead | {"steering": f"steering-{steering_format}"}
     wanted = [each for name in save for each in (*OUTPUTS[name].brings, name)]
@@ -280,13 +339,7 @@ def check_video_size(save: Sequence[str], width: int, height: int) -> None:
     Raises:
         SettingsError: they cannot.
     """
-    videos = [
-        name
-        for name in save
-        # That one is made small.
-        if name != "preview" and any(path.endswith(".mp4") for path in OUTPUTS[name].paths)
-    ]
-    too_wide = videos if max(width, height) > MAX_VIDEO_PX else []
+    too_wide = [name for name in save if max(width, height) > OUTPUTS[name].max_view_px]
     if too_wide:
         raise SettingsError(
             f"views of {width}x{height} px are too large for {', '.join(too_wide)}: H.264 takes up "

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from motionstereo_cli.robot.mapper import camera_points
+from motionstereo_cli.sinks.images import known_depth_m
 from motionstereo_cli.sinks.writers import FilesMark, NumberedFiles
-from motionstereo_cli.types import FrameResult
+from motionstereo_cli.types import FrameImages
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -61,9 +62,10 @@ class NumberedClouds(NumberedFiles):
         camera = stream.settings.reference
         self._comment = f"m, optical frame of the {camera} camera: x right, y down, z forward"
 
-    def write(self, result: FrameResult) -> None:
+    def write(self, images: FrameImages) -> None:
         """Write the points of a frame."""
         assert self._stream.rig is not None
-        everywhere = np.ones(result.motion.shape, np.bool_)
-        points_m, grey = camera_points(result, everywhere, self._stream.settings, self._stream.rig)
-        self.add(result.frame.index, encode_ply(points_m.astype(np.float32), grey, self._comment))
+        depth_m, camera = known_depth_m(images), self._stream.settings.reference
+        everywhere = np.ones(depth_m.shape, np.bool_)
+        points_m, grey = camera_points(depth_m, images.view, everywhere, camera, self._stream.rig)
+        self.add(images.time.index, encode_ply(points_m.astype(np.float32), grey, self._comment))

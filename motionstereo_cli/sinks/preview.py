@@ -10,14 +10,14 @@ import cv2
 import numpy as np
 
 from motionstereo_cli.files.lettering import DARK, GAP_PX, titled
-from motionstereo_cli.sinks.drawing import depth_picture, depth_scale, grey_picture, reference_view
+from motionstereo_cli.sinks.drawing import depth_picture, depth_scale, grey_picture
 from motionstereo_cli.sinks.legend import strip, time_text
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from motionstereo_cli.sinks.sink import RunContext
-    from motionstereo_cli.types import FrameResult, Steering
+    from motionstereo_cli.types import Steering, Step
 
 #: Panels wider than this are made smaller.
 _MAX_WIDTH_PX = 640
@@ -26,23 +26,23 @@ _MAX_WIDTH_PX = 640
 _ARROWS = {"ok": (60, 200, 110), "held": (240, 180, 40)}
 
 
-def preview_picture(result: FrameResult, stream: RunContext) -> NDArray[np.uint8]:
+def preview_picture(step: Step, stream: RunContext) -> NDArray[np.uint8]:
     """Return view with heading, charge and depth beside each other, with titles and scale, RGB."""
-    reference = stream.settings.reference
-    view = _small(grey_picture(reference_view(result, stream)))
+    images = step.images
+    assert images is not None
     panels = [
-        with_heading(view, result.steering),
-        _small(grey_picture(result.charge)),
-        _small(depth_picture(result, stream)),
+        with_heading(_small(grey_picture(images.view)), step.steering),
+        _small(grey_picture(images.charge)),
+        _small(depth_picture(images, stream)),
     ]
-    titles = (f"{reference.capitalize()} view, heading", "Charge", "Depth")
-    return framed(panels, titles, result, stream)
+    titles = (f"{stream.settings.reference.capitalize()} view, heading", "Charge", "Depth")
+    return framed(panels, titles, step, stream)
 
 
 def framed(
     panels: Sequence[NDArray[np.uint8]],
     titles: Sequence[str],
-    result: FrameResult,
+    step: Step,
     stream: RunContext,
 ) -> NDArray[np.uint8]:
     """Return view, charge, depth and what else there is beside each other, RGB.
@@ -52,7 +52,7 @@ def framed(
     picture = titled(panels, titles, DARK)
     widths = [panel.shape[1] + GAP_PX for panel in panels]
     begin, end = sum(widths[:2]), sum(widths[:3]) - GAP_PX
-    text = f"{time_text(result.frame)}   {heading_text(result.steering)}"
+    text = f"{time_text(step.time)}   {heading_text(step.steering)}"
     below = strip(end, depth_scale(stream), text, begin=begin)
     rest = np.full((len(below), picture.shape[1] - end, 3), DARK.ground, np.uint8)
     return np.concatenate([picture, np.concatenate([below, rest], axis=1)])

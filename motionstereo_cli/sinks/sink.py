@@ -3,22 +3,29 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Protocol, TypeVar
 
 from motionstereo_cli.sinks.settings import OutputSettings
+from motionstereo_cli.types import FrameImages, Step
 
 if TYPE_CHECKING:
     from fractions import Fraction
 
     from motionstereo_cli.method.settings import Settings
-    from motionstereo_cli.types import FrameResult, Rig
+    from motionstereo_cli.types import Rig
 
 
-class Sink(Protocol):
-    """Takes the results of a run one by one; each method may raise OutputError."""
+_Input_contra = TypeVar("_Input_contra", FrameImages, Step, contravariant=True)
 
-    def write(self, result: FrameResult) -> None:
-        """Take the result of the next frame."""
+
+class Sink(Protocol[_Input_contra]):
+    """Takes what becomes of a run's frames, one by one; each method may raise OutputError.
+
+    What shows one frame takes its images, what follows from frame to frame takes its step.
+    """
+
+    def write(self, given: _Input_contra, /) -> None:
+        """Take the next frame."""
 
     def checkpoint(self) -> object:
         """Make sure that all results so far are on the disk.

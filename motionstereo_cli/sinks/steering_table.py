@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, BinaryIO
 
 from motionstereo_cli.files.atomic import reported
 from motionstereo_cli.sinks.writers import TableFile, TableMark, cell
-from motionstereo_cli.types import FrameResult
+from motionstereo_cli.types import Step
 
 if TYPE_CHECKING:
     from motionstereo_cli.sinks.sink import RunContext
@@ -15,28 +15,28 @@ if TYPE_CHECKING:
 HEADER = "frame,pts,time_s,status,steer,steer_rad,depth_m,nearest_m,charged,matched"
 
 
-def steering_line(result: FrameResult, table_format: str) -> str:
+def steering_line(step: Step, table_format: str) -> str:
     """Return one row of the table, without its line end.
 
     time_s has 6 decimals (microseconds), depth_m and nearest_m have 3 (mm), all other real
     numbers 4. An empty cell, or null, is unknown. No cell can need quotes.
 
     Args:
-        result: the frame.
+        step: that of the frame.
         table_format: ``csv``, or ``jsonl`` for a JSON object with the numbers as CSV has them.
     """
-    frame, steering = result.frame, result.steering
+    time, steering = step.time, step.steering
     cells = (
-        str(frame.index),
-        str(frame.pts),
-        cell(frame.time_s, 6),
+        str(time.index),
+        str(time.pts),
+        cell(time.time_s, 6),
         steering.status,
         cell(steering.steer, 4),
         cell(steering.steer_rad, 4),
         cell(steering.depth_m, 3),
         cell(steering.nearest_m, 3),
-        cell(result.charged, 4),
-        cell(result.matched, 4),
+        cell(step.charged, 4),
+        cell(step.matched, 4),
     )
     if table_format == "csv":
         return ",".join(cells)
@@ -71,9 +71,9 @@ class SteeringStream:
         if header := _header(table_format):
             self._write_line(header)
 
-    def write(self, result: FrameResult) -> None:
+    def write(self, step: Step) -> None:
         """Append the row of a frame."""
-        self._write_line(steering_line(result, self._format))
+        self._write_line(steering_line(step, self._format))
 
     def checkpoint(self) -> None:
         """Do nothing: what has been passed on cannot be taken back."""
@@ -108,9 +108,9 @@ class SteeringFile(TableFile):
         super().__init__(path, _header(table_format), since)
         self._format = table_format
 
-    def write(self, result: FrameResult) -> None:
+    def write(self, step: Step) -> None:
         """Append the row of a frame."""
-        self.add([steering_line(result, self._format)])
+        self.add([steering_line(step, self._format)])
 
 
 def steering_file(path: Path, _: RunContext, since: TableMark | None = None) -> SteeringFile:

@@ -6,7 +6,7 @@ import functools
 from collections.abc import Callable
 from fractions import Fraction
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -15,17 +15,19 @@ from motionstereo_cli.sinks.drawing import (
     colour_table,
     depth_levels,
     depth_scale,
-    reference_view,
 )
-from motionstereo_cli.sinks.images import depth_png, known_depth_m, motion_png
+from motionstereo_cli.sinks.images import asked_for, depth_png, known_depth_m, motion_png
 from motionstereo_cli.sinks.legend import strip, time_text
 from motionstereo_cli.sinks.preview import preview_picture
-from motionstereo_cli.types import FrameResult
+from motionstereo_cli.types import FrameImages
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from motionstereo_cli.sinks.sink import RunContext
+
+    #: Makes what a video shows of a frame's images, or of its step.
+    Draw = Callable[[Any, RunContext], Picture | list[Picture]]
 
 #: Time stamps that begin beyond this count from an epoch; no player waits for that long.
 EPOCH_S = 86_400
@@ -48,7 +50,7 @@ class ResultVideo:
         path: final name; its suffix says the format, see :class:`SegmentedVideo`.
         stream: what is known of the run.
         since: go on from this checkpoint: that of the video, and the first time stamp.
-        image: makes what the video shows of a result, as ``VideoWriter.write`` takes it.
+        image: makes what the video shows of a frame, as ``VideoWriter.write`` takes it.
 
     Raises:
         OutputError: the file cannot be written, or is not what the checkpoint says.
@@ -60,19 +62,19 @@ class ResultVideo:
         stream: RunContext,
         since: tuple[VideoMark, int | None] | None = None,
         *,
-        image: Callable[[FrameResult, RunContext], Picture | list[Picture]],
+        image: Draw,
     ) -> None:
         segments, self._begin = since or (((), None), None)
         self._video = SegmentedVideo(path, stream.time_base, segments)
         self._stream = stream
         self._image = image
 
-    def write(self, result: FrameResult) -> None:
-        """Append the image of a frame."""
-        pts = result.frame.pts
+    def write(self, given: Any) -> None:
+        """Append the image of a frame, made of its images or its step."""
+        pts = given.time.pts
         if self._begin is None:
             self._begin = beginning(pts, self._stream.time_base)
-        self._video.write(self._image(result, self._stream), pts - self._begin)
+        self._video.write(self._image(given, self._stream), pts - self._begin)
 
     def checkpoint(self) -> tuple[VideoMark, int | None]:
         """End a segment."""
@@ -87,21 +89,19 @@ class ResultVideo:
         self._video.abandon(keep=keep)
 
 
-def _bands(result: FrameResult, stream: RunContext) -> NDArray[np.uint8]:
+def _bands(images: FrameImages, stream: RunContext) -> NDArray[np.uint8]:
     steps = stream.settings.bands - 1
-    return ((result.bands.astype(np.uint16) - 1) * 255 // steps).astype(np.uint8)
+    return ((asked_for(images.bands).astype(np.uint16) - 1) * 255 // steps).astype(np.uint8)
 
 
-def _depth(result: FrameResult, stream: RunContext) -> list[Picture]:
+def _depth(images: FrameImages, stream: RunContext) -> list[Picture]:
     scale = depth_scale(stream)
-    levels, known = depth_levels(result.disparity_px, scale)
+    levels, known = depth_levels(images.disparity_px, scale)
     parts: list[Picture] = [
-        Indexed(levels, colour_table(scale.colours))
-        if known
-        else reference_view(result, stream) // np.uint8(3)
+        Indexed(levels, colour_table(scale.colours)) if known else images.view // np.uint8(3)
     ]
     if stream.output.legend:
-        parts.append(strip(levels.shape[1], scale, time_text(result.frame)))
+        parts.append(strip(levels.shape[1], scale, time_text(images.time)))
     return parts
 
 
@@ -109,17 +109,17 @@ def _depth(result: FrameResult, stream: RunContext) -> list[Picture]:
 
 
 def _video(
-    image: Callable[[FrameResult, RunContext], Picture | list[Picture]],
+    image: Draw,
 ) -> functools.partial[ResultVideo]:
     return functools.partial(ResultVideo, image=image)
 
 
 depth = _video(_depth)
 depth_lossless = _video(
-    lambda result, stream: depth_png(known_depth_m(result), stream.output.depth_scale)
+    lambda images, stream: depth_png(known_depth_m(images), stream.output.depth_scale)
 )
 bands = _video(_bands)
-motion = _video(lambda result, _: motion_png(result.motion))
-view = _video(reference_view)
+motion = _video(lambda images, _: motion_png(asked_for(images.motion)))
+view = _video(lambda images, _: images.view)
 preview = _video(preview_picture)
-charge = _video(lambda result, _: result.charge)
+charge = _video(lambda images, _: images.charge)

@@ -38,7 +38,7 @@ _COLUMNS = (
 
 
 def _by_motion(world: DriveWorld) -> Iterator[Steering]:
-    return (result.steering for result in driven(world, SETTINGS))
+    return (step.steering for _, step in driven(world, SETTINGS))
 
 
 def _by(disparity: Callable[[Shot], Real]) -> Callable[[DriveWorld], Iterator[Steering]]:

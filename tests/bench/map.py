@@ -109,9 +109,11 @@ def score(settings: DriveSettings, cell_m: float) -> MapScore:
     """Return how true the map of a drive is."""
     world = _Watched(settings)
     mapper = Mapper(SETTINGS, settings.rig, cell_m)
-    for result in driven(world, SETTINGS):
-        mapper.add(result)
-        world.act_on(result.steering)
+    for _, step in driven(world, SETTINGS):
+        assert step.points is not None
+        assert step.pose is not None
+        mapper.add(*step.points, step.pose)
+        world.act_on(step.steering)
     floor = mapper.floor()
     cells = np.argwhere(floor.occupied).astype(np.float64) + 0.5
     occupied = cells * cell_m + (floor.x_m, floor.y_m)

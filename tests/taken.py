@@ -1,0 +1,30 @@
+"""What sinks take, made of results."""
+
+from motionstereo_cli.robot.mapper import camera_points
+from motionstereo_cli.sinks.outputs import OUTPUTS
+from motionstereo_cli.types import FrameImages, FrameResult, Rig, Step
+
+
+def step_of(result: FrameResult, rig: Rig | None = None, reference: str = "right") -> Step:
+    """The step of a result, with images and, where there is a rig, with points."""
+    names = "charge", "disparity_px", "bands", "motion", "age_frames", "confidence", "depth_m"
+    images = {name: getattr(result, name) for name in names}
+    view, points = getattr(result.frame, reference), None
+    if rig is not None and result.depth_m is not None:
+        points = camera_points(result.depth_m, view, result.motion, reference, rig)
+    return Step(
+        time=result.frame.time,
+        steering=result.steering,
+        objects=result.objects,
+        pose=result.pose,
+        charged=result.charged,
+        matched=result.matched,
+        points=points,
+        images=FrameImages(result.frame.time, view, **images),
+    )
+
+
+def taken(name: str, result: FrameResult, reference: str = "right") -> FrameImages | Step:
+    """What the sink of an output takes of a result."""
+    step = step_of(result, reference=reference)
+    return step.images if OUTPUTS[name].takes == "images" else step
