@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-import contextlib
+import hashlib
+import math
 from collections.abc import Callable
 from fractions import Fraction
 from pathlib import Path
@@ -12,14 +13,18 @@ import av
 import cv2
 import numpy as np
 import pytest
+from av.sidedata.sidedata import Type
 from numpy.typing import NDArray
 from PIL import Image as Pillow
-from recordings import Images, encode, folder, number_in, scene
+from recordings import COUNT, Images, cut, encode, folder, number_in, scene
+from spatial import SERIAL, stamp_ns, svo2, vr180, with_boxes
 
 from motionstereo_cli.errors import InputError, SettingsError
+from motionstereo_cli.rig.calibration import rectify_source
 from motionstereo_cli.sources import open_stereo
+from motionstereo_cli.sources.multiview import eyes_in
 from motionstereo_cli.sources.settings import InputSettings
-from motionstereo_cli.sources.video import VideoRecording
+from motionstereo_cli.sources.stereo3d import Said
 
 LEFTS, RIGHTS = scene(), [255 - image for image in scene()]
 BESIDE = [np.hstack(each) for each in zip(LEFTS, RIGHTS, strict=True)]
@@ -94,11 +99,161 @@ def test_what_is_stated_and_what_is_given_may_differ(tmp_path: Path) -> None:
         open_stereo(plain)
 
 
-def test_ways_of_stating_that_are_not_read(tmp_path: Path) -> None:
-    path = matroska(tmp_path / "v.mkv", BESIDE, "row_interleaved_lr")
-    with contextlib.closing(VideoRecording(path)) as recording:
-        assert recording.stated is None
-        assert "says that it holds two views in a way that is not read" in recording.warnings[0]
+@pytest.mark.parametrize(
+    ("mode", "said"),
+    [
+        ("row_interleaved_lr", "in alternate rows, which is not read: .*stereo3d=irl:sbsl"),
+        ("row_interleaved_rl", "in alternate rows, .*stereo3d=irr:sbsl"),
+        ("col_interleaved_lr", "in alternate columns, .*stereo3d=icl:sbsl"),
+        ("checkerboard_rl", "as a checkerboard, .*convert them to views side by side"),
+        ("block_lr", "one after the other, frame by frame, .*stereo3d=al:sbsl"),
+    ],
+)
+def test_ways_of_stating_that_are_not_read(tmp_path: Path, mode: str, said: str) -> None:
+    path = matroska(tmp_path / "v.mkv", BESIDE, mode)
+    for layout in ("two", "side-by-side"):
+        with pytest.raises(InputError, match=rf"v\.mkv says that both views lie {said}"):
+            open_stereo(path, settings=InputSettings(layout=layout))
+
+
+# --- Spherical video --------------------------------------------------------------------------
+
+
+def test_what_is_spherical_is_refused_or_projected(tmp_path: Path) -> None:
+    def world(azimuth: Any, height: Any) -> Any:
+        return 128 + 60 * np.sin(3 * azimuth) + 60 * np.sin(4 * height)
+
+    # Rows and columns of a view are angles: latitude and longitude of rays (x, y, 1).
+    down, across = ((np.arange(96) + 0.5) / 96 - 0.5) * np.pi, (np.arange(96) + 0.5) / 96 * np.pi
+    longitude, latitude = np.meshgrid(across - np.pi / 2, down)
+    view = world(longitude, np.clip(np.tan(latitude) / np.cos(longitude), -1, 1)).astype(np.uint8)
+    both = [np.hstack([view, 255 - view])] * 3
+    path = encode(tmp_path / "v.mp4", both, "libx264", "yuv420p", options={"crf": "1"})
+    with_boxes(path, vr180())
+    for layout in ("two", "side-by-side"):
+        with pytest.raises(InputError, match=r"spherical \(equirectangular, 180x180 degrees\)"):
+            open_stereo(path, settings=InputSettings(layout=layout))
+    with open_stereo(path, settings=InputSettings(project=True)) as source:
+        frame = next(iter(source))
+        assert (source.width, source.height) == (62, 62)
+        assert source.projected_focal_px == pytest.approx(31)
+        assert source.describe(fingerprint=False)["both"]["projection"].endswith("180x180 degrees")
+    middle = (np.arange(62) - 30.5) / 31
+    x, y = np.meshgrid(middle, middle)
+    truth = world(np.arctan(x), np.clip(y, -1, 1))
+    for image, expected in ((frame.left, truth), (frame.right, 255 - truth)):
+        assert np.abs(image - expected)[2:-2].max() < 8
+
+
+def test_what_cannot_be_projected(tmp_path: Path) -> None:
+    path = encode(tmp_path / "v.mp4", BESIDE, "libx264", "yuv420p")
+    with pytest.raises(SettingsError, match="--project is for spherical video"):
+        open_stereo(path, settings=InputSettings(layout="side-by-side", project=True))
+    with_boxes(path, vr180(degrees=80))
+    with pytest.raises(InputError, match=r"80x180 degrees\), which is not read"):
+        open_stereo(path, settings=InputSettings(project=True))
+
+
+# --- Spatial video ----------------------------------------------------------------------------
+
+
+@pytest.fixture
+def spatial(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A video whose images say that they are views 0 and 1 in turn; the first is the right one."""
+
+    def view(frame: av.VideoFrame) -> int:
+        return (frame.pts or 0) // 512 % 2
+
+    def said(frame: av.VideoFrame, _: object) -> Said:
+        return Said(eye=("right", "left")[view(frame)], baseline_m=0.02, width_deg=60)
+
+    for module in ("video", "multiview"):
+        monkeypatch.setattr(f"motionstereo_cli.sources.{module}.view_id", view)
+        monkeypatch.setattr(f"motionstereo_cli.sources.{module}.said_by", said)
+    return encode(tmp_path / "v.mp4", LEFTS, "libx264", "yuv420p", options={"crf": "1"})
+
+
+def test_spatial_video_is_two_recordings(spatial: Path) -> None:
+    assert eyes_in(spatial, InputSettings(), 0) == {"left": 1, "right": 0}
+    with open_stereo(spatial) as source:
+        assert list(source.describe(fingerprint=False)) == ["left", "right"]
+        calibration = rectify_source(source, ())
+        assert len(list(source)) == COUNT
+    assert calibration is not None
+    assert calibration.rig.baseline_m == pytest.approx(0.02)
+    assert calibration.rig.focal_px == pytest.approx(32 / math.tan(math.radians(30)))
+    assert "20 mm apart and see 60 degrees: depth follows from these" in calibration.warnings[0]
+
+
+def test_spatial_video_that_lost_a_view_is_named(
+    spatial: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("motionstereo_cli.sources.multiview.view_id", lambda _: 0)
+    with pytest.raises(InputError, match=r"only one view can be decoded \(right\)"):
+        open_stereo(spatial)
+
+
+def test_side_data_without_a_name_is_passed_over() -> None:
+    assert (Type(29).value, Type(9999).name) == (29, "KIND_9999")
+    assert Type(2) is Type.STEREO3D
+
+
+# --- SVO2 -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("codec", ["h264", "h265", "jpeg"])
+def test_svo2_is_read_as_a_video_is(tmp_path: Path, codec: str) -> None:
+    path = svo2(tmp_path / "drive.svo2", BESIDE, codec)
+    with open_stereo(path) as source:
+        frames = list(source)
+        assert source.counts["left"] | source.counts["right"] == {
+            **{"read": 12, "paired": 12, "unpaired": 0, "damaged": 0},
+            **{"flawed": 0, "repeated": 0, "unread": 0},
+        }
+        assert (source.damage, source.warnings) == ([], [])
+        told = source.describe()["both"]
+        assert (told["serial_number"], told["images"]) == (str(SERIAL), 12)
+        assert told["sha256"] == hashlib.sha256(path.read_bytes()).hexdigest()
+        assert f"SN{SERIAL}.conf" in source.calibration_notes[0]
+    assert [frame.pts for frame in frames] == [stamp_ns(n) for n in range(COUNT)]
+    luma = [np.clip((each.astype(int) - 16) * 255 / 219, 0, 255) for each in BESIDE]
+    for frame, truth in zip(frames, luma, strict=True):
+        assert np.abs(np.hstack([frame.left, frame.right]) - truth).max() < 6
+
+
+@pytest.mark.parametrize("codec", ["h264", "jpeg"])
+def test_svo2_that_was_cut_off_gives_what_is_before_the_cut(tmp_path: Path, codec: str) -> None:
+    whole = svo2(tmp_path / "whole.svo2", BESIDE, codec)
+    with open_stereo(whole) as source:
+        expected = list(source)
+    path = cut(whole, tmp_path / "cut.svo2", 0.6)
+    with open_stereo(path) as source:
+        frames = list(source)
+        assert source.damage == [f"{path}: reading stopped early: it is cut off"]
+        assert source.frame_rate == 30
+    assert 3 < len(frames) < COUNT
+    for frame, truth in zip(frames, expected, strict=False):
+        np.testing.assert_array_equal(frame.left, truth.left)
+
+
+def test_damaged_messages_of_svo2_are_counted(tmp_path: Path) -> None:
+    path = svo2(tmp_path / "drive.svo2", BESIDE, "jpeg")
+    content = bytearray(path.read_bytes())
+    at = content.find(b"\xff\xd8", len(content) // 2)
+    content[at + 2 : at + 40] = bytes(38)
+    path.write_bytes(content)
+    with open_stereo(path) as source:
+        assert len(list(source)) == COUNT - 1
+        assert source.counts["left"]["damaged"] == 1
+        assert source.damage == [f"{path}: 1 image could not be decoded"]
+
+
+@pytest.mark.parametrize("content", [b"", b"none of it", b"\x89MCAP0\r\n" * 3])
+def test_what_is_no_svo2_is_named(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "x.svo2"
+    path.write_bytes(content)
+    with pytest.raises(InputError, match=r"x\.svo2: none of its images can be decoded"):
+        open_stereo(path)
 
 
 # --- Stills -----------------------------------------------------------------------------------
@@ -145,7 +300,7 @@ def test_stills_with_both_views(
 @pytest.mark.parametrize(
     ("name", "said"),
     [
-        ("a.svo2", "a ZED recording: export it with ZED_SVO_Export"),
+        ("a.svo", "an older ZED recording: export it with ZED_SVO_Export"),
         ("a.npz", "NumPy's arrays: write each as an image"),
         ("a.HEIC", "a HEIF image: convert it"),
         ("calibration.yaml", "a calibration goes to --rig"),

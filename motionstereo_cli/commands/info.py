@@ -39,15 +39,20 @@ def info(
     from motionstereo_cli.rig import rig_values
     from motionstereo_cli.rig.calibration import rectify_source
     from motionstereo_cli.sources import open_stereo
+    from motionstereo_cli.sources.opening import LoneRecordingError
 
-    with open_stereo(left, right, input_settings) as source:
-        source.count()
-        facts = _facts(source)
-        calibration = rectify_source(source, rig, baseline_unit)
-        if calibration is not None:
-            facts["rig"] = rig_values(adapted_rig(calibration.rig, input_settings))
+    try:
+        with open_stereo(left, right, input_settings) as source:
+            source.count()
+            facts = _facts(source)
+            calibration = rectify_source(source, rig, baseline_unit)
+            if calibration is not None:
+                facts["rig"] = rig_values(adapted_rig(calibration.rig, input_settings))
+        warnings = (*source.warnings, *(calibration.warnings if calibration else ()))
+    except LoneRecordingError as lone:
+        facts, warnings = {"recording": lone.described}, (*lone.warnings, str(lone))
     click.echo(json.dumps(facts, indent=2) if as_json else _table(facts))
-    for line in (*source.warnings, *(calibration.warnings if calibration else ())):
+    for line in warnings:
         say("warning", line)
 
 
@@ -61,6 +66,7 @@ def _facts(source: StereoSource) -> dict[str, Any]:
             "height": source.height,
             "frames": source.expected_frames,
             "frame_rate": None if rate is None else str(rate),
+            **({"focal_px": source.projected_focal_px} if source.settings.project else {}),
         },
     }
 
@@ -88,9 +94,13 @@ def _line(fact: dict[str, Any]) -> str:
         "unknown number of images" if count is None else f"{count} images",
         f"{int(number) / int(divisor or 1):.6g} per second" if number else "no time",
     ]
+    if "focal_px" in fact:
+        parts.append(f"pinhole of focal_px {fact['focal_px']:.10g}")
     if "path" in fact:
         parts += [fact["codec"], fact["pixel_format"], f"{fact['range']} range"]
         if fact["rotation_deg"]:
             parts.append(f"turned by {fact['rotation_deg']} degrees")
+        parts += [fact[key] for key in ("projection", "serial_number") if key in fact]
+        parts += [f"{fact['view']} view"] if "view" in fact else []
         parts.append(printable(fact["path"]))
     return ", ".join(parts)

@@ -261,7 +261,8 @@ def _recorded(
     if source.rectified:
         pair = dataclasses.replace(pair, cameras=None)
     name = files[0][0].as_posix()
-    return _of_pair(pair, name, size, baseline_unit, source.settings.max_pixels)
+    found = _of_pair(pair, name, size, baseline_unit, source.settings.max_pixels)
+    return dataclasses.replace(found, warnings=(*source.calibration_notes, *found.warnings))
 
 
 def _of_rig(

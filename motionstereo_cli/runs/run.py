@@ -151,6 +151,8 @@ def job_of(plan: RunPlan, source: StereoSource, watcher: Watcher) -> Job:
     rig, poses = None, None
     if calibration is None:
         _do_without_rig(plan, watcher)
+        for line in source.calibration_notes:
+            watcher.say("note", line)
     else:
         check_size(calibration.rig, source)
         rig = adapted_rig(calibration.rig, source.settings)

@@ -35,8 +35,15 @@ _NO_TIME: int = Flags.no_timestamps.value  # type: ignore[assignment]
 _PICTURES = Disposition.attached_pic | Disposition.timed_thumbnails | Disposition.still_image
 _PROBED_PACKETS = 200
 
+#: Bare HEVC of several views (MV-HEVC) is not known by its content.
+_BARE_HEVC = frozenset({".hevc", ".h265", ".265"})
+
 #: The head of yuv4mpegpipe that states a rate.
 _Y4M_RATE = re.compile(rb"YUV4MPEG2[^\n]* F0*[1-9]")
+
+
+#: Decodes the views of a multiview stream one after the other.
+ALL_VIEWS = -1
 
 
 class Container:
@@ -50,6 +57,7 @@ class Container:
         max_pixels: largest width times height of an image.
         allow_network: let a playlist name files and network addresses.
         track: which of the video tracks, from 1; 0 = the first.
+        view: which view of a multiview stream to decode, :data:`ALL_VIEWS`, or None = its base.
 
     Attributes:
         source: as FFmpeg has it.
@@ -63,9 +71,15 @@ class Container:
     """
 
     def __init__(
-        self, path: Path | Pipe | str, *, max_pixels: int, allow_network: bool, track: int
+        self,
+        path: Path | Pipe | str,
+        *,
+        max_pixels: int,
+        allow_network: bool,
+        track: int,
+        view: int | None = None,
     ) -> None:
-        self.path = path
+        self.path, self._view = path, view
         self._max_pixels, self._allow_network = max_pixels, allow_network
         self._held: HeldFile | None = None
         _keep_quiet()
@@ -236,7 +250,13 @@ class Container:
             if self._held is not None:
                 self._held.check_same(file)
             options = limits | {"fd": str(file.fileno()), "protocol_whitelist": "fd"}
-            return opened("fd:", options=options)
+            try:
+                return opened("fd:", options=options)
+            except av.InvalidDataError:
+                if path.suffix.lower() not in _BARE_HEVC:
+                    raise
+                file.seek(0)
+                return opened("fd:", options=options, format="hevc")
 
     def _limits(self) -> dict[str, str]:
         # Twice, for coded images have a margin. This is for sizes that a head does not tell.
@@ -269,7 +289,9 @@ class Container:
         if self.stream.time_base is None:
             raise InputError(f"{self.path} has no time base: convert it to MP4 or Matroska")
         codec.thread_count = 1
-        codec.options = self._limits()
+        # Only a multiview stream knows the option.
+        views = {} if self._view is None else {"view_ids": str(self._view)}
+        codec.options = self._limits() | views
 
 
 def _keep_quiet() -> None:

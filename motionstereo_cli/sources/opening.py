@@ -14,11 +14,13 @@ from motionstereo_cli.files.stills import SUFFIXES, shown
 from motionstereo_cli.sources.bag import BagRecording
 from motionstereo_cli.sources.bag_topics import is_bag, stereo_topics
 from motionstereo_cli.sources.folder import FolderRecording
+from motionstereo_cli.sources.multiview import both_views
 from motionstereo_cli.sources.pages import PagesRecording, has_pages
 from motionstereo_cli.sources.pipe import Pipe
 from motionstereo_cli.sources.recording import Recording
 from motionstereo_cli.sources.settings import InputSettings
 from motionstereo_cli.sources.stereo import StereoSource
+from motionstereo_cli.sources.svo import SvoRecording, is_svo
 from motionstereo_cli.sources.video import VideoRecording
 
 #: The name of standard input. A file of that name is ``./-``.
@@ -38,6 +40,19 @@ PAIRS = (
     ("cam0/data", "cam1/data"),  # EuRoC
     ("mav0/cam0/data", "mav0/cam1/data"),
 )
+
+
+class LoneRecordingError(SettingsError):
+    """A recording was given alone, and does not say that it holds both views.
+
+    Attributes:
+        described: what it is, as JSON-able values.
+        warnings: what looks wrong with it, one line each.
+    """
+
+    def __init__(self, recording: Recording) -> None:
+        super().__init__(_alone(recording.name))
+        self.described, self.warnings = recording.describe(), recording.warnings
 
 
 def open_stereo(
@@ -65,6 +80,18 @@ def open_stereo(
             opened.enter_context(closing(open_recording(name, settings, track, topic)))
             for name, track, topic in zip(names, settings.tracks, topics, strict=False)
         ]
+        if len(streams) == 1 and settings.layout == "two" and streams[0].multiview:
+            if not streams[0].rereadable:
+                raise InputError(
+                    f"{names[0]} brings spatial video, which is read twice: give a file"
+                )
+            streams[0].close()
+            streams = [
+                opened.enter_context(closing(view))
+                for view in both_views(Path(names[0]), settings, settings.tracks[0])
+            ]
+        for stream in streams:
+            _check_read(stream, settings)
         settings, notes = _laid_out(streams, settings)
         if settings.frame_rate and not any(each.timeless for each in streams):
             raise SettingsError(
@@ -87,7 +114,7 @@ def _laid_out(streams: list[Recording], settings: InputSettings) -> tuple[InputS
     if len(streams) == 1 and settings.layout == "two":
         said = streams[0].stated
         if said is None:
-            raise _one_alone(streams[0].name)
+            raise LoneRecordingError(streams[0])
         swap = settings.swap != said.swapped
         return dataclasses.replace(settings, layout=said.layout, swap=swap), []
     if not stated:
@@ -98,6 +125,31 @@ def _laid_out(streams: list[Recording], settings: InputSettings) -> tuple[InputS
     if settings.layout.removesuffix("-half") != how.layout.removesuffix("-half"):
         return settings, [f"{name} says that its views lie {how.layout}: leave --layout out"]
     return settings, []
+
+
+def _check_read(stream: Recording, settings: InputSettings) -> None:
+    """Make sure that a recording holds views that are read.
+
+    Raises:
+        InputError: it holds both in a way that is not read, or is spherical.
+    """
+    if stream.unread:
+        raise InputError(stream.unread)
+    sphere = stream.sphere
+    if sphere is None:
+        if settings.project:
+            raise SettingsError(
+                f"--project is for spherical video, and {stream.name} does not say that it is one"
+            )
+        return
+    said = f"{stream.name} is spherical ({sphere})"
+    if not sphere.projectable:
+        raise InputError(f"{said}, which is not read: export it as flat video")
+    if not settings.project:
+        raise InputError(
+            f"{said}: its rows and columns are angles, so depth would be wrong: give --project, or "
+            "export it as flat video"
+        )
 
 
 def named(left: str | Path, right: str | Path | None, settings: InputSettings) -> list[str]:
@@ -162,6 +214,8 @@ def open_recording(
         InputError: it cannot be decoded or has no images.
     """
     path = Path(name)
+    if is_svo(path):
+        return SvoRecording(path, max_pixels=settings.max_pixels)
     if topic:
         return BagRecording(path, topic, white=settings.white, max_pixels=settings.max_pixels)
     is_still = path.suffix.lower() in SUFFIXES or not path.exists()
@@ -216,13 +270,13 @@ def _both_in(name: str) -> list[str]:
         if all(folder.is_dir() for folder in folders):
             return [str(folder) for folder in folders]
     if Path(name).is_dir() and not shown(Path(name).iterdir(), SUFFIXES):
-        raise _one_alone(name)
+        raise SettingsError(_alone(name))
     return [name]
 
 
-def _one_alone(name: str) -> SettingsError:
+def _alone(name: str) -> str:
     known = f"no {' and '.join(PAIRS[0])}, {' and '.join(PAIRS[5])} or the like is in it: "
-    return SettingsError(
+    return (
         f"{name} is one recording: {known if Path(name).is_dir() else ''}give RIGHT as well, "
         "or --layout side-by-side or top-bottom where it holds both views"
     )
@@ -230,7 +284,7 @@ def _one_alone(name: str) -> SettingsError:
 
 #: Files of others that hold recordings, and how they become what is read here.
 _ELSEWHERE = {
-    (".svo", ".svo2"): "a ZED recording: export it with ZED_SVO_Export as side-by-side AVI",
+    (".svo",): "an older ZED recording: export it with ZED_SVO_Export as side-by-side AVI",
     (".npy", ".npz"): "NumPy's arrays: write each as an image, with cv2.imwrite",
     (".h5", ".hdf5", ".mat"): "a file of arrays: write each as an image, with cv2.imwrite",
     (".oni",): "an OpenNI recording: convert it with NiViewer or ffmpeg",

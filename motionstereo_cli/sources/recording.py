@@ -13,6 +13,7 @@ import numpy as np
 
 from motionstereo_cli.errors import InputError
 from motionstereo_cli.files.stills import Stated, pixel_format
+from motionstereo_cli.sources.sphere import Sphere
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -53,10 +54,14 @@ class Recording(ABC):
         timeless: nothing but a rate given makes a time of the images' numbers.
         names: the images' names without suffix by their place, where they are files.
         stated: how it says that it holds both views, None if it does not.
+        unread: how it holds both views, where that is not read, and what to do; empty elsewhere.
+        multiview: it is one view of a stream that holds more (MV-HEVC).
+        sphere: the angles of its rows and columns; None where it is flat.
         rereadable: another process can read the same again.
         warnings: what looks wrong before anything is lost, one line each.
         camera_info: calibration that lies beside the images, the fields of
             ``sensor_msgs/CameraInfo`` as JSON; None where there is none.
+        calibration_note: what to know of the calibration where none is given; empty = nothing.
         rectified: that calibration is of images that are rectified already.
         holes: the one of these that says that images are missing, empty if none does.
         likely_white: level that seems to be white, where deep images use a small part of their
@@ -78,10 +83,14 @@ class Recording(ABC):
     timeless: bool = False
     names: Sequence[str] = ()
     stated: Stated | None = None
+    unread: str = ""
+    multiview: bool = False
+    sphere: Sphere | None = None
     rereadable: bool = True
     _images: Iterator[Image]
     warnings: tuple[str, ...] = ()
     camera_info: str | None = None
+    calibration_note: str = ""
     rectified: bool = False
     holes: str = ""
     likely_white: int = 0

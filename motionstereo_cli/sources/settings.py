@@ -61,6 +61,12 @@ class InputSettings:
         "Topics of the left and the right camera in a ROS bag, as LEFT,RIGHT (none given: found by "
         "name).",
     )
+    project: bool = param(
+        False,
+        "Of spherical video (VR180, 360 degrees; equirectangular), take the pinhole image of 90 "
+        "degrees straight ahead. The rig, --crop and --rotate-left are of that image; info prints "
+        "its size and focal length.",
+    )
     swap: bool = param(False, "Exchange the left and the right view, for cross-eyed recordings.")
     rotate_left: int = param(
         0,

@@ -19,6 +19,7 @@ from motionstereo_cli.sources.recording import Recording
 from motionstereo_cli.sources.selection import Selected, chosen, place_near
 from motionstereo_cli.sources.settings import InputSettings
 from motionstereo_cli.sources.sides import Loss, Shot, Side, bare, moves, same
+from motionstereo_cli.sources.sphere import Pinhole
 from motionstereo_cli.types import StereoFrame
 
 if TYPE_CHECKING:
@@ -89,6 +90,7 @@ class StereoSource:
         lines = (line for stream in self._streams for line in stream.warnings)
         self.warnings = list(dict.fromkeys(lines))  # a table of both sides is named once
 
+        self._pinholes = [self._pinhole(side) for side in self._sides]
         right = self._sides[1]
         sizes = [
             self._view_size(side, degrees)
@@ -149,6 +151,11 @@ class StereoSource:
     def rereadable(self) -> bool:
         """Whether another process can read the same again: not from standard input."""
         return all(stream.rereadable for stream in self._streams)
+
+    @property
+    def projected_focal_px(self) -> float | None:
+        """Focal length of the pinhole image of a spherical view, before scale; None elsewhere."""
+        return None if self._pinholes[0] is None else self._pinholes[0].focal_px
 
     @property
     def likely_white(self) -> int:
@@ -250,6 +257,12 @@ class StereoSource:
         found = [(side.stream.name, side.stream.camera_info) for side in self._sides]
         given = tuple((name, info) for name, info in found if info is not None)
         return given if len(given) == len(found) else ()
+
+    @property
+    def calibration_notes(self) -> tuple[str, ...]:
+        """What to know of the calibration where none is given, one line each."""
+        notes = (stream.calibration_note for stream in self._streams)
+        return tuple(dict.fromkeys(filter(None, notes)))
 
     @property
     def rectified(self) -> bool:
@@ -381,6 +394,8 @@ class StereoSource:
     def _made(self, part: Grey, view: int) -> Grey:
         """Turn, rectify, cut and scale the left or the right view."""
         degrees, mirrored = self.settings.turns[view]
+        if (pinhole := self._pinholes[view]) is not None:
+            part = pinhole(part)
         whole = layout.turned(part, degrees, mirrored=mirrored)
         if self._rectify is not None:
             whole = self._rectify[view](np.ascontiguousarray(whole))
@@ -389,7 +404,15 @@ class StereoSource:
     def _view_size(self, side: Side, degrees: int) -> tuple[int, int]:
         each = side.stream
         size = layout.view_size(each.width, each.height, self.settings.layout, each.name)
+        if (pinhole := self._pinholes[self._sides.index(side)]) is not None:
+            size = pinhole.size
         return size[::-1] if degrees % 180 else size
+
+    def _pinhole(self, side: Side) -> Pinhole | None:
+        each, s = side.stream, self.settings
+        if each.sphere is None or not s.project:
+            return None
+        return Pinhole(each.sphere, *layout.view_size(each.width, each.height, s.layout, each.name))
 
     def _expected(self) -> int | None:
         left, right = (side.stream for side in self._sides)

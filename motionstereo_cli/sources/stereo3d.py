@@ -1,25 +1,83 @@
-"""What Matroska, MP4 or the codec say of how both views lie in an image."""
+"""What Matroska, MP4 or the codec say of the views in an image."""
 
 from __future__ import annotations
 
 import struct
 from fractions import Fraction
-from typing import TYPE_CHECKING, Any
+from typing import Any, NamedTuple
+
+import av
+from av.sidedata.sidedata import Type
 
 from motionstereo_cli.files.stills import Stated
+from motionstereo_cli.sources.sphere import Sphere
 
-if TYPE_CHECKING:
-    import av
+#: Kinds of FFmpeg's AVFrameSideDataType.
+_STEREO3D, _SPHERICAL, _VIEW_ID = 2, 13, 29
 
-#: Kinds of FFmpeg's AVStereo3D, and the shape of a pixel from which on views are squeezed.
-_STEREO3D = {1: "side-by-side", 2: "top-bottom"}
+#: Kinds of FFmpeg's AVStereo3D that are read, and the shape of a pixel from which on views are
+#: squeezed.
+_LAYOUTS = {1: "side-by-side", 2: "top-bottom"}
 _SQUEEZED = 1.5
 
+#: Kinds that are not read: what they are, and what FFmpeg's filter stereo3d calls them, left view
+#: first and right view first; empty where it does not read them.
+_UNREAD = {
+    3: ("one after the other, frame by frame", ("al", "ar")),
+    4: ("as a checkerboard", ("", "")),
+    5: ("side by side as a checkerboard (quincunx)", ("", "")),
+    6: ("in alternate rows", ("irl", "irr")),
+    7: ("in alternate columns", ("icl", "icr")),
+}
 
-def stated_by(
-    frame: av.VideoFrame, aspect: Fraction | None
-) -> tuple[Stated | None, tuple[str, ...]]:
-    """Return how an image says that it holds both views, and what to warn of.
+#: The kind of files that hold two views in some way.
+_SOMEHOW = 8
+
+#: Views of FFmpeg's AVStereo3D.
+_EYES = {1: "left", 2: "right"}
+
+#: Kinds of FFmpeg's AVSphericalMapping whose rows and columns are angles, and how many degrees
+#: they span across.
+_EQUIRECTANGULAR = {0: 360, 2: 360, 3: 180}
+_CUBE = 1
+
+
+def _unnamed(kinds: Any, value: int) -> Type:
+    """Return a member for a kind of side data that PyAV has no name for.
+
+    Without it, PyAV raises for an image that has such data, and none of its data can be read.
+    """
+    kind = object.__new__(kinds)
+    kind._name_, kind._value_ = f"KIND_{value}", value
+    found: Type = kind
+    return found
+
+
+Type._missing_ = classmethod(_unnamed)  # type: ignore[method-assign, assignment]
+
+
+class Said(NamedTuple):
+    """What an image says of its views.
+
+    Attributes:
+        stated: how it says that it holds both views, None if it does not.
+        unread: how both views lie, where that is not read, and what to do; empty elsewhere.
+        sphere: the angles of its rows and columns; None where it is flat.
+        eye: ``left`` or ``right`` where it is a view of one eye, else empty.
+        baseline_m: distance between the cameras; 0 = unknown.
+        width_deg: angle that the image spans; 0 = unknown.
+    """
+
+    stated: Stated | None = None
+    unread: str = ""
+    sphere: Sphere | None = None
+    eye: str = ""
+    baseline_m: float = 0.0
+    width_deg: float = 0.0
+
+
+def said_by(frame: av.VideoFrame, aspect: Fraction | None) -> Said:
+    """Return what an image says of its views.
 
     Squeezed views show in pixels twice as wide or high as others.
 
@@ -27,16 +85,60 @@ def stated_by(
         frame: a decoded image.
         aspect: width of a pixel as a share of its height; None = unknown.
     """
-    said: Any = frame.side_data.get("STEREO3D")
-    if said is None:
-        return None, ()
-    kind, flags = struct.unpack("=ii", bytes(said)[:8])
-    if kind not in _STEREO3D:
-        note = (
-            "says that it holds two views in a way that is not read: convert it to views side by "
-            "side",
-        )
-        return None, note if kind else ()
+    found = _side_data(frame)
+    said = Said(sphere=_sphere(found[_SPHERICAL]) if _SPHERICAL in found else None)
+    if _STEREO3D not in found:
+        return said
+    kind, flags, view, _, baseline_um, _, _, degrees, divisor = struct.unpack(
+        "=iiiiIiiii", found[_STEREO3D][:36].ljust(36, b"\0")
+    )
+    said = said._replace(
+        eye=_EYES.get(view, ""),
+        baseline_m=baseline_um / 1e6,
+        width_deg=degrees / divisor if divisor > 0 else 0.0,
+    )
+    swapped = bool(flags & 1)
+    if kind in _UNREAD and not said.eye:  # that of one eye is a stream of its own
+        how, filters = _UNREAD[kind]
+        convert = f"ffmpeg -i IN -vf stereo3d={filters[swapped]}:sbsl OUT makes"
+        advice = f"{convert if filters[swapped] else 'convert them to'} views side by side"
+        return said._replace(unread=f"both views lie {how}, which is not read: {advice}")
+    if kind not in _LAYOUTS:
+        if kind == _SOMEHOW and not said.eye:
+            said = said._replace(
+                unread="it holds both views, and only one is in it: another program may have lost "
+                "the other one: give the original file"
+            )
+        return said
     aspect = aspect or Fraction(1)
     squeezed = aspect > _SQUEEZED if kind == 1 else aspect < 1 / _SQUEEZED
-    return Stated(_STEREO3D[kind] + "-half" * squeezed, swapped=bool(flags & 1)), ()
+    return said._replace(stated=Stated(_LAYOUTS[kind] + "-half" * squeezed, swapped=swapped))
+
+
+def view_id(frame: av.VideoFrame) -> int | None:
+    """Return which view of a multiview stream (MV-HEVC) an image is, None in other streams."""
+    found = _side_data(frame).get(_VIEW_ID)
+    return None if found is None else int.from_bytes(found[:4], "little", signed=True)
+
+
+def _side_data(frame: av.VideoFrame) -> dict[int, bytes]:
+    found: Any = frame.side_data  # the type stub has it as a mapping
+    return {each.type.value: bytes(each) for each in found}
+
+
+def _sphere(said: bytes) -> Sphere | None:
+    """Return the angles of FFmpeg's AVSphericalMapping; None where the image is flat."""
+    kind, _, _, _, left, top, right, bottom, _ = struct.unpack("=iiiiIIIII", said[:36])
+    if kind == _CUBE:
+        return Sphere("a cube", 0, 0, 0, 0)
+    if kind not in _EQUIRECTANGULAR:
+        return None
+    across = _EQUIRECTANGULAR[kind]
+    edges = [each / 2**32 for each in (left, right, top, bottom)]
+    return Sphere(
+        "equirectangular",
+        across * (edges[0] - 0.5),
+        across * (0.5 - edges[1]),
+        180 * (edges[2] - 0.5),
+        180 * (0.5 - edges[3]),
+    )

@@ -21,7 +21,7 @@ from motionstereo_cli.sources.pace import Pace, rhythm
 from motionstereo_cli.sources.pipe import Pipe
 from motionstereo_cli.sources.recording import Image, Recording, images
 from motionstereo_cli.sources.seeking import CodedImage, Entry, entry, numbered
-from motionstereo_cli.sources.stereo3d import stated_by
+from motionstereo_cli.sources.stereo3d import Said, said_by, view_id
 
 if TYPE_CHECKING:
     from motionstereo_cli.types import Grey
@@ -62,6 +62,10 @@ class VideoRecording(Recording):
         white: level that becomes 255; 0 = the largest that the bits can say.
         max_pixels: largest width times height of an image.
         allow_network: let a playlist name files and network addresses.
+        view: which view of a multiview stream (MV-HEVC), None = its base view.
+
+    Attributes:
+        said: what the first image says of its views.
 
     Raises:
         InputError: not a video, too large, or none of its images can be decoded.
@@ -77,6 +81,7 @@ class VideoRecording(Recording):
         white: int = 0,
         max_pixels: int = MAX_PIXELS,
         allow_network: bool = False,
+        view: int | None = None,
     ) -> None:
         self._path, self._white = path, white
         self.rereadable = isinstance(path, Path)
@@ -87,8 +92,9 @@ class VideoRecording(Recording):
         self._packet_end = 0  # in bytes from the beginning of the file
         self._end_error = ""
         self._changed = False
+        self.said = Said()
         self._file = Container(
-            path, max_pixels=max_pixels, allow_network=allow_network, track=track
+            path, max_pixels=max_pixels, allow_network=allow_network, track=track, view=view
         )
         try:
             self._begin(rate)
@@ -220,10 +226,14 @@ class VideoRecording(Recording):
 
     def describe(self) -> dict[str, Any]:
         """Return what the video is, as JSON-able values."""
-        tracks = {"track": self._file.track} if self._file.tracks > 1 else {}
+        more: dict[str, Any] = {"track": self._file.track} if self._file.tracks > 1 else {}
+        if self.multiview:
+            more["view"] = self.said.eye or "base"
+        if self.sphere is not None:
+            more["projection"] = str(self.sphere)
         return {
             "path": str(self._path),
-            **tracks,
+            **more,
             "kind": "video",
             "codec": self._stream.codec_context.name,
             "pixel_format": self._pixel_format,
@@ -300,8 +310,10 @@ class VideoRecording(Recording):
         """Note what the first image tells of all."""
         self._quarters = round(frame.rotation / 90) % 4
         self._pixel_format, self._full_range = frame.format.name, is_full_range(frame)
-        self.stated, notes = stated_by(frame, self._stream.sample_aspect_ratio)
-        self.warnings += tuple(f"{self._path} {note}" for note in notes)
+        said = said_by(frame, self._stream.sample_aspect_ratio)
+        self.said, self.stated, self.sphere = said, said.stated, said.sphere
+        self.multiview = view_id(frame) is not None
+        self.unread = said.unread and f"{self._path} says that {said.unread}"
         if self.timeless and self.frame_rate is None:
             self.frame_rate = self._file.stated_rate
             self.time_base = 1 / self.frame_rate if self.frame_rate else None
