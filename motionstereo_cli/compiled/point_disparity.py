@@ -1,0 +1,183 @@
+"""Disparity of single points: the loops of :mod:`motionstereo_cli.robot.alignment`."""
+
+import cython
+import numpy as np
+from cython.cimports.libc.math import fabs, floor, sqrt
+
+NAN = cython.declare(cython.float, np.nan)
+
+
+def measure(
+    right: cython.const[cython.float][:, ::1],
+    left: cython.const[cython.float][:, ::1],
+    places: cython.const[cython.int][:, ::1],
+    range_px: cython.int,
+    noise: cython.float,
+    ratio: cython.float,
+    costs: cython.float[::1],
+    found: cython.float[:, ::1],
+) -> None:
+    """Fill in disparity and its standard deviation, (n, 2), of points of the right view.
+
+    Searched along the row, as far as ``range_px``, by the squared difference of grey in 9 x 5 px
+    less its mean; kept where the second best is ``ratio`` times as bad and the way back agrees;
+    refined by Gauss and Newton in 7 x 7 px. NaN where it is unsure.
+
+    Args:
+        right, left: the views.
+        places: (n, 2) int32 column and row.
+        range_px: largest disparity.
+        noise: standard deviation of grey.
+        ratio: see above.
+        costs: (range_px + 1,), used again and again.
+        found: receives the result.
+    """
+    i: cython.Py_ssize_t
+    with cython.nogil:
+        for i in range(places.shape[0]):
+            x: cython.int = places[i, 0]
+            y: cython.int = places[i, 1]
+            found[i, 0] = cython.cast(cython.float, NAN)
+            found[i, 1] = cython.cast(cython.float, NAN)
+            d: cython.int = best(right, left, x, y, 1, range_px, noise, ratio, costs)
+            if d < 0:
+                continue
+            back: cython.int = best(left, right, x + d, y, -1, range_px, noise, 1, costs)
+            if back >= 0 and abs(back - d) <= 1:
+                refine(right, left, x, y, d, noise, found, i)
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def best(
+    view: cython.const[cython.float][:, ::1],
+    other: cython.const[cython.float][:, ::1],
+    x: cython.int,
+    y: cython.int,
+    sign: cython.int,
+    range_px: cython.int,
+    noise: cython.float,
+    ratio: cython.float,
+    costs: cython.float[::1],
+) -> cython.int:
+    """Return the disparity of a pixel by search, -1 where it is unsure."""
+    d: cython.int
+    row: cython.int
+    column: cython.int
+    width: cython.int = cython.cast(cython.int, view.shape[1])
+    height: cython.int = cython.cast(cython.int, view.shape[0])
+    if x < 4 or y < 2 or x >= width - 4 or y >= height - 2:
+        return -1
+    cells: cython.float = 45
+    sum: cython.float = 0
+    squares: cython.float = 0
+    for row in range(y - 2, y + 3):
+        for column in range(x - 4, x + 5):
+            sum += view[row, column]
+            squares += view[row, column] * view[row, column]
+    least: cython.float = 1e30
+    found: cython.int = -1
+    reach: cython.int = min(range_px, width - 5 - x if sign > 0 else x - 4)
+    for d in range(reach + 1):
+        shift: cython.int = sign * d
+        differences: cython.float = 0
+        squared: cython.float = 0
+        for row in range(y - 2, y + 3):
+            for column in range(x - 4, x + 5):
+                off: cython.float = other[row, column + shift] - view[row, column]
+                differences += off
+                squared += off * off
+        costs[d] = squared - differences * differences / cells
+        if costs[d] < least:
+            least = costs[d]
+            found = d
+    if found < 0 or least > 6 * cells * noise * noise + cython.cast(cython.float, 0.1) * (
+        squares - sum * sum / cells
+    ):
+        return -1
+    limit: cython.float = ratio * (least + cython.cast(cython.float, 0.3) * cells * noise * noise)
+    for d in range(reach + 1):
+        if (d < found - 2 or d > found + 2) and costs[d] <= limit:
+            return -1
+    return found
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def refine(
+    right: cython.const[cython.float][:, ::1],
+    left: cython.const[cython.float][:, ::1],
+    x: cython.int,
+    y: cython.int,
+    start: cython.int,
+    noise: cython.float,
+    found: cython.float[:, ::1],
+    i: cython.Py_ssize_t,
+) -> cython.void:
+    """Fill in disparity and its standard deviation, to parts of a px."""
+    row: cython.int
+    column: cython.int
+    width: cython.int = cython.cast(cython.int, right.shape[1])
+    height: cython.int = cython.cast(cython.int, right.shape[0])
+    if x < 4 or y < 4 or x >= width - 4 or y >= height - 4:
+        return
+    d: cython.double = start
+    step: cython.double = 1
+    squares: cython.double = 0
+    errors: cython.double = 0
+    for _count in range(6):
+        place: cython.double = x + d
+        if place < 5 or place > width - 6:
+            return
+        first: cython.int = cython.cast(cython.int, floor(place))
+        a: cython.double = place - first
+        here: cython.double = 0
+        there: cython.double = 0
+        for row in range(y - 3, y + 4):
+            for column in range(-3, 4):
+                here += right[row, x + column]
+                there += between(left, row, first + column, a)
+        mean: cython.double = (there - here) / 49
+        squares = 0
+        errors = 0
+        product: cython.double = 0
+        for row in range(y - 3, y + 4):
+            for column in range(-3, 4):
+                e: cython.double = (
+                    between(left, row, first + column, a) - right[row, x + column] - mean
+                )
+                g: cython.double = 0.25 * (
+                    between(left, row, first + column + 1, a)
+                    - between(left, row, first + column - 1, a)
+                    + right[row, x + column + 1]
+                    - right[row, x + column - 1]
+                )
+                squares += g * g
+                product += g * e
+                errors += e * e
+        if squares < 1:
+            return
+        step = max(min(-product / squares, 1.0), -1.0)
+        d += step
+        if fabs(step) < 0.01:
+            break
+    if fabs(step) > 0.2 or fabs(d - start) > 2.5:
+        return
+    found[i, 0] = cython.cast(cython.float, d)
+    found[i, 1] = cython.cast(
+        cython.float, sqrt((2 * noise * noise + errors / 49) / squares) + 0.03
+    )
+
+
+@cython.cfunc
+@cython.nogil
+@cython.inline
+@cython.exceptval(check=False)
+def between(
+    view: cython.const[cython.float][:, ::1], row: cython.int, column: cython.int, a: cython.double
+) -> cython.double:
+    """Return the grey a share ``a`` from a pixel to the next one in its row."""
+    here: cython.double = view[row, column]
+    return here + a * (view[row, column + 1] - here)

@@ -1,0 +1,275 @@
+"""Direct alignment: how a rig has moved since an earlier pair of views, from grey alone.
+
+Points of the earlier right view, whose nearness that pair tells, are moved and projected into both
+views of now; the motion is the one where their grey agrees best (Gauss and Newton, Huber weights,
+from coarse to fine). Gain and offset of either view are found with it, and so is a constant error
+of disparity, as a small turn between the cameras makes it: nearness says how far off a point is,
+and its way through the image says it too.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from motionstereo_cli.compiled import alignment as loops
+from motionstereo_cli.compiled import point_disparity, reused
+
+Real = NDArray[np.float32]
+Reals = NDArray[np.float64]
+
+LEVELS = 4
+#: At each level, from fine to coarse, one of so many points is enough where there are many, and so
+#: many steps.
+_STRIDES = 1, 1, 2, 4
+_MANY = 300
+_ITERATIONS = 8
+#: A step that moves points by less px is the last.
+_LEAST_STEP_PX = 0.03
+
+#: Points are the largest slopes, at least so large, in each cell of so many rows and columns.
+_MAX_POINTS = 2000
+_CELLS = 8, 12
+_MIN_SLOPE = 2.5
+_BORDER_PX = 8
+#: Fewer tell nothing. Their nearness is known to better than this.
+MIN_POINTS = 60
+_MAX_SIGMA_PX = 1.0
+_MIN_NEARNESS_PX = 0.1
+
+#: Standard deviation of grey in a view, of a residual, and what a slope adds to its variance.
+_NOISE = 2.0
+_SECOND_BEST = 1.5
+_WEIGHTS = (3.0, 0.02, 1.345, 4 * 1.345)
+_COARSE_WEIGHTS = (6.0, 0.02, 1.345, 4.0)
+
+#: Gain is 1 and offset 0 as far as nothing says otherwise: information.
+_GAIN_PRIOR, _OFFSET_PRIOR = 1e4, 1e-2
+_PINNED = 1e12
+
+#: A residual below this, in standard deviations, speaks for an alignment.
+_AGREES = 2.5
+#: An alignment counts in full where it sees this share of the points.
+_FULLY_SEEN = 0.4
+
+
+@dataclass(frozen=True, slots=True)
+class Lens:
+    """What the geometry of a rectified rig needs: px, px, px, px, px, m.
+
+    Attributes:
+        focal_px: focal lengths along x and y.
+        right_cx_px, left_cx_px, cy_px: principal points.
+        baseline_m: distance between the cameras.
+    """
+
+    focal_px: tuple[float, float]
+    right_cx_px: float
+    left_cx_px: float
+    cy_px: float
+    baseline_m: float
+
+    @property
+    def doffs_px(self) -> float:
+        """Nearness less disparity."""
+        return self.right_cx_px - self.left_cx_px
+
+    def at(self, level: int) -> Any:
+        """Return the camera of a level for the loops."""
+        q = 0.5**level
+        return loops.Camera(  # type: ignore[call-arg]
+            *(self.focal_px[0] * q, self.focal_px[1] * q),
+            *(self.right_cx_px * q, self.left_cx_px * q, self.cy_px * q),
+            *(self.baseline_m, self.focal_px[0] * self.baseline_m, q),
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Keyframe:
+    """A pair of views as points.
+
+    Attributes:
+        points: (n, 4) float32 direction x and y per depth, nearness in px, its standard deviation.
+        grey: (levels, n) float32.
+        light: (4,) float64 gain and offset of the right and of the left view since.
+    """
+
+    points: Real
+    grey: Real
+    light: Reals
+
+
+@dataclass(frozen=True, slots=True)
+class Alignment:
+    """Where a keyframe's points are now.
+
+    Attributes:
+        motion: (4, 4) takes places in the keyframe's right camera to places in the one of now.
+        light: as :class:`Keyframe` has it.
+        error_px: constant error of disparity: what it is less than nearness.
+        score: share of the points whose grey agrees, 0..1.
+        seen: share of the points in view, 0..1.
+        normal: (11, 11) normal equations: place, turn, light, error.
+    """
+
+    motion: Reals
+    light: Reals
+    error_px: float
+    score: float
+    seen: float
+    normal: Reals
+
+
+def pyramid(image: NDArray[np.uint8]) -> list[Real]:
+    """Return an image at each level, the full size first, (height, width) float32."""
+    levels = [cv2.GaussianBlur(image.astype(np.float32), (0, 0), 0.7)]
+    while len(levels) < LEVELS:
+        levels.append(cv2.pyrDown(levels[-1]))
+    return levels  # type: ignore[return-value]
+
+
+def pick(
+    grey: Real, count: int = _MAX_POINTS, cells: tuple[int, int] = _CELLS
+) -> NDArray[np.int32]:
+    """Return the places of the largest slopes, all over an image: (n, 2) int32 column and row.
+
+    Args:
+        grey: the image.
+        count: about how many at most.
+        cells: rows and columns of cells that each have their share.
+    """
+    slope = np.abs(cv2.Sobel(grey, cv2.CV_32F, 1, 0, scale=1 / 8))
+    slope += 0.5 * np.abs(cv2.Sobel(grey, cv2.CV_32F, 0, 1, scale=1 / 8))
+    peaks = (slope >= cv2.dilate(slope, np.ones((3, 3), np.uint8))) & (slope > _MIN_SLOPE)
+    inner = np.zeros_like(peaks)
+    inner[_BORDER_PX:-_BORDER_PX, _BORDER_PX:-_BORDER_PX] = True
+    y, x = np.nonzero(peaks & inner)
+    strength = slope[y, x]
+    cell = y * cells[0] // grey.shape[0] * cells[1] + x * cells[1] // grey.shape[1]
+    order = np.lexsort((-strength, cell))
+    rank = np.arange(len(order)) - np.searchsorted(cell[order], cell[order])
+    kept = order[rank < -(-2 * count // (cells[0] * cells[1]))]
+    if len(kept) > count:
+        kept = np.sort(kept[np.argsort(-strength[kept], kind="stable")[:count]])
+    return np.stack([x[kept], y[kept]], axis=1).astype(np.int32)
+
+
+def nearness_of(
+    right: Real, left: Real, places: NDArray[np.int32], lens: Lens, range_px: int
+) -> Real:
+    """Return nearness and its standard deviation in px of places in the right view, (n, 2).
+
+    NaN where it is unsure.
+    """
+    found = np.empty((len(places), 2), np.float32)
+    costs = np.empty(range_px + 1, np.float32)
+    point_disparity.measure(right, left, places, range_px, _NOISE, _SECOND_BEST, costs, found)
+    found[:, 0] += np.float32(lens.doffs_px)
+    return found
+
+
+def keyframe(right: list[Real], left: list[Real], lens: Lens, range_px: int) -> Keyframe | None:
+    """Return a pair of views as points; None where there are too few.
+
+    Args:
+        right, left: their pyramids.
+        lens: the rig.
+        range_px: largest disparity.
+    """
+    places = pick(right[0])
+    found = nearness_of(right[0], left[0], places, lens, range_px)
+    sure = (found[:, 1] < _MAX_SIGMA_PX) & (found[:, 0] > _MIN_NEARNESS_PX)
+    if np.count_nonzero(sure) < MIN_POINTS:
+        return None
+    at = places[sure].astype(np.float32)
+    centre = np.array([lens.right_cx_px, lens.cy_px], np.float32)
+    rays = (at - centre) / np.array(lens.focal_px, np.float32)
+    grey: Any = np.stack(
+        [
+            cv2.remap(level, at[:, 0] / 2**k, at[:, 1] / 2**k, cv2.INTER_LINEAR).ravel()
+            for k, level in enumerate(right)
+        ]
+    )
+    points = np.concatenate([rays, found[sure]], axis=1)
+    return Keyframe(np.ascontiguousarray(points), grey, np.array([1.0, 0.0, 1.0, 0.0]))
+
+
+def align(
+    key: Keyframe,
+    right: list[Real],
+    left: list[Real],
+    lens: Lens,
+    start: Reals,
+    error_px: float,
+    error_information: float,
+    *,
+    pinned: bool = False,
+) -> Alignment | None:
+    """Return where a keyframe's points are now; None where that cannot be told.
+
+    Args:
+        key: the keyframe.
+        right, left: pyramids of the views of now.
+        lens: the rig.
+        start: (4, 4) motion to begin with.
+        error_px, error_information: what is known before of the constant error of disparity, and
+            how well: one over its variance in px.
+        pinned: the motion is that of the start; only the light is found.
+    """
+    prior = np.zeros((2, 11))
+    prior[0, 6:] = 1, 0, 1, 0, error_px
+    prior[1, 6:] = _GAIN_PRIOR, _OFFSET_PRIOR, _GAIN_PRIOR, _OFFSET_PRIOR, error_information
+    prior[1, :6] = _PINNED if pinned else 1e-9
+    state = np.concatenate([start[:3].ravel(), key.light, [error_px]])
+    normal, residual = np.empty((11, 11)), np.empty(len(key.points), np.float32)
+    work: Any = reused(loops.Workspace)
+    weights: Any = loops.Weights(*_WEIGHTS)  # type: ignore[call-arg]
+    for level in range(0 if pinned else LEVELS - 1, -1, -1):
+        views = _views(key, right, left, level)
+        seen = loops.align(
+            *(views, lens.at(level), weights, prior, _ITERATIONS, _LEAST_STEP_PX, work),
+            *(state, normal, residual),
+        )
+        if seen < 0:
+            return None
+    score, share = _score(residual)
+    motion = np.eye(4)
+    motion[:3] = start[:3] if pinned else state[:12].reshape(3, 4)
+    return Alignment(motion, state[12:16], float(state[16]), score, share, normal)
+
+
+def mismatch(
+    key: Keyframe, right: list[Real], lens: Lens, motions: Reals, error_px: float
+) -> Reals:
+    """Return how badly grey agrees after each of some motions (n, 4, 4), at the coarsest level."""
+    level = LEVELS - 1
+    views, camera = _views(key, right, right, level), lens.at(level)
+    residual = np.empty(len(key.points), np.float32)
+    weights = loops.Weights(*_COARSE_WEIGHTS)  # type: ignore[call-arg]
+    work = reused(loops.Workspace)
+    costs = []
+    for motion in motions:
+        state = np.concatenate([motion[:3].ravel(), key.light, [error_px]])
+        loops.residuals(views, camera, weights, state, work, residual)
+        off = np.nan_to_num(residual[:: views.stride], nan=_COARSE_WEIGHTS[3])
+        costs.append(float(np.minimum(off, _COARSE_WEIGHTS[3]).mean()))
+    return np.array(costs)
+
+
+def _views(key: Keyframe, right: list[Real], left: list[Real], level: int) -> Any:
+    stride = max(1, min(_STRIDES[level], len(key.points) // _MANY))
+    grey = key.grey[level]
+    return loops.Views(right[level], left[level], key.points, grey, stride)  # type: ignore[call-arg]
+
+
+def _score(residual: Real) -> tuple[float, float]:
+    """Return the share of points whose grey agrees, and the share in view."""
+    seen = np.isfinite(residual)
+    count = np.count_nonzero(seen)
+    agree = np.clip(1 - (residual[seen] / _AGREES) ** 2, 0, 1).sum() / max(count, 30)
+    share = count / len(residual)
+    return float(agree) * min(1.0, share / _FULLY_SEEN), share

@@ -1,0 +1,434 @@
+"""Own motion of the rig, from frame to frame, and the path that it adds up to.
+
+How the rig moved from one frame to the next follows from at most :data:`BLOCK_FRAMES` frames: each
+frame is aligned with a keyframe, and one whose number is a multiple of that always becomes the
+next one, from which all begins anew. The path is the sum (:func:`travelled`).
+
+Cameras are those of :mod:`motionstereo_cli.robot.alignment`: places of the right one's optical
+frame, x right, y down, z forward, in m. Vectors of six are shifts in m and turns in rad.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any, NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from motionstereo_cli.robot.alignment import (
+    Alignment,
+    Keyframe,
+    Lens,
+    align,
+    keyframe,
+    mismatch,
+    nearness_of,
+    pick,
+    pyramid,
+)
+
+Grey = NDArray[np.uint8]
+Real = NDArray[np.float32]
+Reals = NDArray[np.float64]
+
+#: A frame whose number is a multiple of this is a keyframe, and forgets what was before.
+BLOCK_FRAMES = 8
+#: So is one that sees less than this share of the last one's points.
+_MIN_SEEN = 0.7
+
+#: An alignment is good enough with this share of the block's median score; at first, of 1. Corners
+#: are tried below the second share.
+_ENOUGH, _POOR = 0.85, 0.6
+#: Below it, the rig is lost, unless so many corners agree, and such a share of them.
+_MIN_SCORE = 0.3
+_MIN_INLIERS, _MIN_INLIER_SHARE = 15, 0.4
+_CORNERS, _CORNER_CELLS = 400, (4, 8)
+
+#: Starts where nothing is known: turns to either side, and ways ahead as shares of the depth.
+_TURNS_RAD = np.radians([0, -2, 2, -4, 4, -6, 6, -8, 8, -10, 10])
+_AHEAD = (0.0, 0.03, 0.06, 0.1, 0.16, -0.03)
+_TRIED = 2
+
+#: No rig turns farther in a frame, nor comes farther than this share of its points' depth.
+_MAX_TURN_RAD, _MAX_AHEAD = float(np.radians(15)), 0.5
+
+#: A camera that moves its points by less than the first of these, the median, stands still; so does
+#: one that moves them by less than the second where grey agrees nearly as well if it does.
+_STILL_PX, _NEARLY_STILL_PX, _STILL_SCORE = 0.1, 1.0, 0.94
+
+#: What is known before of the constant error of disparity.
+ERROR_SIGMA_PX = 0.3
+#: How much of what a block says of it counts, because its points share their errors, and how well
+#: it is known at best.
+_ERROR_GAIN, _ERROR_FLOOR_PX = 0.1, 0.02
+#: A motion is found with no such error; it is corrected later.
+NO_ERROR_SIGMA_PX = 0.001
+#: Less than the first of these is not told from none; from the second on it is taken as it is.
+_ERROR_TOLD_PX = 0.06, 0.12
+#: Covariance of a motion over that of its equations, whose points share their errors likewise.
+_COVARIANCE = 10.0
+
+
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """How the rig moved from one frame to the next.
+
+    Attributes:
+        before_from_now: (4, 4) takes places in the right camera of now to those in the one before.
+        covariance: (6, 6) of its shift and turn.
+        error_px: constant error of disparity that it was found with.
+        per_error: (6,) shift and turn per px of that error.
+        measured_px, information: the constant error of disparity by this frame alone, and one over
+            its variance; 0 where it does not say.
+        score: share of the points whose grey agrees, 0..1.
+    """
+
+    before_from_now: Reals
+    covariance: Reals
+    error_px: float
+    per_error: Reals
+    measured_px: float
+    information: float
+    score: float
+
+
+@dataclass(frozen=True, slots=True)
+class Odometry:
+    """What is kept from frame to frame, at most since the last keyframe by number.
+
+    Attributes:
+        key: the last keyframe; None where there was too little to see.
+        motion: (4, 4) takes places in its camera to those in the last one.
+        velocity: (4, 4) the last motion, from before to after; None where unknown.
+        per_error: (6,) shift and turn of ``motion`` per px of the constant error of disparity.
+        scores: of the frames since.
+    """
+
+    key: Keyframe | None
+    motion: Reals
+    velocity: Reals | None
+    per_error: Reals
+    scores: tuple[float, ...]
+
+
+class Pair(NamedTuple):
+    """Two views of one moment, (height, width) uint8."""
+
+    right: Grey
+    left: Grey
+
+
+def step(
+    before: Odometry | None,
+    last: Pair | None,
+    now: Pair,
+    number: int,
+    lens: Lens,
+    range_px: int,
+    error_sigma_px: float = NO_ERROR_SIGMA_PX,
+) -> tuple[Odometry, Motion | None]:
+    """Return what is known after a frame, and how the rig moved since the one before.
+
+    The motion is None where it cannot be told: the rig is lost. At the first frame it is none.
+
+    Args:
+        before: what was known before; None at the first frame.
+        last: the views before.
+        now: the views.
+        number: of the frame.
+        lens: the rig.
+        range_px: largest disparity.
+        error_sigma_px: how large the constant error of disparity may be. As good as none, and
+            :func:`travelled` corrects for what is found; :data:`ERROR_SIGMA_PX` to measure one
+            that may be large.
+    """
+    right, left = pyramid(now.right), pyramid(now.left)
+    if before is None or last is None:
+        return _anew(keyframe(right, left, lens, range_px)), _standing(1.0)
+    found = None
+    if before.key is not None:
+        certain = error_sigma_px**-2
+        views = right, left, now.right
+        found = _aligned(before, last, views, lens, range_px, certain)
+        found = _at_rest(before.key, found, right, left, lens) or found
+    if found is None or found.score < _MIN_SCORE:
+        return _anew(keyframe(right, left, lens, range_px)), None
+    new = number % BLOCK_FRAMES == 0 or found.seen < _MIN_SEEN
+    motion, per_error = _motion(before, found, certain, new=new)
+    if new:
+        key = keyframe(right, left, lens, range_px)
+        # What a fresh block begins with must not depend on what was before it.
+        velocity = None if number % BLOCK_FRAMES == 0 else _inverse(motion.before_from_now)
+        return replace(_anew(key), velocity=velocity), motion
+    assert before.key is not None
+    return (
+        Odometry(
+            replace(before.key, light=found.light),
+            found.motion,
+            _inverse(motion.before_from_now),
+            per_error,
+            (*before.scores, found.score),
+        ),
+        motion,
+    )
+
+
+def _anew(key: Keyframe | None) -> Odometry:
+    return Odometry(key, np.eye(4), None, np.zeros(6), ())
+
+
+def _standing(score: float) -> Motion:
+    return Motion(np.eye(4), np.zeros((6, 6)), 0.0, np.zeros(6), 0.0, 0.0, score)
+
+
+def _aligned(
+    before: Odometry,
+    last: Pair,
+    now: tuple[list[Real], list[Real], Grey],
+    lens: Lens,
+    range_px: int,
+    certain: float,
+) -> Alignment | None:
+    """Return the best of the alignments from several starts."""
+    right, left, image = now
+    key = before.key
+    assert key is not None
+    best: Alignment | None = None
+    depth_m = _depth_m(key, lens)
+
+    def attempt(start: Reals) -> None:
+        nonlocal best
+        found = align(key, right, left, lens, start, 0.0, certain)
+        if found is None or (best is not None and found.score <= best.score):
+            return
+        if _plausible(before.motion @ _inverse(found.motion), depth_m):
+            best = found
+
+    usual = float(np.median(before.scores)) if len(before.scores) > 2 else 1.0
+
+    def below(share: float) -> bool:
+        return best is None or best.score < share * usual
+
+    if before.velocity is not None:
+        attempt(before.velocity @ before.motion)
+    if below(_ENOUGH):
+        starts = _starts(depth_m) @ before.motion
+        costs = mismatch(key, right, lens, starts, 0.0)
+        for number in np.argsort(costs, kind="stable")[:_TRIED]:
+            attempt(starts[number])
+            if not below(_ENOUGH):
+                break
+    if below(_POOR):
+        corners = _by_corners(last, image, lens, range_px)
+        if corners is not None:
+            motion, sure = corners
+            attempt(motion @ before.motion)
+            sure &= _plausible(motion, depth_m)
+            if sure and (best is None or best.score < _MIN_SCORE):
+                unknown = np.diag(np.full(11, 1.0))
+                best = Alignment(motion @ before.motion, key.light, 0.0, _MIN_SCORE, 0.0, unknown)
+    return best
+
+
+def _depth_m(key: Keyframe, lens: Lens) -> float:
+    """Return about how far off a keyframe's points are."""
+    return lens.focal_px[0] * lens.baseline_m / float(np.median(key.points[:, 2]))
+
+
+def _plausible(motion: Reals, depth_m: float) -> bool:
+    """Return whether a rig may move so from one frame to the next."""
+    cos = (float(np.trace(motion[:3, :3])) - 1) / 2
+    near = float(np.linalg.norm(motion[:3, 3])) <= _MAX_AHEAD * depth_m
+    return near and cos >= np.cos(_MAX_TURN_RAD)
+
+
+def _starts(depth_m: float) -> Reals:
+    """Return motions (n, 4, 4) that are worth a try: turns and ways ahead.
+
+    Args:
+        depth_m: about how far off things are.
+    """
+    starts = []
+    for ahead in _AHEAD:
+        for turn in _TURNS_RAD:
+            motion = np.eye(4)
+            motion[:3, :3] = cv2.Rodrigues(np.array([0.0, turn, 0.0]))[0]
+            motion[2, 3] = -ahead * depth_m
+            starts.append(motion)
+    return np.array(starts)
+
+
+def _at_rest(
+    key: Keyframe, found: Alignment | None, right: list[Real], left: list[Real], lens: Lens
+) -> Alignment | None:
+    """Return the alignment of a rig that stands still; None where it moves."""
+    flow_px = 0.0
+    if found is not None:
+        flow_px, key = _flow_px(key, found.motion, lens), replace(key, light=found.light)
+    if flow_px >= _NEARLY_STILL_PX:
+        return None
+    none = np.eye(4)
+    rest = align(key, right, left, lens, none, 0.0, NO_ERROR_SIGMA_PX**-2, pinned=True)
+    if rest is None or found is None or flow_px < _STILL_PX:
+        return rest
+    return rest if rest.score >= _STILL_SCORE * found.score else None
+
+
+def _flow_px(key: Keyframe, motion: Reals, lens: Lens) -> float:
+    """Return how far a motion moves a keyframe's points in the image, the median."""
+    rays = np.column_stack([key.points[:, :2], np.ones(len(key.points))])
+    inverse = key.points[:, 2] / (lens.focal_px[0] * lens.baseline_m)
+    moved = rays @ motion[:3, :3].T + inverse[:, None] * motion[:3, 3]
+    flow = (moved[:, :2] / np.maximum(moved[:, 2:], 1e-3) - rays[:, :2]) * lens.focal_px
+    return float(np.median(np.hypot(*flow.T)))
+
+
+def _motion(
+    before: Odometry, found: Alignment, certain: float, *, new: bool
+) -> tuple[Motion, Reals]:
+    """Return the motion since the last frame, and how the one since the keyframe heeds the error.
+
+    Args:
+        before: what was known before.
+        found: the alignment with the keyframe.
+        certain: information on the error that it had before.
+        new: the keyframe is at its end, so what it says of the error counts, once.
+    """
+    step_back = before.motion @ _inverse(found.motion)
+    normal = found.normal
+    by_error: Any = np.linalg.solve(normal[:10, :10], normal[:10, 10])
+    covariance: Any = _COVARIANCE * np.linalg.inv(normal)[:6, :6]
+    moves = not np.array_equal(found.motion, np.eye(4))
+    per_error: Reals = -by_error[:6] if moves else np.zeros(6)
+    information = max(float(normal[10, 10] - normal[10, :10] @ by_error) - certain, 0.0)
+    measured = found.error_px * (information + certain) / max(information, 1e-9)
+    counts = new and moves and information > 0
+    motion = Motion(
+        before_from_now=step_back,
+        covariance=covariance,
+        error_px=found.error_px,
+        per_error=before.per_error - adjoint(step_back) @ per_error,
+        measured_px=measured if counts else 0.0,
+        information=information if counts else 0.0,
+        score=found.score,
+    )
+    return motion, per_error
+
+
+def _by_corners(last: Pair, image: Grey, lens: Lens, range_px: int) -> tuple[Reals, bool] | None:
+    """Return the motion by corners that are found again, and whether many of them agree on it."""
+    right, left = pyramid(last.right)[0], pyramid(last.left)[0]
+    places = pick(right, _CORNERS, _CORNER_CELLS)
+    near = nearness_of(right, left, places, lens, range_px)[:, 0]
+    known = near > 0.5
+    at = places[known].astype(np.float32)
+    if len(at) < _MIN_INLIERS:
+        return None
+    none = np.empty(0, np.float32)
+    track = partial(cv2.calcOpticalFlowPyrLK, nextPts=none, winSize=(15, 15), maxLevel=4)
+    after, there, _ = track(last.right, image, prevPts=at)
+    again, back, _ = track(image, last.right, prevPts=after)
+    kept = (there[:, 0] == 1) & (back[:, 0] == 1) & (np.abs(again - at).max(axis=1) < 0.7)
+    if np.count_nonzero(kept) < _MIN_INLIERS:
+        return None
+    depth_m = lens.focal_px[0] * lens.baseline_m / near[known][kept].astype(np.float64)
+    centre = np.array([lens.right_cx_px, lens.cy_px])
+    rays = (at[kept] - centre) / lens.focal_px
+    points = np.column_stack([rays, np.ones(len(rays))]) * depth_m[:, None]
+    camera = np.array(
+        [[lens.focal_px[0], 0, centre[0]], [0, lens.focal_px[1], centre[1]], [0, 0, 1]]
+    )
+    found, turn, shift, agree = cv2.solvePnPRansac(
+        *(points, after[kept].astype(np.float64), camera, None),
+        iterationsCount=200,
+        reprojectionError=2.0,
+        confidence=0.999,
+        flags=cv2.SOLVEPNP_SQPNP,
+    )
+    if not found or agree is None or len(agree) < 10:
+        return None
+    motion = np.eye(4)
+    motion[:3, :3] = cv2.Rodrigues(turn)[0]
+    motion[:3, 3] = shift[:, 0]
+    sure = len(agree) >= _MIN_INLIERS and len(agree) > _MIN_INLIER_SHARE * len(points)
+    return motion, sure
+
+
+@dataclass(frozen=True, slots=True)
+class Path:
+    """Where the rig has come to.
+
+    Attributes:
+        pose: (4, 4) takes places in the right camera of now to those in the first one.
+        covariance: (6, 6) of its shift and turn, of errors that frames do not share.
+        error_px: constant error of disparity by all frames so far.
+        information: one over its variance.
+        last: (4, 4) the last motion that is known.
+        lost: frames since then.
+    """
+
+    pose: Reals
+    covariance: Reals
+    error_px: float
+    information: float
+    last: Reals
+    lost: int = 0
+
+
+def setting_out() -> Path:
+    """Return the path before the first frame."""
+    return Path(np.eye(4), np.zeros((6, 6)), 0.0, ERROR_SIGMA_PX**-2, np.eye(4))
+
+
+def travelled(path: Path, motion: Motion | None) -> Path:
+    """Return the path a frame later.
+
+    A motion is corrected, to first order, for what the constant error of disparity is by all frames
+    and not by its own block. Where the rig is lost the last motion is taken to go on: a guess,
+    which :attr:`Path.lost` tells.
+    """
+    if motion is None:
+        return replace(path, pose=path.pose @ path.last, lost=path.lost + 1)
+    counted = min(_ERROR_GAIN * motion.information, _ERROR_FLOOR_PX**-2)
+    information = path.information + counted
+    error = (path.error_px * path.information + motion.measured_px * counted) / information
+    moved = _small(motion.per_error * (told(error) - motion.error_px)) @ motion.before_from_now
+    turned = adjoint(_inverse(moved))
+    return Path(
+        pose=path.pose @ moved,
+        covariance=turned @ (path.covariance + motion.covariance) @ turned.T,
+        error_px=error,
+        information=min(information, _ERROR_FLOOR_PX**-2),
+        last=moved,
+    )
+
+
+def told(error_px: float) -> float:
+    """Return a measured constant error of disparity in px, 0 where it is too small to be told."""
+    low_px, high_px = _ERROR_TOLD_PX
+    return error_px * min(max((abs(error_px) - low_px) / (high_px - low_px), 0.0), 1.0)
+
+
+def adjoint(motion: Reals) -> Reals:
+    """Return the (6, 6) matrix that takes small motions to where a motion (4, 4) takes places."""
+    turn, (x, y, z) = motion[:3, :3], motion[:3, 3]
+    across = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    return np.block([[turn, across @ turn], [np.zeros((3, 3)), turn]])
+
+
+def _small(shift_and_turn: Reals) -> Reals:
+    motion = np.eye(4)
+    motion[:3, :3] = cv2.Rodrigues(shift_and_turn[3:])[0]
+    motion[:3, 3] = shift_and_turn[:3]
+    return motion
+
+
+def _inverse(motion: Reals) -> Reals:
+    """Return the inverse of a motion (4, 4)."""
+    back = np.eye(4)
+    back[:3, :3] = motion[:3, :3].T
+    back[:3, 3] = -motion[:3, :3].T @ motion[:3, 3]
+    return back
