@@ -7,7 +7,7 @@ BENCH = PYTHONPATH=tests $(BIN)/python -m bench
 GOLDEN = steering,depth,disparity
 
 .PHONY: demo test lint sample regress fuzz figures presets bench bench-accuracy bench-batch bench-drive \
-	bench-map bench-objects check-trials torture coverage renew man clean help
+	bench-map bench-objects check-trials torture sanitize coverage renew man clean help
 
 demo: $(READY)  ## run the main job on sample_data
 	$(BIN)/motionstereo run sample_data/left.mp4 sample_data/right.mp4 \
@@ -49,6 +49,17 @@ fuzz: $(READY)  ## try damaged calibration, poses, settings and tables, each for
 
 torture: $(READY)  ## damage input, kill runs, fill disks, run for long: half an hour
 	$(BENCH) torture
+
+# All tests that import what calls loops; a new one is among them by itself.
+LOOP_TESTS = $(shell grep -lP "motionstereo_cli\.(compiled|robot|method\.(?!settings))" tests/test_*.py)
+SANITIZER = $(foreach name,asan ubsan stdc++,$(shell gcc -print-file-name=lib$(name).so))
+sanitize: $(READY)  ## run the tests of the loops on loops that check each access to memory; Linux, gcc
+	$(BIN)/python -m motionstereo_cli.building.sanitize out/sanitize > out/sanitize.log 2>&1 \
+		|| { cat out/sanitize.log; exit 1; }
+	MOTIONSTEREO_LOOPS=$(CURDIR)/out/sanitize/motionstereo_cli/compiled LD_PRELOAD="$(SANITIZER)" \
+	ASAN_OPTIONS=detect_leaks=0 PYTHONMALLOC=malloc \
+		$(BIN)/pytest -p no:cacheprovider --capture=sys \
+		-W error::pytest.PytestUnraisableExceptionWarning $(LOOP_TESTS)
 
 # Coverage cannot see into compiled loops, so their tests run once more as plain Python.
 coverage: $(READY)  ## measure which branches of the package the tests pass through

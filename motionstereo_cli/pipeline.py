@@ -18,7 +18,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from motionstereo_cli.errors import SettingsError
+from motionstereo_cli.compiled import checked_array
+from motionstereo_cli.errors import InputError, SettingsError
 from motionstereo_cli.method.depth import depth
 from motionstereo_cli.method.matching import MATCH
 from motionstereo_cli.method.memory import Memory, age_of, in_mirror, mirrored, see
@@ -161,7 +162,7 @@ def process(
     """Yield the result of each stereo frame, in order.
 
     Args:
-        frames: rectified stereo frames of one size.
+        frames: rectified stereo frames of one size, that of the rig.
         settings: parameters; the defaults if None.
         rig: the camera, for depth in m and steering angles; without one they are None.
         pose_of: tells where the rig was; asked once a frame, in order. With it and a rig, the
@@ -171,9 +172,21 @@ def process(
         jobs: frames matched at a time; all but one of them are taken before a result is given.
         state: what is known before the first frame, as the ``state`` of an earlier result; nothing
             if None.
+
+    Raises:
+        InputError: a frame is not two (height, width) uint8 images, or of another size than the
+            rig, the state, or the frames before it.
+        SettingsError: a setting is not of its kind.
     """
+    settings = settings or Settings()
+    if not isinstance(settings, Settings):
+        raise SettingsError(f"settings are a {type(settings).__name__}: give Settings")
+    if unknown := set(extras) - EXTRAS:
+        raise SettingsError(f"there are no extras {unknown}: choose from {sorted(EXTRAS)}")
+    if jobs < 1:
+        raise SettingsError(f"jobs is {jobs}: give at least 1")
     context = StreamContext.of(
-        settings or Settings(),
+        settings,
         rig,
         with_poses=pose_of is not None,
         with_objects=with_objects,
@@ -264,8 +277,9 @@ def analysed(
     with ThreadPoolExecutor(jobs, "match") as threads:
         waiting: deque[tuple[StereoFrame, Memory, Memory, Future[FrameAnalysis]]] = deque()
         for frame in frames:
-            right = see(right, frame.right, context.settings)
-            left = see(left, frame.left, context.settings)
+            right_view, left_view = checked_views(frame, right, context.rig)
+            right = see(right, right_view, context.settings)
+            left = see(left, left_view, context.settings)
             found = threads.submit(analyse, frame, right, left, context)
             waiting.append((frame, right, left, found))
             if len(waiting) >= jobs:
@@ -273,6 +287,27 @@ def analysed(
                 yield first, its_right, its_left, found.result()
         for first, its_right, its_left, found in waiting:
             yield first, its_right, its_left, found.result()
+
+
+def checked_views(frame: StereoFrame, before: Memory | None, rig: Rig | None) -> tuple[Grey, Grey]:
+    """Return the right and the left view of a frame, contiguous in memory.
+
+    Args:
+        frame: what was given.
+        before: the right memory before it, which is of the same size; None at the first frame.
+        rig: its camera; None where it is not known.
+
+    Raises:
+        InputError: they are no grey images of one size, that of the memory and of the rig.
+    """
+    size = None if rig is None else (rig.height, rig.width)
+    if before is not None:
+        size = before.grey.shape
+    try:
+        right = checked_array(frame.right, np.uint8, size)
+        return right, checked_array(frame.left, np.uint8, right.shape)
+    except InputError as error:
+        raise InputError(f"frame {frame.index}: {error}") from None
 
 
 def analyse(

@@ -3,6 +3,7 @@
 They are built once for every machine and, on 64-bit Linux PCs, once more for processors of the
 last ten years (x86-64-v3), with the same results to the bit. With ``MOTIONSTEREO_UNCOMPILED=1`` in
 the environment they run as plain Python, a hundred times slower: for tests and for debuggers.
+``MOTIONSTEREO_LOOPS`` names a folder to take them from instead, as ``make sanitize`` does.
 """
 
 from __future__ import annotations
@@ -14,7 +15,13 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
 
+import numpy as np
+from numpy.typing import NDArray
+
+from motionstereo_cli.errors import InputError
+
 _T = TypeVar("_T")
+_Scalar = TypeVar("_Scalar", bound=np.generic)
 
 HERE = Path(__file__).parent
 
@@ -37,6 +44,8 @@ def _runs_v3() -> bool:
 
 def _folders() -> list[str]:
     """Return where the loops are: the first that has one is taken."""
+    if elsewhere := os.environ.get("MOTIONSTEREO_LOOPS"):
+        return [elsewhere]
     if os.environ.get("MOTIONSTEREO_UNCOMPILED") == "1":
         return [str(HERE)]
     folders = [HERE / "v3"] * _runs_v3() + [HERE / "baseline"]
@@ -50,6 +59,42 @@ def _folders() -> list[str]:
 
 
 __path__ = _folders()
+
+
+def checked_array(
+    array: NDArray[_Scalar], dtype: type[_Scalar], shape: tuple[int, ...] | None = None
+) -> NDArray[_Scalar]:
+    """Return an image as the loops take it, contiguous in memory: they check no index.
+
+    Args:
+        array: (height, width), neither of them 0.
+        dtype: what it has to be of.
+        shape: its height and width, where another image decides them.
+
+    Raises:
+        InputError: it is anything else.
+    """
+    array = np.asarray(array)
+    if array.ndim != 2 or array.dtype != dtype or 0 in array.shape:
+        raise InputError(
+            f"an array is {array.dtype} of shape {array.shape}: give a (height, width) image of "
+            f"{np.dtype(dtype)}"
+        )
+    if shape is not None and array.shape != shape:
+        raise InputError(f"arrays of shapes {shape} and {array.shape}: give images of one size")
+    return np.ascontiguousarray(array)
+
+
+def checked_number(name: str, value: int, low: int, high: int = 32767) -> int:
+    """Return a number that a loop or the size of a workspace depends on.
+
+    Raises:
+        InputError: it is not within ``low`` and ``high``.
+    """
+    if not low <= value <= high:
+        raise InputError(f"{name} is {value}: give {low} to {high}")
+    return int(value)
+
 
 _kept = threading.local()
 

@@ -125,6 +125,9 @@ def difference(
     k: cython.int
     height: cython.int = cython.cast(cython.int, scene.right.shape[0])
     width: cython.int = cython.cast(cython.int, scene.right.shape[1])
+    # Beyond a border the view goes on as it is there.
+    disparity = disparity if disparity > 0 else 0
+    disparity = disparity if disparity < width else width
     whole: cython.int = cython.cast(cython.int, disparity)
     share: cython.int = cython.cast(cython.int, (disparity - whole) * PER_PX)
     total: cython.int = 0

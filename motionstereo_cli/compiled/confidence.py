@@ -47,12 +47,16 @@ def confidence(
                     continue
                 is_filled: cython.bint = isnan(matched[y, x])
                 count: cython.float = filled_votes if is_filled else votes[y, x]
+                count = count if count > 0 else 0
+                count = count if count < most_votes else most_votes
                 grey: cython.float = filled_residual if is_filled else residual[y, x]
                 frames: cython.float = cython.cast(cython.float, age[y, x])
                 logit: cython.float = (
-                    per_vote[min(cython.cast(cython.int, count), most_votes)]
+                    per_vote[cython.cast(cython.int, count)]
                     + per_grey_level * grey
                     + per_frame * frames
                 )
-                step: cython.int = cython.cast(cython.int, (logit + largest_logit) * steps)
-                chance[y, x] = logistic[max(min(step, last), 0)]
+                step: cython.float = (logit + largest_logit) * steps
+                step = step if step > 0 else 0
+                step = step if step < last else last
+                chance[y, x] = logistic[cython.cast(cython.int, step)]

@@ -259,8 +259,8 @@ def propose(frame: Frame, y: cython.int, work: Workspace) -> cython.void:
         for d in range(cost.shape[1]):
             cost[x, d] = window[x, d] + w
             total[x, d] = 0
-        if w > 0:
-            wanted: cython.float = frame.proposed[y, x]
+        wanted: cython.float = frame.proposed[y, x]
+        if w > 0 and 0 <= wanted < count + 2:
             near: cython.int = cython.cast(cython.int, wanted + 0.5)
             for k in range(max(near - 2, 0), min(near + 3, count)):
                 away: cython.float = abs(k - wanted)

@@ -117,6 +117,7 @@ def differences(
     step: cython.int
     known: cython.int = 0
     width: cython.int = cython.cast(cython.int, disparity.shape[1])
+    last: cython.float = cython.cast(cython.float, width - 1)
     difference: cython.float[:, ::1] = work.difference
     histogram: cython.int[::1] = work.histogram
     histogram[:] = 0
@@ -125,8 +126,9 @@ def differences(
             if isnan(disparity[y, x]):
                 difference[y, x] = NAN
                 continue
-            place: cython.float = cython.cast(cython.float, x) + disparity[y, x]
-            column: cython.int = min(cython.cast(cython.int, place), width - 1)
+            # Beyond a border the view goes on as it is there.
+            place: cython.float = min(max(x + disparity[y, x], ZERO), last)
+            column: cython.int = cython.cast(cython.int, place)
             near: cython.float = cython.cast(cython.float, left[y, column])
             far: cython.float = cython.cast(cython.float, left[y, min(column + 1, width - 1)])
             part: cython.float = place - cython.cast(cython.float, column)

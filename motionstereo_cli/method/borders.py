@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from motionstereo_cli.compiled import borders as loops
+from motionstereo_cli.compiled import checked_array
 
 Reals = NDArray[np.float32]
 
@@ -52,7 +53,8 @@ def trimmed(
         disparity_px: (height, width) float32, NaN = unknown.
         right, left: views of equal brightness, (height, width) uint8.
     """
-    disparity_px = np.ascontiguousarray(disparity_px)
+    disparity_px = checked_array(disparity_px, np.float32)
+    right, left = (checked_array(view, np.uint8, disparity_px.shape) for view in (right, left))
     result = np.empty_like(disparity_px)
     scene = loops.Scene(  # type: ignore[call-arg]
         disparity_px, right.astype(np.int16), left.astype(np.int16)
@@ -68,7 +70,8 @@ def hidden_filled(disparity_px: Reals, where: NDArray[np.bool_]) -> NDArray[np.f
         disparity_px: (height, width) float32, NaN = unknown.
         where: pixels that may be filled, (height, width) bool.
     """
-    disparity_px, where = np.ascontiguousarray(disparity_px), np.ascontiguousarray(where)
+    disparity_px = checked_array(disparity_px, np.float32)
+    where = checked_array(where, np.bool_, disparity_px.shape)
     result = np.empty_like(disparity_px)
     loops.fill_hidden(
         disparity_px, where.view(np.uint8), _LEAP, _MORE_PX, _BEHIND_PX, _MAX_LEAP, result

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from motionstereo_cli.compiled import cleaning, reused
+from motionstereo_cli.compiled import checked_array, cleaning, reused
 
 
 def without_speckles(
@@ -18,7 +18,8 @@ def without_speckles(
         where: pixels that count, (height, width) bool; all others become unknown.
         min_px: pixels of the largest patch that goes.
     """
-    disparity_px, where = np.ascontiguousarray(disparity_px), np.ascontiguousarray(where)
+    disparity_px = checked_array(disparity_px, np.float32)
+    where = checked_array(where, np.bool_, disparity_px.shape)
     result = np.empty_like(disparity_px)
     work = reused(cleaning.Workspace, *disparity_px.shape)
     cleaning.without_speckles(disparity_px, where.view(np.uint8), min_px, work, result)
@@ -38,7 +39,8 @@ def filled(
         where: pixels that may be filled, (height, width) bool.
         gap_px: widest gap that is filled.
     """
-    disparity_px, where = np.ascontiguousarray(disparity_px), np.ascontiguousarray(where)
+    disparity_px = checked_array(disparity_px, np.float32)
+    where = checked_array(where, np.bool_, disparity_px.shape)
     result = np.empty_like(disparity_px)
     cleaning.fill(disparity_px, where.view(np.uint8), gap_px, result)
     return result

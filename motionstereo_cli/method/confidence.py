@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from motionstereo_cli.compiled import checked_array
 from motionstereo_cli.compiled import confidence as loops
 
 #: Logistic regression on what is known of a match: constant, log2 of votes, residual in grey
@@ -63,13 +64,14 @@ def confidence(
         residual: difference of grey between the views, (height, width) float32.
         age_frames: frames since something moved there, (height, width) uint8.
     """
-    chance = np.empty(disparity_px.shape, np.float32)
+    disparity_px = checked_array(disparity_px, np.float32)
+    chance, shape = np.empty_like(disparity_px), disparity_px.shape
     loops.confidence(
-        np.ascontiguousarray(disparity_px),
-        np.ascontiguousarray(matched_px),
-        np.ascontiguousarray(votes),
-        np.ascontiguousarray(residual),
-        np.ascontiguousarray(age_frames),
+        disparity_px,
+        checked_array(matched_px, np.float32, shape),
+        checked_array(votes, np.float32, shape),
+        checked_array(residual, np.float32, shape),
+        checked_array(age_frames, np.uint8, shape),
         *(_PER_VOTE, _PER_GREY_LEVEL, _PER_FRAME, _FILLED_VOTES, _FILLED_RESIDUAL),
         *(_LOGISTIC, _LARGEST_LOGIT, _STEPS, chance),
     )
@@ -88,12 +90,12 @@ def confidence_by_margin(
         matched_px: the same without what was filled in, (height, width) float32.
         margin: by how much the second best disparity costs more, (height, width) float32.
     """
-    chance = np.empty(disparity_px.shape, np.float32)
-    margin = np.ascontiguousarray(margin)
-    nothing = np.float32(0)
+    disparity_px = checked_array(disparity_px, np.float32)
+    chance, nothing = np.empty_like(disparity_px), np.float32(0)
+    margin = checked_array(margin, np.float32, disparity_px.shape)
     loops.confidence(
-        np.ascontiguousarray(disparity_px),
-        np.ascontiguousarray(matched_px),
+        disparity_px,
+        checked_array(matched_px, np.float32, disparity_px.shape),
         *(margin, margin, np.zeros(margin.shape, np.uint8)),
         *(_PER_MARGIN, nothing, nothing, _FILLED_MARGIN, nothing),
         *(_LOGISTIC, _LARGEST_LOGIT, _STEPS, chance),

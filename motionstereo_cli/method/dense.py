@@ -12,8 +12,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from motionstereo_cli.compiled import checked_array, checked_number, reused
 from motionstereo_cli.compiled import dense as loops
-from motionstereo_cli.compiled import reused
 
 #: Views are matched at half the height: half the time, and no worse, for noise averages out.
 ROWS = 2
@@ -148,16 +148,17 @@ def semi_global(
         weight: what speaks against all others, 0 where none is proposed, (rows, width).
         max_disparity: px.
     """
-    disparity, margin = np.empty((2, *right.shape), np.float32)
+    right = checked_array(right, np.int16)
+    shape = right.shape
+    disparity, margin = np.empty((2, *shape), np.float32)
     frame = loops.Frame(  # type: ignore[call-arg]
-        np.ascontiguousarray(right),
-        np.ascontiguousarray(left),
-        np.ascontiguousarray(right_slope),
-        np.ascontiguousarray(left_slope),
-        np.ascontiguousarray(where).view(np.uint8),
-        np.ascontiguousarray(proposed_px),
-        np.ascontiguousarray(weight),
+        right,
+        *(checked_array(each, np.int16, shape) for each in (left, right_slope, left_slope)),
+        checked_array(where, np.bool_, shape).view(np.uint8),
+        checked_array(proposed_px, np.float32, shape),
+        checked_array(weight, np.int16, shape),
     )
-    work = reused(loops.Workspace, *right.shape, max_disparity + 1)
+    disparities = 1 + checked_number("max_disparity", max_disparity, 0)
+    work = reused(loops.Workspace, *shape, disparities)
     loops.semi_global(frame, WEIGHTS, work, disparity, margin)
     return disparity, margin

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from motionstereo_cli.compiled import checked_array
 from motionstereo_cli.compiled import match_keys as loops
 
 
@@ -24,10 +25,12 @@ def match_keys(
         charge_min: the charge at rest.
         bands: bands 1..256, (height, width), or None.
     """
-    charge = np.ascontiguousarray(charge)
+    charge = checked_array(charge, np.uint8)
     key = np.empty(charge.shape, np.uint16)
     if bands is None:
         loops.by_charge(charge, charge_min, key)
     else:
-        loops.by_charge_and_band(charge, charge_min, np.ascontiguousarray(bands - 1, np.uint8), key)
+        kind = np.uint16 if bands.dtype == np.uint16 else np.uint8  # of 256 bands, of fewer
+        band = checked_array(bands, kind, charge.shape)
+        loops.by_charge_and_band(charge, charge_min, (band - 1).astype(np.uint8), key)
     return key

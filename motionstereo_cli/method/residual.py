@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from motionstereo_cli.compiled import checked_array, reused
 from motionstereo_cli.compiled import residual as loops
-from motionstereo_cli.compiled import reused
 
 
 def residual(
@@ -23,8 +23,8 @@ def residual(
         disparity_px: x in the left view minus x in the right one, float32, NaN = unknown.
         right, left: grey levels of the two views, (height, width) uint8.
     """
-    disparity_px = np.ascontiguousarray(disparity_px)
-    right, left = map(np.ascontiguousarray, (right, left))
+    disparity_px = checked_array(disparity_px, np.float32)
+    right, left = (checked_array(view, np.uint8, disparity_px.shape) for view in (right, left))
     result = np.empty_like(disparity_px)
     work = reused(loops.Workspace, *disparity_px.shape)
     loops.residual(disparity_px, right, left, work, result)

@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from motionstereo_cli.compiled import reused, trails
+from motionstereo_cli.compiled import checked_array, checked_number, reused, trails
 
 Reals = NDArray[np.float32]
 
@@ -45,8 +45,12 @@ def match_trails(
         max_ratio: largest support of a trail's second best pair as a share of the best's.
         min_votes: votes, in 3 x 3 blocks and within +-2 px, that a disparity needs.
     """
+    right = checked_array(right, np.uint16)
+    left = checked_array(left, np.uint16, right.shape)
+    checked_number("max_disparity", max_disparity, 0)
+    for size_px in block_px:
+        checked_number("block_px", size_px, 1)
     work = reused(trails.Workspace, *right.shape, max_disparity, *block_px)
     disparity, votes = np.empty(right.shape, np.float32), np.empty(right.shape, np.float32)
-    right, left = map(np.ascontiguousarray, (right, left))
     trails.match(right, left, max_ratio, min_votes, work, disparity, votes)
     return disparity, votes

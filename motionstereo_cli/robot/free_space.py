@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from motionstereo_cli.compiled import checked_array, checked_number, reused
 from motionstereo_cli.compiled import free_space as loops
-from motionstereo_cli.compiled import reused
 
 #: Share of an image, and of a strip of it, below which its matches are taken for noise.
 MIN_KNOWN_SHARE = 0.002
@@ -101,13 +101,14 @@ def find_ground(nearness_px: NDArray[np.float32], middle_row: float) -> Ground |
         nearness_px: disparity + doffs, (height, width) float32, NaN = unknown.
         middle_row: where the horizon would be if the camera were level.
     """
+    nearness_px = checked_array(nearness_px, np.float32)
     height, width = nearness_px.shape
     far_px = float(quantiles(nearness_px, 1, _FULL_SCALE, min_share=MIN_KNOWN_SHARE)[0])
     if math.isnan(far_px):
         return None
     bin_px = max(far_px, 1.0) * 1.1 / _BINS
     counts = np.zeros((_ROWS, _BINS), np.int32)
-    loops.count_in_rows(np.ascontiguousarray(nearness_px), bin_px, counts)
+    loops.count_in_rows(nearness_px, bin_px, counts)
     # Each row counts alike, but one with few known pixels less.
     few = 0.02 * width * height / _ROWS
     farther = np.zeros((_ROWS, _BINS + 1))
@@ -147,12 +148,12 @@ def free_space(
         row_px, column_px: px of the camera's image for each row and column of these; rows as if
             pixels were square.
     """
+    nearness_px = checked_array(nearness_px, np.float32)
     width = nearness_px.shape[1] * column_px
     nothing = np.full(strips, np.nan, np.float32)
     if ground is None:
         standing = quantiles(nearness_px, strips, 1 - _NEARER_SHARE)
         return FreeSpace(standing, nothing, math.nan, width)
-    nearness_px = np.ascontiguousarray(nearness_px)
     stands, lies = np.empty_like(nearness_px), np.empty_like(nearness_px)
     heights = (_GROUND_SHARE, _GROUND_UP, _OVERHEAD_UP)
     loops.split(nearness_px, ground.slope, ground.horizon, _GROUND_PX, *heights, stands, lies)
@@ -266,9 +267,9 @@ def quantiles(
         share: which quantile of the known values, 0..1.
         min_share: share of a strip that has to be known, else NaN.
     """
-    values = np.ascontiguousarray(values)
+    values = checked_array(values, np.float32)
     height, width = values.shape
-    begin = strip_borders(width, strips)
+    begin = strip_borders(width, checked_number("strips", strips, 1, width))
     result = np.empty(strips, np.float32)
     work = reused(loops.Workspace, height, width)
     loops.quantiles(values, begin.astype(np.int32), share, min_share, work, result)

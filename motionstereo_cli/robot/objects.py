@@ -16,6 +16,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from motionstereo_cli.compiled import checked_array
 from motionstereo_cli.compiled import objects as loops
 from motionstereo_cli.robot.assignment import assignment
 
@@ -138,8 +139,8 @@ def _in_cells(nearness_px: Reals, fresh: NDArray[np.bool_]) -> tuple[Reals, Real
     shape = tuple(max(size // CELL_PX, 1) for size in nearness_px.shape)
     share, mean = np.empty(shape, np.float32), np.empty(shape, np.float32)
     loops.in_cells(
-        np.ascontiguousarray(nearness_px),
-        np.ascontiguousarray(fresh).view(np.uint8),
+        checked_array(nearness_px, np.float32),
+        checked_array(fresh, np.bool_, nearness_px.shape).view(np.uint8),
         *(CELL_PX, _MIN_SHARE, _JUMP_PX, _JUMP_SHARE, share, mean),
     )
     return share, mean

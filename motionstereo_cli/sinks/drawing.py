@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
+from motionstereo_cli.compiled import checked_array
 from motionstereo_cli.compiled.pictures import levels_of
 from motionstereo_cli.files.video import table_of
 from motionstereo_cli.sinks.scale import FARTHEST, DepthScale, palette
@@ -57,7 +58,7 @@ def depth_levels(disparity_px: Real, scale: DepthScale) -> tuple[NDArray[np.uint
     Returns:
         (height, width) uint8; True where a disparity is known.
     """
-    disparity_px = np.ascontiguousarray(disparity_px)
+    disparity_px = checked_array(disparity_px, np.float32)
     per_px, table = _level_table(scale)
     levels = np.empty(disparity_px.shape, np.uint8)
     known = levels_of(disparity_px, scale.doffs, per_px, table, levels)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
+from motionstereo_cli.compiled import checked_array
 from motionstereo_cli.compiled.pictures import to_uint16
 from motionstereo_cli.files.encode import encode_pfm, encode_png, encode_tiff
 from motionstereo_cli.sinks.writers import FilesMark, NumberedFiles
@@ -83,7 +84,7 @@ def known_depth_m(images: FrameImages) -> Real:
 
 
 def _to_uint16(values: Real, per_unit: int) -> NDArray[np.uint16]:
-    values = np.ascontiguousarray(values)
+    values = checked_array(values, np.float32)
     result = np.empty(values.shape, np.uint16)
     to_uint16(values, per_unit, _UINT16_MAX / per_unit, result)
     return result
