@@ -315,7 +315,7 @@ def test_a_piece_says_what_became_of_it_only_if_it_failed(long_clip, tmp_path):
 def test_processes_that_write_a_file_at_the_same_time_do_not_take_each_others_part(tmp_path):
     def write(number):
         for _ in range(200):
-            write_whole(tmp_path / "file", str(number).encode(), writer=str(number))
+            write_whole(tmp_path / "file", str(number).encode())
 
     with ThreadPoolExecutor() as threads:
         list(threads.map(write, range(4)))

@@ -21,7 +21,7 @@ import motionstereo_cli.runs.run as run_module
 from motionstereo_cli.__main__ import main
 from motionstereo_cli.errors import BusyError, OutputError, SettingsError
 from motionstereo_cli.files import targets
-from motionstereo_cli.files.atomic import part_of, write_whole
+from motionstereo_cli.files.atomic import write_whole
 from motionstereo_cli.files.lock import locked
 from motionstereo_cli.method.memory import Memory
 from motionstereo_cli.method.settings import Settings
@@ -156,19 +156,31 @@ def test_a_table_is_of_one_run(recording, monkeypatch, capsys):
     options = ["-o", "out", "--save", "charge-png"]
     with ending_at(5, monkeypatch):
         assert ran(*options, "--csv", "t.csv") == 1
-    assert ran("-o", "other", "--save", "charge-png", "--csv", "t.csv") == 1
-    assert "t.csv.part is there already" in capsys.readouterr().err
-    part_of(Path("t.csv")).rename("kept")
+    begun = Path("out/table.part").read_bytes()
     Path("t.csv").write_text("frame\nmine\n" * 99)
-    assert ran(*options, "--csv", "t.csv", "--resume") == 1
-    assert "t.csv.part was cut or changed" in capsys.readouterr().err
+    for option in ("--resume", "--overwrite"):
+        assert ran(*options, "--csv", "t.csv", option) == 1
+        assert "t.csv was not written by an earlier run" in capsys.readouterr().err
     assert Path("t.csv").read_text() == "frame\nmine\n" * 99
-    Path("kept").rename("t.csv.part")
+    Path("t.csv").unlink()
+    Path("out/table.part").write_bytes(begun.replace(b"0,0", b"0,1", 1))
+    assert ran(*options, "--csv", "t.csv", "--resume") == 1
+    assert "table.part was cut or changed" in capsys.readouterr().err
+    Path("out/table.part").write_bytes(begun)
     assert ran(*options, "--csv", str(Path("t.csv").absolute()), "--resume") == 0
-    assert Path("t.csv").read_text().count("\n") == 1 + FRAMES
+    whole = Path("t.csv").read_text()
+    assert whole.count("\n") == 1 + FRAMES
+    for option in ("--resume", "--overwrite"):
+        assert ran(*options, "--csv", "t.csv", option) == 0
+        assert Path("t.csv").read_text() == whole
+    assert ran("-o", "other", "--save", "charge-png", "--csv", "t.csv", "--overwrite") == 1
+    assert "t.csv was not written by an earlier run into other" in capsys.readouterr().err
+    Path("t.csv").write_text(whole + "mine\n")
+    assert ran(*options, "--csv", "t.csv", "--overwrite") == 1
+    assert Path("t.csv").read_text() == whole + "mine\n"
     Path("t.csv").unlink()
     assert ran(*options, "--csv", "t.csv", "--resume") == 1
-    assert "out is complete, but t.csv is missing" in capsys.readouterr().err
+    assert "t.csv is no longer what the run wrote" in capsys.readouterr().err
 
 
 # Links.
@@ -195,15 +207,21 @@ def test_no_planted_link_is_written_through(recording, monkeypatch, frame):
         assert ran(*options) == 1
     Path("victim").write_text("precious")
     names = ["run.checkpoint.part", "run.json.part.part", "steering.csv", "charge.mp4"]
-    names += ["charge-png/000005.png", "charge-png/000005.png.part", "charge.mp4.part"]
-    for name in (*names, "charge.0001.mp4.part", "../t.csv"):
+    names += ["charge-png/000005.png", "charge.mp4.part"]
+    for name in (*names, "charge.0001.mp4.part"):
         Path("out", name).unlink(missing_ok=True)
         Path("out", name).symlink_to(recording / "victim")
     # Without a checkpoint it starts again, and an image that it had not written is not its own.
     assert ran(*options, "--resume") == (1 if frame == 2 else 0)
     assert Path("victim").read_text() == "precious"
     if frame == 5:
-        assert not [path for path in Path("out").rglob("*") if path.is_symlink()]
+        planted = {path.name for path in Path("out").rglob("*") if path.is_symlink()}
+        assert planted == {"run.checkpoint.part", "run.json.part.part"}  # names of nobody
+    Path("t.csv").unlink(missing_ok=True)
+    Path("t.csv").symlink_to(recording / "victim")
+    assert ran(*options, "--overwrite") == 1
+    assert Path("t.csv").is_symlink()
+    assert Path("victim").read_text() == "precious"
 
 
 def test_a_folder_that_becomes_a_link_ends_the_run(recording, monkeypatch, capsys):

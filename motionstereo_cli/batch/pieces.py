@@ -15,9 +15,7 @@ from __future__ import annotations
 import io
 import itertools
 import math
-import os
 import pickle
-import shutil
 import time
 import zlib
 from collections.abc import Iterable, Iterator, Sequence
@@ -26,7 +24,10 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from motionstereo_cli.errors import NO_FRAMES, InputError, OutputError, SettingsError
-from motionstereo_cli.files.atomic import part_of, reported
+from motionstereo_cli.files.atomic import Temporary, reported
+from motionstereo_cli.files.folders import make_folder, remove_empty
+from motionstereo_cli.files.reading import open_regular
+from motionstereo_cli.files.targets import link_new
 from motionstereo_cli.files.video import join
 from motionstereo_cli.pipeline import (
     FrameAnalysis,
@@ -40,12 +41,12 @@ from motionstereo_cli.pipeline import (
 from motionstereo_cli.robot.free_space import FreeSpace
 from motionstereo_cli.robot.guide import ImageProfile, MapProfile
 from motionstereo_cli.runs.checkpoint import Reader
-from motionstereo_cli.runs.folder import RunFolder, record_of
+from motionstereo_cli.runs.folder import RunFolder, discard, record_of
 from motionstereo_cli.runs.folder_files import FolderKind
 from motionstereo_cli.runs.open_outputs import Totals
 from motionstereo_cli.runs.plan import RunPlan
 from motionstereo_cli.runs.record import Job, RunReport, identity_of, outcome, report_of, report_on
-from motionstereo_cli.runs.run import Watcher, add_table, inputs_of, job_of, opened
+from motionstereo_cli.runs.run import Watcher, add_table, inputs_of, job_of, opened, table_of
 from motionstereo_cli.sinks.outputs import OUTPUTS
 from motionstereo_cli.sinks.videos import beginning
 from motionstereo_cli.sources import open_stereo
@@ -116,7 +117,7 @@ def run_piece(plan: RunPlan, piece: Piece, watcher: Watcher, *, seek: bool = Tru
     """
     folder = folder_of(plan, piece)
     if not seek and (done := record_of(folder, PIECE)) and done["sought"]:
-        shutil.rmtree(folder)
+        discard(folder, PIECE)
     with open_stereo(plan.left, plan.right, plan.input_settings) as source:
         job = job_of(plan, source, watcher)
         names = tuple(name for name in job.save if OUTPUTS[name].takes == "images")
@@ -125,6 +126,7 @@ def run_piece(plan: RunPlan, piece: Piece, watcher: Watcher, *, seek: bool = Tru
             **identity_of(job, inputs_of(job)),
             "program": PIECE.program,
             "outputs": dict.fromkeys(outputs),
+            "first": piece.first,
             "piece": list(piece),
         }
         with RunFolder(folder, outputs, PIECE, identity=identity, resume=True) as sinks:
@@ -203,7 +205,7 @@ class _KeptFile:
     def __init__(self, path: Path) -> None:
         self._path = path
         with reported(path):
-            self._file = part_of(path).open("wb")
+            self._file = Temporary(path)
 
     def add(self, summary: FrameSummary, images: FrameImages | None) -> None:
         """Append a frame, with those of its images that are shown beside its step."""
@@ -212,18 +214,16 @@ class _KeptFile:
             shown = images.view, images.charge, images.disparity_px
             packed = zlib.compress(pickle.dumps(shown), 1)
         with reported(self._path):
-            pickle.dump((summary, packed), self._file)
+            pickle.dump((summary, packed), self._file.content)
 
     def close(self) -> None:
         """Complete the file and give it its name."""
         with reported(self._path):
-            self._file.close()
-            os.replace(part_of(self._path), self._path)
+            self._file.place()
 
     def abandon(self, *, keep: bool) -> None:
         """Remove the file."""
-        self._file.close()
-        part_of(self._path).unlink(missing_ok=True)
+        self._file.discard()
 
 
 def join_pieces(plan: RunPlan, pieces: Sequence[Piece], watcher: Watcher) -> RunReport:
@@ -239,7 +239,11 @@ def join_pieces(plan: RunPlan, pieces: Sequence[Piece], watcher: Watcher) -> Run
         assert plan.folder is not None
         inputs = inputs_of(job)
         with RunFolder(
-            *(plan.folder, job.save), identity=identity_of(job, inputs), resume=True, inputs=inputs
+            *(plan.folder, job.save),
+            identity=identity_of(job, inputs),
+            resume=True,
+            inputs=inputs,
+            table=table_of(plan),
         ) as sinks:
             if sinks.finished is not None:
                 return report_of(sinks.finished, plan)
@@ -255,7 +259,9 @@ def join_pieces(plan: RunPlan, pieces: Sequence[Piece], watcher: Watcher) -> Run
             counts = {**came["counts"], "written": report.frames}
             more = {key: mine[key] for key in ("shares", "timing")}
             sinks.complete({"options": plan.options} | came | {"counts": counts} | more)
-    shutil.rmtree(folder_of(plan), ignore_errors=True)
+    for folder in folders:
+        discard(folder, PIECE)
+    remove_empty(folder_of(plan))
     return report
 
 
@@ -282,7 +288,7 @@ def _kept(folder: Path, rig: Rig | None) -> Iterator[tuple[FrameSummary, FrameIm
     path = folder / PIECE.outputs[_KEPT][0]
     classes = FrameSummary, FrameTime, ImageProfile, MapProfile, FreeSpace
     try:
-        with path.open("rb") as file:
+        with open_regular(path) as file:
             while file.peek(1):
                 summary, packed = Reader(file, classes).load()
                 images = None
@@ -303,13 +309,8 @@ def _put_together(path: str, folders: Sequence[Path], out: Path) -> None:
     if "{" not in path:
         join([found for folder in folders if (found := folder / path).exists()], out / path)
         return
-    (out / path).parent.mkdir(exist_ok=True)
+    make_folder((out / path).parent)
     for folder in folders:
         for file in sorted((folder / path).parent.glob(f"*{Path(path).suffix}")):
             target = (out / path).with_name(file.name)
-            with reported(target):
-                try:
-                    os.link(file, target)
-                except OSError:  # a disk without hard links
-                    shutil.copyfile(file, part_of(target))
-                    os.replace(part_of(target), target)
+            link_new(file, target)

@@ -6,8 +6,6 @@ import csv
 import dataclasses
 import io
 import json
-import os
-import socket
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -71,8 +69,7 @@ def write_status(out: Path, status: Status) -> None:
     path = status_path(out, status.name)
     path.parent.mkdir(parents=True, exist_ok=True)
     content = json.dumps(dataclasses.asdict(status)).encode() + b"\n"
-    # Pieces of a recording may fail at the same time.
-    write_whole(path, content, writer=f"{socket.gethostname()}-{os.getpid()}")
+    write_whole(path, content)  # of pieces that fail at the same time, the last one wins
 
 
 def read_status(out: Path, name: str) -> Status:

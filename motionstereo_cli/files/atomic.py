@@ -1,7 +1,8 @@
-"""Writing so that nothing incomplete ever has a final name, and no link is followed.
+"""Writing so that nothing incomplete ever has a final name, and nothing of others is touched.
 
-What is written first bears a name that ends in ``.part``. Whatever bears that name before, such
-as a link that leads elsewhere, is removed and not written through.
+What is written at once bears a random name until it is whole: one that is made for it, so that no
+file, link or folder of others can be in its way. What takes longer (tables, segments of videos)
+has a name that ends in ``.part``, in a folder of results whose names are this program's.
 """
 
 from __future__ import annotations
@@ -9,21 +10,26 @@ from __future__ import annotations
 import contextlib
 import os
 import re
-from collections.abc import Iterable, Iterator
-from itertools import groupby
+import secrets
+from collections.abc import Iterator
 from pathlib import Path
+from typing import BinaryIO
 
 from motionstereo_cli.errors import OutputError
 
 #: Flags that some systems do not have.
 _NO_LINK = getattr(os, "O_NOFOLLOW", 0)
 _BINARY = getattr(os, "O_BINARY", 0)
-_FOLDER = getattr(os, "O_DIRECTORY", 0)
+_NO_WAIT = getattr(os, "O_NONBLOCK", 0)
+
+#: How random names begin and end, by which those that a kill left are known.
+_MARK, _PART = ".motionstereo-", ".part"
+_MARKED = re.compile(rf"{re.escape(_MARK)}[0-9a-f]{{16}}{re.escape(_PART)}")
 
 
 def part_of(path: Path) -> Path:
-    """Return the name that ``path`` has while it is being written."""
-    return path.with_name(path.name + ".part")
+    """Return the name that ``path`` has while it is being written over several frames."""
+    return path.with_name(path.name + _PART)
 
 
 def segment_of(path: Path, number: int) -> Path:
@@ -33,7 +39,13 @@ def segment_of(path: Path, number: int) -> Path:
 
 def is_segment(name: str, path: Path) -> bool:
     """Return whether a file's name is that of a segment of the video ``path``."""
-    return re.fullmatch(rf"{path.stem}\.\d{{4,}}{path.suffix}\.part", name) is not None
+    stem, suffix = re.escape(path.stem), re.escape(path.suffix)
+    return re.fullmatch(rf"{stem}\.\d{{4,}}{suffix}\.part", name) is not None
+
+
+def is_left_over(path: Path) -> bool:
+    """Return whether a file is one that this program was killed over before it had its name."""
+    return _MARKED.fullmatch(path.name) is not None and path.is_file() and not path.is_symlink()
 
 
 @contextlib.contextmanager
@@ -41,7 +53,8 @@ def reported(path: Path | str) -> Iterator[None]:
     """Turn the system's errors while writing ``path`` into one that names it.
 
     Raises:
-        OutputError: the block raised an OSError (full disk, no permission, ...).
+        OutputError: the block raised an OSError (full disk, no permission, ...), or a ValueError
+            because the name has a NUL.
         BrokenPipeError: as it stands, because a reader that has gone is no failure.
     """
     try:
@@ -50,16 +63,90 @@ def reported(path: Path | str) -> Iterator[None]:
         raise
     except OSError as error:
         raise OutputError(f"cannot write {path}: {error.strerror or error}") from error
+    except ValueError as error:
+        if "null" not in str(error):
+            raise
+        raise OutputError(f"cannot write {path}: its name has a NUL") from error
+
+
+class Temporary:
+    """A new file beside its final name, which it gets when it is whole.
+
+    Args:
+        final: that name.
+
+    Attributes:
+        path: its random name until then.
+        content: the file, open for writing.
+
+    Raises:
+        OSError: it cannot be made.
+    """
+
+    def __init__(self, final: Path) -> None:
+        self._final = final
+        self.path = final.with_name(f"{_MARK}{secrets.token_hex(8)}{_PART}")
+        self.content: BinaryIO = os.fdopen(_made(self.path), "wb")
+        self._status = os.fstat(self.content.fileno())
+
+    def place(self, *, durable: bool = False) -> None:
+        """Give the file its name, in the place of what has it; a link is replaced as such.
+
+        With ``durable``, the disk holds it before it gets its name.
+
+        Raises:
+            OSError: it cannot be written.
+        """
+        self._end(durable=durable)
+        os.replace(self.path, self._final)
+
+    def place_new(self) -> None:
+        """Give the file its name, which nothing has yet; the disk holds it before.
+
+        Raises:
+            FileExistsError: something has the name.
+            OSError: it cannot be written.
+        """
+        self._end(durable=True)
+        try:
+            os.link(self.path, self._final, follow_symlinks=False)
+        except FileExistsError:
+            raise
+        except OSError:  # a disk without hard links
+            os.close(_made(self._final))
+            os.replace(self.path, self._final)
+        else:
+            self.discard()
+
+    def discard(self) -> None:
+        """Remove the file, if it did not get its name; never another one that took its place."""
+        with contextlib.suppress(OSError):
+            self.content.close()
+        with contextlib.suppress(OSError):
+            if os.path.samestat(os.lstat(self.path), self._status):
+                self.path.unlink()
+
+    def _end(self, *, durable: bool) -> None:
+        self.content.flush()
+        if durable:
+            os.fsync(self.content.fileno())
+        self.content.close()
+
+
+def _made(path: Path) -> int:
+    return os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | _NO_LINK | _BINARY, 0o666)
 
 
 def open_new(path: Path) -> int:
-    """Return the descriptor of a new, empty file; what bore its name is removed, a link as such.
+    """Return the descriptor of a new, empty file in a folder of results, whose names are ours.
+
+    What bore its name is removed, a link as such.
 
     Raises:
         OSError: the file cannot be made.
     """
     path.unlink(missing_ok=True)
-    return os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | _NO_LINK | _BINARY, 0o666)
+    return _made(path)
 
 
 def open_again(path: Path) -> int:
@@ -68,30 +155,52 @@ def open_again(path: Path) -> int:
     Raises:
         OSError: there is no such file, or it cannot be opened.
     """
-    return os.open(path, os.O_RDWR | _NO_LINK | _BINARY)
+    return os.open(path, os.O_RDWR | _NO_LINK | _NO_WAIT | _BINARY)
 
 
-def write_whole(path: Path, content: bytes, *, durable: bool = False, writer: str = "") -> None:
-    """Write a small file at once: beside its final name, then renamed.
+def name_part(path: Path) -> None:
+    """Give what was written as the ``.part`` of ``path`` its name.
 
-    With ``durable``, the disk holds it before it gets its name. Where several processes may write
-    it at the same time, each gives a ``writer`` of its own, and the last one wins.
+    Raises:
+        OSError: it cannot be renamed.
+    """
+    os.replace(part_of(path), path)
+
+
+def unname(path: Path) -> None:
+    """Make a file the ``.part`` of its name again.
+
+    Raises:
+        OSError: it cannot be renamed.
+    """
+    os.replace(path, part_of(path))
+
+
+def remove_own(path: Path) -> None:
+    """Remove a file in a folder of results, whose names are ours, if it is there.
+
+    Raises:
+        OutputError: it cannot be removed.
+    """
+    with reported(path):
+        path.unlink(missing_ok=True)
+
+
+def write_whole(path: Path, content: bytes, *, durable: bool = False) -> None:
+    """Write a small file at once: under a random name, then renamed; the last writer wins.
+
+    With ``durable``, the disk holds it before it gets its name.
 
     Raises:
         OutputError: the file cannot be written.
     """
-    part = part_of(path.with_name(f"{path.name}.{writer}") if writer else path)
     with reported(path):
+        file = Temporary(path)
         try:
-            with os.fdopen(open_new(part), "wb") as file:
-                file.write(content)
-                if durable:
-                    file.flush()
-                    os.fsync(file.fileno())
-            os.replace(part, path)
+            file.content.write(content)
+            file.place(durable=durable)
         except BaseException:
-            with contextlib.suppress(OSError):
-                part.unlink(missing_ok=True)
+            file.discard()
             raise
 
 
@@ -107,56 +216,3 @@ def sync(path: Path) -> None:
             os.fsync(file)
         finally:
             os.close(file)
-
-
-def make_folder(path: Path) -> None:
-    """Make a folder for results where it is missing.
-
-    Raises:
-        OutputError: it cannot be made, or a link stands in its place.
-    """
-    with reported(path):
-        if path.is_symlink():
-            raise OutputError(f"{path} is a link to elsewhere: remove it, or give another folder")
-        path.mkdir(exist_ok=True)
-
-
-def remove(root: Path, paths: Iterable[Path]) -> None:
-    """Remove files in a folder or one level below, in order; those that are gone are passed over.
-
-    No link is followed but ``root`` itself: where one takes the place of a folder below, what it
-    leads to stays.
-
-    Args:
-        root: the folder.
-        paths: files in it.
-
-    Raises:
-        OSError: one cannot be removed, or lies behind a link.
-    """
-    if os.unlink not in os.supports_dir_fd:
-        for path in paths:
-            if path.parent != root and path.parent.is_symlink():
-                raise OSError(f"{path.parent} is a link")
-            path.unlink(missing_ok=True)
-        return
-    top = os.open(root, os.O_RDONLY | _FOLDER)
-    try:
-        for folder, files in groupby(paths, key=lambda path: path.parent):
-            if folder == root:
-                _remove_in(top, files)
-                continue
-            with contextlib.suppress(FileNotFoundError):
-                below = os.open(folder.name, os.O_RDONLY | _FOLDER | _NO_LINK, dir_fd=top)
-                try:
-                    _remove_in(below, files)
-                finally:
-                    os.close(below)
-    finally:
-        os.close(top)
-
-
-def _remove_in(folder: int, files: Iterable[Path]) -> None:
-    for path in files:
-        with contextlib.suppress(FileNotFoundError):
-            os.unlink(path.name, dir_fd=folder)

@@ -45,7 +45,7 @@ def _busy(folder: Path) -> BusyError:
 @contextlib.contextmanager
 def _folder_lock(folder: Path) -> Iterator[None]:
     with reported(folder):
-        handle = os.open(folder, os.O_RDONLY)
+        handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
     try:
         try:
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)

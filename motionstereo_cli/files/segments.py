@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from motionstereo_cli.errors import OutputError
-from motionstereo_cli.files.atomic import reported, segment_of, sync
+from motionstereo_cli.files.atomic import remove_own, reported, segment_of, sync
 from motionstereo_cli.files.reading import sha256_of
 
 
@@ -52,7 +52,7 @@ class Segments:
     def remove(self) -> None:
         """Remove all that are complete."""
         for segment in self.paths:
-            segment.unlink(missing_ok=True)
+            remove_own(segment)
 
 
 def _check(segment: Path, known: str) -> None:

@@ -1,13 +1,15 @@
 """What a command may write to: one rule for all of them.
 
-Never an input, and nothing in a folder that is one. What is no file, such as a device or a FIFO,
-is written into and not replaced by a file.
+Never an input, nor a file whose name while it is written (``.part``) is one, and nothing in a
+folder that is an input. What is no file, such as a device or a FIFO, is written into and not
+replaced by a file.
 """
 
 from __future__ import annotations
 
 import errno
 import os
+import shutil
 import stat
 import time
 from collections.abc import Iterable
@@ -15,7 +17,8 @@ from pathlib import Path
 from typing import BinaryIO
 
 from motionstereo_cli.errors import OutputError
-from motionstereo_cli.files.atomic import reported, write_whole
+from motionstereo_cli.files.atomic import Temporary, part_of, reported, write_whole
+from motionstereo_cli.files.reading import open_regular, sha256_of
 
 #: How long to wait for a reader of a FIFO, in s, and how often to look.
 _PATIENCE_S = 10.0
@@ -32,12 +35,15 @@ def check_target(path: Path, inputs: Iterable[Path]) -> None:
     Raises:
         OutputError: it is one of them, under whatever name, or lies in one.
     """
-    place = path.resolve()
-    for taken in inputs:
-        if place == taken.resolve() or _same(path, taken):
-            raise OutputError(f"{path} is an input of this run: give another name")
-        if taken.is_dir() and place.is_relative_to(taken.resolve()):
-            raise OutputError(f"{path} lies in {taken}, an input of this run: give another place")
+    with reported(path):
+        place = path.resolve()
+        for taken in inputs:
+            if any(_same(each, taken) for each in (path, part_of(path))):
+                raise OutputError(f"{path} is an input of this run: give another name")
+            if taken.is_dir() and place.is_relative_to(taken.resolve()):
+                raise OutputError(
+                    f"{path} lies in {taken}, an input of this run: give another place"
+                )
 
 
 def check_targets(paths: Iterable[Path | None], inputs: Iterable[Path]) -> None:
@@ -114,6 +120,56 @@ def _is_stdout(status: os.stat_result) -> bool:
 
 def _same(path: Path, other: Path) -> bool:
     try:
-        return path.samefile(other)
+        return path.resolve() == other.resolve() or path.samefile(other)
     except OSError:
         return False  # one of them is not there
+
+
+def check_place(path: Path) -> None:
+    """Make sure that a file can be made in the folder where it is to be.
+
+    Raises:
+        OutputError: there is no such folder, or it is not to be written to.
+    """
+    if not os.access(path.parent, os.W_OK | os.X_OK):
+        raise OutputError(f"cannot write {path}: {path.parent} is no folder to write to")
+
+
+def copy_new(source: Path, target: Path) -> None:
+    """Copy a file to a name that nothing has; the same content there is taken as it stands.
+
+    Raises:
+        OutputError: something else has the name, or it cannot be written.
+    """
+    with reported(target), open_regular(source) as content:
+        copy = Temporary(target)
+        try:
+            shutil.copyfileobj(content, copy.content)
+            copy.place_new()
+        except FileExistsError:
+            if sum_of(target) != sum_of(source):
+                raise OutputError(
+                    f"{target} is not from an earlier run: move it, or give another name"
+                ) from None
+        finally:
+            copy.discard()
+
+
+def link_new(source: Path, target: Path) -> None:
+    """Give a file a further name that nothing has, or copy it where there are no hard links.
+
+    Raises:
+        OutputError: something else has the name, or it cannot be written.
+    """
+    try:
+        os.link(source, target, follow_symlinks=False)
+    except OSError:
+        copy_new(source, target)
+
+
+def sum_of(path: Path) -> str | None:
+    """Return the SHA-256 of a file; None where there is none, such as behind a link."""
+    try:
+        return None if path.is_symlink() else sha256_of(path)
+    except OSError:
+        return None

@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 
 from motionstereo_cli.compiled.pictures import planes as fill
-from motionstereo_cli.files.atomic import open_new, part_of, reported, sync
+from motionstereo_cli.files.atomic import Temporary, open_new, remove_own, reported
 from motionstereo_cli.files.segments import Segments
 
 if TYPE_CHECKING:
@@ -94,7 +94,7 @@ class VideoWriter:
         path: final name; ``.mp4`` or ``.mkv``.
         time_base: seconds per unit of the time stamps given to :meth:`write`.
         quality: H.264 constant rate factor, 0 (best) to 51.
-        part: its name while it is being written; ``.part`` appended to ``path`` if None.
+        part: its name while it is being written, in a folder of results; random if None.
         preview: take a third of the time for a file twice as large, whatever the ``quality``, and
             have no picture depend on a later one, so that files can be joined.
         after: time stamp of the image before the first one, None if there was none.
@@ -117,7 +117,8 @@ class VideoWriter:
         after: int | None = None,
     ) -> None:
         self.path = path
-        self._part = part or part_of(path)
+        self._part = part
+        self._file: Temporary | None = None
         self._time_base = time_base
         rate = {"preset": "veryfast", "crf": str(quality)}
         if preview:
@@ -129,8 +130,12 @@ class VideoWriter:
         self.last_pts = after
         self._spacing: int | None = None
         with _reported(path):
-            os.close(open_new(self._part))
-            self._container = av.open(str(self._part), "w", **_container(path))
+            if part is None:
+                self._file = Temporary(path)
+                part = self._file.path
+            else:
+                os.close(open_new(part))
+            self._container = av.open(str(part), "w", **_container(path))
 
     def write(self, image: Picture | list[Picture], pts: int) -> None:
         """Append an image.
@@ -155,7 +160,7 @@ class VideoWriter:
             self._mux(frame)
 
     def finish(self) -> None:
-        """Complete the file, still under its ``.part`` name.
+        """Complete the file, which keeps the name that it has while it is being written.
 
         Raises:
             OutputError: the file cannot be written.
@@ -175,22 +180,25 @@ class VideoWriter:
             OutputError: the file cannot be written.
         """
         self.finish()
+        assert self._file is not None
         with _reported(self.path):
-            os.replace(self._part, self.path)
+            self._file.place()
 
     def abandon(self, *, keep: bool) -> None:
-        """Complete the file under its ``.part`` name or, without ``keep``, remove it.
+        """Complete the file under the name ``part`` or, without ``keep`` or such, remove it.
 
         Raises:
             OutputError: the file cannot be written.
         """
-        if keep:
+        if keep and self._part is not None:
             self.finish()
             return
         with contextlib.suppress(OSError):  # what is left to write does not matter
             self._container.close()
-        with _reported(self.path):
-            self._part.unlink(missing_ok=True)
+        if self._file is not None:
+            self._file.discard()
+        elif self._part is not None:
+            remove_own(self._part)
 
     def _mux(self, frame: av.VideoFrame | None) -> None:
         for packet in self._stream.encode(frame):
@@ -326,19 +334,22 @@ def join(segments: Sequence[Path], path: Path) -> None:
         OutputError: the file cannot be written, or a segment cannot be read.
     """
     with _reported(path):
-        os.close(open_new(part_of(path)))
-        with av.open(str(part_of(path)), "w", **_container(path)) as joined:
-            stream: Any = None
-            for segment in segments:
-                with av.open(str(segment)) as source:
-                    if stream is None:
-                        stream = joined.add_stream_from_template(source.streams.video[0])
-                    for packet in source.demux(source.streams.video[0]):
-                        if packet.dts is not None:  # the last one is empty
-                            packet.stream = stream
-                            joined.mux(packet)
-        sync(part_of(path))
-        os.replace(part_of(path), path)
+        file = Temporary(path)
+        try:
+            kind = _container(path)
+            with av.open(str(file.path), "w", **kind) as joined:
+                stream: Any = None
+                for segment in segments:
+                    with av.open(str(segment), format=kind["format"]) as source:
+                        if stream is None:
+                            stream = joined.add_stream_from_template(source.streams.video[0])
+                        for packet in source.demux(source.streams.video[0]):
+                            if packet.dts is not None:  # the last one is empty
+                                packet.stream = stream
+                                joined.mux(packet)
+            file.place(durable=True)
+        finally:
+            file.discard()
 
 
 def _even(image: Picture) -> NDArray[np.uint8]:

@@ -10,8 +10,17 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
 from motionstereo_cli.errors import OutputError
-from motionstereo_cli.files.atomic import part_of, remove, reported, write_whole
+from motionstereo_cli.files.atomic import (
+    is_left_over,
+    name_part,
+    part_of,
+    reported,
+    unname,
+    write_whole,
+)
+from motionstereo_cli.files.folders import make_folder, remove, remove_empty
 from motionstereo_cli.files.lock import LOCK, locked
+from motionstereo_cli.files.targets import sum_of
 from motionstereo_cli.runs.checkpoint import (
     check_same,
     read_checkpoint,
@@ -20,6 +29,7 @@ from motionstereo_cli.runs.checkpoint import (
 from motionstereo_cli.runs.folder_files import (
     CHECKPOINT,
     RUN,
+    TABLE,
     FolderKind,
     head,
     present_of,
@@ -55,6 +65,7 @@ class RunFolder(Sinks):
         overwrite: replace what an earlier run wrote; other files are never touched.
         resume: go on where the same run was ended, or begin if it has not yet.
         inputs: files and folders that must not be written to.
+        table: a further steering table, elsewhere; see :func:`check_table`.
         check: raises a ValueError for a state that cannot be of this run.
 
     Raises:
@@ -73,17 +84,19 @@ class RunFolder(Sinks):
         overwrite: bool = False,
         resume: bool = False,
         inputs: Iterable[Path] = (),
+        table: Path | None = None,
         check: Callable[[State], object] = bool,
     ) -> None:
         super().__init__()
         self.path = path
         self._outputs = outputs
         self._kind = kind
-        self._identity = identity or {"program": kind.program}
+        self._identity = identity or {"program": kind.program, "outputs": list(outputs)}
         self._frames = frames
         self._overwrite = overwrite
         self._resume = resume
         self._inputs = tuple(inputs)
+        self._table = table
         self._check = check
         self._lock = contextlib.ExitStack()
 
@@ -137,20 +150,26 @@ class RunFolder(Sinks):
                     for name in self._outputs
                     if not OUTPUTS[name].finish  # what is made of others is made again
                 }
+                if self._table is not None:
+                    said["sums"][TABLE] = sums_of(self._table.parent, [self._table.name], 1)
         complete(self.path, said, self._kind)
         super().complete(record)
 
     def _check_sums(self, finished: Mapping[str, Any]) -> None:
         """Make sure that a complete run is still what it was."""
         for name, sums in finished.get("sums", {}).items():
-            paths = self._kind.outputs[name]
+            folder, paths, shown = self.path, self._kind.outputs.get(name, ()), name
+            if name == TABLE:
+                if self._table is None:
+                    continue
+                folder, paths, shown = self._table.parent, (self._table.name,), str(self._table)
             try:
-                same = sums == sums_of(self.path, paths, finished["counts"]["written"])
+                same = sums == sums_of(folder, paths, finished["counts"]["written"])
             except OSError:
                 same = False
             if not same:
                 raise OutputError(
-                    f"{self.path} is complete, but {name} is no longer what the run wrote: "
+                    f"{self.path} is complete, but {shown} is no longer what the run wrote: "
                     "give --overwrite to start again"
                 )
 
@@ -160,7 +179,7 @@ class RunFolder(Sinks):
             if finished := record_of(self.path, self._kind):
                 check_same(self.path, self._identity, finished)
                 self._check_sums(finished)
-                clear(self.path, self._kind)
+                clear(self.path, finished, self._kind)
                 self.finished = finished
                 return
             if begun := read_record(part_of(self.path / self._kind.record), self._kind):
@@ -170,6 +189,8 @@ class RunFolder(Sinks):
                 if since := read_checkpoint(self.path / CHECKPOINT, self._identity, self._check):
                     self.state, self.totals = since.state, since.totals
                     self._marks, self._keep = since.sinks, True
+                    if self._table is not None:
+                        _is_former(self._table, self.path, self._kind, overwrite=True)
                     return
         prepare(
             *(self.path, self._outputs, self._kind),
@@ -177,6 +198,7 @@ class RunFolder(Sinks):
             frames=self._frames,
             overwrite=overwrite,
             inputs=self._inputs,
+            table=self._table,
         )
 
 
@@ -189,6 +211,7 @@ def prepare(
     frames: int | None = None,
     overwrite: bool = False,
     inputs: Iterable[Path] = (),
+    table: Path | None = None,
 ) -> None:
     """Make the output folder ready.
 
@@ -204,20 +227,24 @@ def prepare(
         frames: see :class:`RunFolder`.
         overwrite: accept a folder that is not empty.
         inputs: files and folders that are read.
+        table: see :class:`RunFolder`.
 
     Raises:
         OutputError: the folder is not empty, cannot be written, or holds an input or someone
             else's file where something would be written.
     """
+    make_folder(out, out)
     record, part = out / kind.record, part_of(out / kind.record)
     with reported(out):
-        out.mkdir(parents=True, exist_ok=True)
-        if not overwrite and any(path.name != LOCK for path in out.iterdir()):
+        if not overwrite and not all(
+            path.name == LOCK or is_left_over(path) for path in out.iterdir()
+        ):
             advice = ", or --resume to go on" if kind is RUN and part.exists() else ""
             raise OutputError(f"{out} is not empty: give another folder, or --overwrite{advice}")
-        former = written(out, kind)
+        former = written(out, kind) | {path for path in out.iterdir() if is_left_over(path)}
+        former_table = table is not None and _is_former(table, out, kind, overwrite=overwrite)
         paths = [path for name in outputs for path in kind.outputs[name]]
-        present = present_of(out, kind.record)
+        present = present_of(out, kind.record) | temporary(out, kind, outputs)
         for target in paths:
             there = present_of(out, target)
             numbered = "{" in target and frames is not None and (out / target).parent not in there
@@ -231,12 +258,14 @@ def prepare(
             for place in (path, path.parent):
                 if place.resolve() in taken:
                     raise OutputError(f"{place} is an input of this run: give another folder")
+        if former_table and table is not None:
+            remove(table.parent, [table])
         if record in former:  # no longer complete, and still ours
-            os.replace(record, part)
+            unname(record)
         # From the last image to the first: of a run that was cut off, those up to a gap are its.
         remove(out, sorted(former - {record, part}, reverse=True))
         remove_empty_folders(out, kind)
-    begun = identity or (head(outputs) if kind is RUN else {"program": kind.program})
+    begun = identity or head(outputs)
     write_whole(part, kind.format(begun))
 
 
@@ -255,14 +284,42 @@ def complete(out: Path, record: Mapping[str, Any], kind: FolderKind = RUN) -> No
     part = part_of(out / kind.record)
     write_whole(part, kind.format(record), durable=True)
     with reported(out / kind.record):
-        os.replace(part, out / kind.record)
-    clear(out, kind)
+        name_part(out / kind.record)
+    clear(out, record, kind)
 
 
-def clear(out: Path, kind: FolderKind = RUN) -> None:
+def clear(out: Path, record: Mapping[str, Any], kind: FolderKind = RUN) -> None:
     """Remove what a complete run needs no more: its checkpoint, and the segments of its videos."""
     with reported(out):
-        remove(out, sorted(temporary(out, kind)))
+        remove(out, sorted(temporary(out, kind, kind.outputs.keys() & record["outputs"])))
+
+
+def _is_former(table: Path, out: Path, kind: FolderKind, *, overwrite: bool) -> bool:
+    """Return whether there is a table that an earlier run into the same folder wrote.
+
+    It is known by its place, which the record has, and by its content: the sum in the record or,
+    where the run was ended before it wrote one, what is left of the table in the folder.
+
+    Raises:
+        OutputError: another file is there, or it must not be overwritten.
+    """
+    if not os.path.lexists(table):
+        return False
+    if not overwrite:
+        raise OutputError(f"{table} is there already: give another name, or --overwrite")
+    found = sum_of(table)
+    known = {sum_of(part_of(out / TABLE))} - {None}
+    for path in (out / kind.record, part_of(out / kind.record)):
+        record = read_record(path, kind) or {}
+        with contextlib.suppress(LookupError, TypeError, ValueError, OSError):
+            if (out / record["table"]).resolve() == table.resolve():
+                known.add(record["sums"][TABLE]["sha256"])
+    if found is None or found not in known:
+        raise OutputError(
+            f"{table} was not written by an earlier run into {out}, or was changed: move it, or "
+            "give another name"
+        )
+    return True
 
 
 def record_of(out: Path, kind: FolderKind = RUN) -> dict[str, Any] | None:
@@ -274,7 +331,25 @@ def tidy(out: Path, kind: FolderKind = RUN) -> None:
     """Remove what a run that failed left, if it left nothing of use."""
     part = part_of(out / kind.record)
     with contextlib.suppress(OSError):
-        found = written(out, kind)
-        if found == {part} or not kind.keeps:
-            remove(out, [*sorted(found - {part}, reverse=True), part])
-            remove_empty_folders(out, kind)
+        if not kind.keeps or written(out, kind) == {part}:
+            _remove_all(out, kind)
+
+
+def discard(out: Path, kind: FolderKind) -> None:
+    """Remove what a run wrote, complete or not, and its folder if that is all there was.
+
+    Raises:
+        OutputError: a file cannot be removed.
+    """
+    if out.is_dir() and not out.is_symlink():
+        with reported(out):
+            _remove_all(out, kind)
+            remove_empty(out)
+
+
+def _remove_all(out: Path, kind: FolderKind) -> None:
+    """Remove what records list, and these last."""
+    found = written(out, kind)
+    records = [path for path in (out / kind.record, part_of(out / kind.record)) if path in found]
+    remove(out, [*sorted(found.difference(records), reverse=True), *records])
+    remove_empty_folders(out, kind)

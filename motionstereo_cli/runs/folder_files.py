@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
 import itertools
 import json
 import os
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from motionstereo_cli.files.atomic import is_segment, part_of
+from motionstereo_cli.files.atomic import is_left_over, is_segment, part_of
+from motionstereo_cli.files.folders import remove_empty
 from motionstereo_cli.files.reading import open_regular
 from motionstereo_cli.report import PAGE, is_report
 from motionstereo_cli.runs.checkpoint import frames_of
@@ -22,7 +22,10 @@ from motionstereo_cli.sinks.outputs import OUTPUTS, RECORD
 #: What a run needs to go on after its process is gone; removed when it is complete.
 CHECKPOINT = "run.checkpoint"
 
-_NUMBERED = re.compile(r"(\d{6,})(\.[a-z]+)(\.part)?")
+#: The steering table that is meant for another place, until it is complete.
+TABLE = "table"
+
+_NUMBERED = re.compile(r"(\d{6,})(\.[a-z]+)")
 
 
 def _json(record: Mapping[str, Any]) -> bytes:
@@ -39,8 +42,9 @@ class FolderKind:
         outputs: the files of each output by its name; ``{:06d}`` is the number of a frame.
         keeps: what was done is kept when it ends early, for another process to go on.
         format: makes a record.
-        parse: returns what a record says: ``program``, ``outputs`` (by name; all if missing) and,
-            where it is complete, ``counts.written``, the number of frames.
+        parse: returns what a record says: ``program``, ``outputs`` (their names) and, where it is
+            complete, ``counts.written``, the number of frames; ``first``, the number of the first
+            frame, 0 if missing.
     """
 
     program: str
@@ -65,23 +69,24 @@ def head(save: Sequence[str]) -> dict[str, Any]:
 
 
 def written(out: Path, kind: FolderKind) -> set[Path]:
-    """Return the files present that earlier runs wrote, complete or not."""
+    """Return the files present that earlier runs wrote, complete or not, as their records list."""
     written: set[Path] = set()
     for path in (out / kind.record, part_of(out / kind.record)):
         record = read_record(path, kind)
         if record is None:
             continue
         try:
-            names = kind.outputs.keys() & record.get("outputs", kind.outputs).keys()
+            names = kind.outputs.keys() & record["outputs"]
             frames = int(record["counts"]["written"]) if "counts" in record else None
-        except (ValueError, LookupError, TypeError, AttributeError):
+            first = int(record.get("first", 0))
+        except (ValueError, LookupError, TypeError, AttributeError, OverflowError):
             continue  # not a record of ours
         at_least = frames_of(out / CHECKPOINT)
         written.add(path)
-        written |= temporary(out, kind)
+        written |= temporary(out, kind, names)
         for target in (path for name in names for path in kind.outputs[name]):
             present = present_of(out, target)
-            written |= up_to(frames, present, at_least) if "{" in target else present
+            written |= up_to(frames, present, at_least, first) if "{" in target else present
         if kind is RUN and is_report(out / PAGE):
             written.add(out / PAGE)  # of the command report
     return written
@@ -98,15 +103,25 @@ def read_record(path: Path, kind: FolderKind) -> dict[str, Any] | None:
         return None  # not a record of ours
 
 
-def temporary(out: Path, kind: FolderKind) -> set[Path]:
-    """Return the files present that a run needs only until it is complete."""
-    checkpoint = out / CHECKPOINT
-    names = {checkpoint.name, part_of(checkpoint).name, part_of(part_of(out / kind.record)).name}
-    videos = [Path(path) for paths in kind.outputs.values() for path in paths]
+def temporary(out: Path, kind: FolderKind, outputs: Iterable[str]) -> set[Path]:
+    """Return the files present that a run with some outputs needs only until it is complete.
+
+    What a kill left of other files is among them, wherever it is in the folder.
+    """
+    paths = [path for name in outputs for path in kind.outputs[name]]
+    streams = [Path(path) for path in paths if "{" not in path]
+    names = {CHECKPOINT, *(part_of(path).name for path in (out / TABLE, *streams))}
+    folders = {(out / path).parent for path in paths} - {out}
     return {
         path
         for path in out.iterdir()
-        if path.name in names or any(is_segment(path.name, video) for video in videos)
+        if path.name in names or any(is_segment(path.name, stream) for stream in streams)
+    } | {
+        path
+        for folder in (out, *folders)
+        if folder.is_dir() and (folder == out or not folder.is_symlink())
+        for path in folder.iterdir()
+        if is_left_over(path)
     }
 
 
@@ -125,14 +140,15 @@ def present_of(out: Path, path: str) -> set[Path]:
     return {folder} if os.path.lexists(folder) else set()
 
 
-def up_to(frames: int | None, present: set[Path], at_least: int = 0) -> set[Path]:
-    """Return the images of the first frames; if None, of all at_least and on to the first gap."""
+def up_to(frames: int | None, present: set[Path], at_least: int = 0, first: int = 0) -> set[Path]:
+    """Return the images of some frames; if None, of all at_least and on to the first gap."""
     matches = {path: _NUMBERED.fullmatch(path.name) for path in present}
     numbers = {path: int(match[1]) for path, match in matches.items() if match}
     if frames is None:  # the run was cut off
         found = set(numbers.values())
-        frames = next(number for number in itertools.count(at_least) if number not in found)
-    return {path for path, number in numbers.items() if number < frames}
+        stop = next(number for number in itertools.count(first + at_least) if number not in found)
+        frames = stop - first
+    return {path for path, number in numbers.items() if first <= number < first + frames}
 
 
 def remove_empty_folders(out: Path, kind: FolderKind) -> None:
@@ -140,8 +156,7 @@ def remove_empty_folders(out: Path, kind: FolderKind) -> None:
     for paths in kind.outputs.values():
         folder = (out / paths[0]).parent
         if folder != out:
-            with contextlib.suppress(OSError):  # missing, not empty, or a link
-                folder.rmdir()
+            remove_empty(folder)
 
 
 def sums_of(out: Path, paths: Sequence[str], frames: int) -> dict[str, Any]:
@@ -152,16 +167,16 @@ def sums_of(out: Path, paths: Sequence[str], frames: int) -> dict[str, Any]:
     Raises:
         OSError: a file cannot be read.
     """
-    files = [
+    files = (
         out / path.format(number)
         for path in paths
         for number in range(frames if "{" in path else 1)
-    ]
+    )
     size, lines = 0, hashlib.sha256()
     for file in files:
         with open_regular(file) as content:
             digest = hashlib.file_digest(content, "sha256").hexdigest()
             size += content.tell()
         lines.update(f"{digest}  {file.name}\n".encode())
-    alone = len(files) == 1 and "{" not in paths[0]
+    alone = len(paths) == 1 and "{" not in paths[0]
     return {"bytes": size, "sha256": digest if alone else lines.hexdigest()}

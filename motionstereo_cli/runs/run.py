@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-import os
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator
@@ -22,7 +21,7 @@ from motionstereo_cli.errors import (
     OutputError,
     SettingsError,
 )
-from motionstereo_cli.files.atomic import part_of, reported
+from motionstereo_cli.files.atomic import reported
 from motionstereo_cli.files.targets import check_target, is_stream, open_stream
 from motionstereo_cli.method.settings import FOREVER
 from motionstereo_cli.pipeline import State, steps
@@ -32,6 +31,7 @@ from motionstereo_cli.runs.checkpoint import check_state
 from motionstereo_cli.runs.cores import usable_cores
 from motionstereo_cli.runs.disparity_range import with_range, with_range_of_opening
 from motionstereo_cli.runs.folder import RunFolder
+from motionstereo_cli.runs.folder_files import TABLE
 from motionstereo_cli.runs.interrupts import finishing
 from motionstereo_cli.runs.open_outputs import Sinks
 from motionstereo_cli.runs.plan import RunPlan
@@ -39,7 +39,7 @@ from motionstereo_cli.runs.record import Job, RunReport, identity_of, outcome, r
 from motionstereo_cli.runs.threaded_sink import Threaded
 from motionstereo_cli.sinks.outputs import OUTPUTS, available, check_video_size
 from motionstereo_cli.sinks.sink import RunContext, Sink
-from motionstereo_cli.sinks.steering_table import SteeringFile, SteeringStream
+from motionstereo_cli.sinks.steering_table import SteeringCopy, SteeringStream
 from motionstereo_cli.sources import StereoSource, open_stereo
 from motionstereo_cli.sources.settings import adapted_rig
 from motionstereo_cli.types import Rig, Step, StereoFrame
@@ -52,9 +52,6 @@ DEFAULT_TIME_BASE = Fraction(1, 25)
 _IN_FLIGHT_BYTES, _BYTES_PER_PX = 1 << 30, 40
 
 _Step = tuple[StereoFrame, Step, State]
-
-#: The steering table that lies elsewhere, among the names of outputs.
-_TABLE = "table"
 
 
 def _nothing(*_: object) -> None:
@@ -228,6 +225,7 @@ def _sinks(job: Job) -> Sinks:
         overwrite=plan.overwrite,
         resume=plan.resume,
         inputs=inputs,
+        table=table_of(plan),
         check=partial(
             check_state, settings=plan.settings, width=source.width, height=source.height
         ),
@@ -239,7 +237,7 @@ def _open(sinks: Sinks, job: Job, stdout: BinaryIO | None) -> None:
     plan, table_format = job.plan, job.context.output.steering_format
     if stdout is not None:
         stream = SteeringStream(stdout, "the steering table", table_format)
-        sinks.add(_TABLE, lambda _: stream)
+        sinks.add(TABLE, lambda _: stream)
     else:
         add_table(sinks, job)
     if plan.folder is not None:
@@ -248,21 +246,25 @@ def _open(sinks: Sinks, job: Job, stdout: BinaryIO | None) -> None:
                 sinks.add(name, partial(opened, name, plan.folder, job.context), takes)
 
 
+def table_of(plan: RunPlan) -> Path | None:
+    """Return the file for a further steering table; None where there is none, or it is a stream."""
+    path = None if plan.to_stdout else plan.table
+    return None if path is None or is_stream(path) else path
+
+
 def add_table(sinks: Sinks, job: Job) -> None:
     """Open the steering table that a user named, if one did."""
-    if (path := job.plan.table) is not None:
-        table_format = job.context.output.steering_format
-        sinks.add(_TABLE, partial(_table, path, job.plan, sinks.resumed, table_format))
+    if job.plan.table is not None:
+        sinks.add(TABLE, partial(_table, job.plan, job.context.output.steering_format))
 
 
-def _table(path: Path, plan: RunPlan, resumed: bool, table_format: str, since: Any) -> Sink[Step]:
-    if is_stream(path):
-        with reported(path):
-            return SteeringStream(open_stream(path), path, table_format)
-    for place in (path, part_of(path)):
-        if os.path.lexists(place) and not plan.overwrite and not resumed:
-            raise OutputError(f"{place} is there already: give another name, or --overwrite")
-    return Threaded(SteeringFile(path, table_format, since))
+def _table(plan: RunPlan, table_format: str, since: Any) -> Sink[Step]:
+    assert plan.table is not None
+    assert plan.folder is not None
+    if (path := table_of(plan)) is None:
+        with reported(plan.table):
+            return SteeringStream(open_stream(plan.table), plan.table, table_format)
+    return Threaded(SteeringCopy(plan.folder / TABLE, path, table_format, since))
 
 
 def opened(name: str, folder: Path, context: RunContext, since: object) -> Threaded:

@@ -7,8 +7,9 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
-from motionstereo_cli.files.atomic import make_folder, write_whole
+from motionstereo_cli.files.atomic import write_whole
 from motionstereo_cli.files.encode import encode_png
+from motionstereo_cli.files.folders import make_folder
 from motionstereo_cli.files.video import VideoWriter
 from motionstereo_cli.rig import write_rig
 from motionstereo_cli.rig.poses import HEAD, format_pose
@@ -80,15 +81,22 @@ def simulate(
 _DISPARITY = "disparity/{:06d}.png"
 
 
+#: How the line begins that lists what belongs to the poses.
+_LIST = "# of "
+
+
 def _format(record: Mapping[str, Any]) -> bytes:
-    return "".join([HEAD, *record.get("poses", [])]).encode()
+    files = " ".join(record["outputs"])
+    return "".join([HEAD, f"{_LIST}{files}\n", *record.get("poses", [])]).encode()
 
 
 def _parse(content: bytes) -> dict[str, Any]:
-    if not content.startswith(HEAD.encode()):
+    head, files, *poses = content.decode().splitlines(keepends=True)
+    if head != HEAD or not files.startswith(_LIST):
         raise ValueError("not from a simulation")
-    poses = len(content.splitlines()) - 1
-    return {"program": _KIND.program, **({"counts": {"written": poses}} if poses else {})}
+    outputs = files.removeprefix(_LIST).split()
+    counts = {"counts": {"written": len(poses)}} if poses else {}
+    return {"program": _KIND.program, "outputs": outputs, **counts}
 
 
 #: The poses are the record: they are written last, and there are as many as images.

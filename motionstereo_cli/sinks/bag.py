@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
@@ -10,8 +11,9 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 import numpy as np
 
 from motionstereo_cli.errors import OutputError
-from motionstereo_cli.files.atomic import open_new, part_of, reported
+from motionstereo_cli.files.atomic import Temporary, open_new, remove_own, reported
 from motionstereo_cli.files.encode import encode_png
+from motionstereo_cli.files.reading import open_regular
 from motionstereo_cli.files.segments import Segments
 from motionstereo_cli.sinks.images import depth_png, known_depth_m
 
@@ -65,7 +67,10 @@ class BagFile:
     def write(self, step: Step) -> None:
         """Append the messages of a frame."""
         if self._writer is None:
-            self._writer = _Writer(self._segments.next, self._messages.types)
+            path = self._segments.next
+            with reported(path):
+                file = os.fdopen(open_new(path), "wb")
+            self._writer = _Writer(path, file, self._messages.types)
         stamp_ns = round(step.time.pts * self._stream.time_base * 10**9)
         for topic, message in self._messages.of(step, stamp_ns):
             self._writer.add(topic, self._messages.packed(message), stamp_ns)
@@ -83,14 +88,19 @@ class BagFile:
         self.checkpoint()
         from mcap.reader import make_reader
 
-        joined = _Writer(part_of(self._path), self._messages.types)
-        for segment in self._segments.paths:
-            with reported(segment), segment.open("rb") as file:
-                for _, channel, message in make_reader(file).iter_messages(log_time_order=False):
-                    joined.add(channel.topic, message.data, message.log_time)
-        joined.close()
         with reported(self._path):
-            part_of(self._path).replace(self._path)
+            joined = Temporary(self._path)
+            try:
+                writer = _Writer(self._path, joined.content, self._messages.types)
+                for segment in self._segments.paths:
+                    with open_regular(segment) as file:
+                        messages = make_reader(file).iter_messages(log_time_order=False)
+                        for _, channel, message in messages:
+                            writer.add(channel.topic, message.data, message.log_time)
+                writer.finish()
+                joined.place(durable=True)
+            finally:
+                joined.discard()
 
     def abandon(self, *, keep: bool) -> None:
         """End early: complete the segment or, without ``keep``, remove all."""
@@ -98,7 +108,7 @@ class BagFile:
             self._writer.close()
             self._writer = None
             if not keep:
-                self._segments.next.unlink(missing_ok=True)
+                remove_own(self._segments.next)
         if not keep:
             self._segments.remove()
 
@@ -106,13 +116,12 @@ class BagFile:
 class _Writer:
     """An MCAP file being written."""
 
-    def __init__(self, path: Path, types: Any) -> None:
+    def __init__(self, path: Path, file: BinaryIO, types: Any) -> None:
         from mcap.writer import Writer
 
-        self._path = path
+        self._path, self._file = path, file
         with reported(path):
-            self._file: BinaryIO = open(open_new(path), "wb")  # noqa: SIM115
-            self._writer = Writer(self._file)
+            self._writer = Writer(file)
             self._writer.start(profile="ros2", library="motionstereo")
             self._channels = {}
             for topic, kind in TOPICS.items():
@@ -124,9 +133,13 @@ class _Writer:
         with reported(self._path):
             self._writer.add_message(self._channels[topic], stamp_ns, data, stamp_ns)
 
-    def close(self) -> None:
+    def finish(self) -> None:
         with reported(self._path):
             self._writer.finish()  # type: ignore[no-untyped-call]
+
+    def close(self) -> None:
+        self.finish()
+        with reported(self._path):
             self._file.close()
 
 

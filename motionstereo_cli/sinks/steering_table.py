@@ -5,7 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO
 
-from motionstereo_cli.files.atomic import reported
+from motionstereo_cli.files.atomic import part_of, reported
+from motionstereo_cli.files.targets import check_place, copy_new
 from motionstereo_cli.sinks.writers import TableFile, TableMark, cell
 from motionstereo_cli.types import Step
 
@@ -111,6 +112,33 @@ class SteeringFile(TableFile):
     def write(self, step: Step) -> None:
         """Append the row of a frame."""
         self.add([steering_line(step, self._format)])
+
+
+class SteeringCopy(SteeringFile):
+    """The steering table for another place, which gets it when it is complete.
+
+    Until the run is, the table is in its folder, too, where it can be gone on with.
+
+    Args:
+        path: its name in the folder of the run, without ``.part``.
+        target: where it goes; nothing else is replaced.
+        table_format, since: see :class:`SteeringFile`.
+
+    Raises:
+        OutputError: the file cannot be written, or is not what the checkpoint says.
+    """
+
+    def __init__(
+        self, path: Path, target: Path, table_format: str = "csv", since: TableMark | None = None
+    ) -> None:
+        check_place(target)
+        super().__init__(path, table_format, since)
+        self._target = target
+
+    def close(self) -> None:
+        """Copy the table to its place."""
+        self.end()
+        copy_new(part_of(self._path), self._target)
 
 
 def steering_file(path: Path, _: RunContext, since: TableMark | None = None) -> SteeringFile:

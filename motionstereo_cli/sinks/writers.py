@@ -12,14 +12,17 @@ from pathlib import Path
 
 from motionstereo_cli.errors import OutputError
 from motionstereo_cli.files.atomic import (
-    make_folder,
+    name_part,
     open_again,
     open_new,
     part_of,
+    remove_own,
     reported,
     sync,
+    unname,
     write_whole,
 )
+from motionstereo_cli.files.folders import make_folder
 from motionstereo_cli.files.reading import open_regular
 
 
@@ -79,18 +82,23 @@ class TableFile:
             os.fsync(self._file.fileno())
             return self._file.tell(), self._sums.hexdigest()
 
-    def close(self) -> None:
-        """Complete the table and give it its name."""
+    def end(self) -> None:
+        """Complete the table, which keeps its ``.part`` name."""
         with reported(self._path):
             self._file.close()
-            os.replace(part_of(self._path), self._path)
+
+    def close(self) -> None:
+        """Complete the table and give it its name."""
+        self.end()
+        with reported(self._path):
+            name_part(self._path)
 
     def abandon(self, *, keep: bool) -> None:
         """Leave the table under its ``.part`` name or, without ``keep``, remove it."""
         with contextlib.suppress(OSError):  # a row that could not be written is tried again
             self._file.close()
         if not keep:
-            part_of(self._path).unlink(missing_ok=True)
+            remove_own(part_of(self._path))
 
 
 def _checked(path: Path, since: TableMark) -> hashlib._Hash:
@@ -109,7 +117,7 @@ def _checked(path: Path, since: TableMark) -> hashlib._Hash:
                     left -= len(piece)
             if not left and sums.hexdigest() == since[1]:
                 if place == path:
-                    os.replace(path, part_of(path))
+                    unname(path)
                 return sums
     raise OutputError(
         f"{part_of(path)} was cut or changed: --resume cannot go on, give --overwrite"

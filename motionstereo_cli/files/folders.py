@@ -1,0 +1,94 @@
+"""Folders of results: made without links, emptied of what is ours only."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from collections.abc import Iterable
+from itertools import groupby
+from pathlib import Path
+
+from motionstereo_cli.errors import OutputError
+from motionstereo_cli.files.atomic import reported
+
+_NO_LINK = getattr(os, "O_NOFOLLOW", 0)
+_FOLDER = getattr(os, "O_DIRECTORY", 0)
+
+
+def make_folder(path: Path, root: Path | None = None) -> None:
+    """Make a folder for results where it is missing, and those above it up to ``root``.
+
+    Args:
+        path: the folder.
+        root: a folder above it, which may be a link itself and is made with all above it;
+            ``path.parent``, which has to be there, if None.
+
+    Raises:
+        OutputError: it cannot be made, or a link or a file stands in its place or above it.
+    """
+    if root is not None:
+        with reported(root):
+            root.mkdir(parents=True, exist_ok=True)
+    above = path.parent if root is None else root
+    for name in path.relative_to(above).parts:
+        above = above / name
+        with reported(above):
+            check_no_link(above)
+            above.mkdir(exist_ok=True)
+
+
+def check_no_link(path: Path) -> None:
+    """Make sure that a name is no link.
+
+    Raises:
+        OutputError: it is one.
+    """
+    if path.is_symlink():
+        raise OutputError(f"{path} is a link to elsewhere: remove it, or give another folder")
+
+
+def remove(root: Path, paths: Iterable[Path]) -> None:
+    """Remove files in a folder or one level below, in order; those that are gone are passed over.
+
+    No link is followed but ``root`` itself: where one takes the place of a folder below, what it
+    leads to stays.
+
+    Args:
+        root: the folder.
+        paths: files in it.
+
+    Raises:
+        OSError: one cannot be removed, or lies behind a link.
+    """
+    if os.unlink not in os.supports_dir_fd:
+        for path in paths:
+            if path.parent != root and path.parent.is_symlink():
+                raise OSError(f"{path.parent} is a link")
+            path.unlink(missing_ok=True)
+        return
+    top = os.open(root, os.O_RDONLY | _FOLDER)
+    try:
+        for folder, files in groupby(paths, key=lambda path: path.parent):
+            if folder == root:
+                _remove_in(top, files)
+                continue
+            with contextlib.suppress(FileNotFoundError):
+                below = os.open(folder.name, os.O_RDONLY | _FOLDER | _NO_LINK, dir_fd=top)
+                try:
+                    _remove_in(below, files)
+                finally:
+                    os.close(below)
+    finally:
+        os.close(top)
+
+
+def _remove_in(folder: int, files: Iterable[Path]) -> None:
+    for path in files:
+        with contextlib.suppress(FileNotFoundError):
+            os.unlink(path.name, dir_fd=folder)
+
+
+def remove_empty(folder: Path) -> None:
+    """Remove a folder if it is there, is empty, and is no link."""
+    with contextlib.suppress(OSError):
+        folder.rmdir()
