@@ -6,15 +6,18 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from motionstereo_cli.errors import MotionStereoError
+    from motionstereo_cli.method.matching import register_matcher
     from motionstereo_cli.method.settings import Settings
     from motionstereo_cli.pipeline import process
     from motionstereo_cli.rig.calibration import rectify_source
     from motionstereo_cli.rig.poses import read_poses
     from motionstereo_cli.rig.rig_file import read_rig
     from motionstereo_cli.rig.settings import PoseSettings
+    from motionstereo_cli.runs.plan import RunPlan
+    from motionstereo_cli.runs.run import run
     from motionstereo_cli.sources.opening import open_stereo
     from motionstereo_cli.sources.settings import InputSettings, adapted_rig
-    from motionstereo_cli.types import FrameResult, Rig, Steering, StereoFrame
+    from motionstereo_cli.types import FrameResult, MovingObject, Pose, Rig, Steering, StereoFrame
 
 __version__ = "0.1.0"
 
@@ -22,8 +25,11 @@ __all__ = [
     "FrameResult",
     "InputSettings",
     "MotionStereoError",
+    "MovingObject",
+    "Pose",
     "PoseSettings",
     "Rig",
+    "RunPlan",
     "Settings",
     "Steering",
     "StereoFrame",
@@ -33,6 +39,8 @@ __all__ = [
     "read_poses",
     "read_rig",
     "rectify_source",
+    "register_matcher",
+    "run",
 ]
 
 _MODULES = {
@@ -42,10 +50,13 @@ _MODULES = {
     "rig.poses": ("read_poses",),
     "rig.rig_file": ("read_rig",),
     "rig.settings": ("PoseSettings",),
+    "method.matching": ("register_matcher",),
     "method.settings": ("Settings",),
+    "runs.plan": ("RunPlan",),
+    "runs.run": ("run",),
     "sources.settings": ("InputSettings", "adapted_rig"),
     "sources.opening": ("open_stereo",),
-    "types": ("FrameResult", "Rig", "Steering", "StereoFrame"),
+    "types": ("FrameResult", "MovingObject", "Pose", "Rig", "Steering", "StereoFrame"),
 }
 _HOME = {name: module for module, names in _MODULES.items() for name in names}
 

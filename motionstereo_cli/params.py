@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import difflib
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, fields
 from types import MappingProxyType
 from typing import Any
@@ -104,13 +104,16 @@ def param(
     unit: str = "",
     low: float | None = None,
     high: float | None = None,
-    choices: tuple[str, ...] = (),
+    choices: tuple[str, ...] | Callable[[], Iterable[str]] = (),
     group: str = "",
     common: bool = False,
     old: str = "",
     words: Mapping[str, Any] = MappingProxyType({}),
 ) -> Any:
-    """Declare a dataclass field that :func:`params` describes and :func:`checked` verifies."""
+    """Declare a dataclass field that :func:`params` describes and :func:`checked` verifies.
+
+    ``choices`` is a function where they can become more.
+    """
     meta: dict[str, Any] = {
         "help": help,
         "unit": unit,
@@ -125,7 +128,9 @@ def param(
 def params(settings: type) -> Iterator[Param]:
     """Yield the declared parameters of a dataclass, in order."""
     for item in fields(settings):
-        yield Param(item.name, type(item.default), item.default, **item.metadata)
+        choices = item.metadata["choices"]
+        meta = {**item.metadata, "choices": tuple(choices() if callable(choices) else choices)}
+        yield Param(item.name, type(item.default), item.default, **meta)
 
 
 def checked(settings: Any) -> None:

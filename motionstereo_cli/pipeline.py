@@ -21,7 +21,7 @@ import numpy as np
 from motionstereo_cli.compiled import checked_array
 from motionstereo_cli.errors import InputError, SettingsError
 from motionstereo_cli.method.depth import depth
-from motionstereo_cli.method.matching import MATCH
+from motionstereo_cli.method.matching import matcher_of
 from motionstereo_cli.method.memory import Memory, age_of, in_mirror, mirrored, see
 from motionstereo_cli.method.settings import AUTO, FOREVER, Settings
 from motionstereo_cli.robot.guide import Guide, guide_of
@@ -388,7 +388,7 @@ def _match(
     right: Memory, left: Memory, settings: Settings, *, with_confidence: bool
 ) -> tuple[Real, Real | None]:
     s = settings
-    disparity, confidence = MATCH[s.matcher](right, left, s)
+    disparity, confidence = matcher_of(s)(right, left, s)
     chance = confidence() if with_confidence or s.min_confidence > 0 else None
     if s.min_confidence > 0 or s.max_age < FOREVER:
         dropped = age_of(right, s) > s.max_age

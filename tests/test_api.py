@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import ast
+import json
+import re
 import subprocess
 import sys
 from fractions import Fraction
@@ -12,17 +14,19 @@ import numpy as np
 import pytest
 
 import motionstereo_cli
+from motionstereo_cli.errors import InputError, SettingsError
 from motionstereo_cli.files.video import VideoWriter
+from motionstereo_cli.method import matching
 from motionstereo_cli.rig import write_rig
 from motionstereo_cli.types import Rig
 
-FIVE_LINES = """
-from motionstereo_cli import Settings, open_stereo, process, read_rig
+README = Path(motionstereo_cli.__file__).parent.parent / "README.md"
+PAGE = Path(motionstereo_cli.__file__).parent / "docs" / "python.md"
 
-with open_stereo("left.mp4", "right.mp4") as source:
-    for result in process(source, Settings(max_disparity=32), read_rig("rig.yaml")):
-        print(result.frame.index, np.nanmedian(result.depth_m), result.steering.steer_rad)
-"""
+
+def examples(page: Path) -> list[str]:
+    """The blocks of Python code in a page."""
+    return re.findall(r"^```python\n(.*?)^```", page.read_text(encoding="utf-8"), re.M | re.S)
 
 
 def python(code: str, cwd: Path) -> str:
@@ -37,8 +41,9 @@ def python(code: str, cwd: Path) -> str:
     return done.stdout
 
 
-def test_five_lines_stream_arrays(tmp_path):
-    """Stripes that move, 8 px apart in the two views: 80 * 0.1 / 8 = 1 m."""
+@pytest.fixture
+def recording(tmp_path):
+    """A folder with stripes that move, 8 px apart in the two views: 80 * 0.1 / 8 = 1 m."""
     stripes = np.repeat(np.random.default_rng(1).integers(0, 256, 20, np.uint8), 9)
     for side, shift in (("left", 0), ("right", 8)):
         video = VideoWriter(tmp_path / f"{side}.mp4", Fraction(1, 30))
@@ -47,11 +52,98 @@ def test_five_lines_stream_arrays(tmp_path):
             video.write(np.tile(stripes[start : start + 96], (64, 1)), index)
         video.close()
     write_rig(tmp_path / "rig.yaml", Rig(96, 64, 80, 0.1, 47.5, 31.5))
-    lines = python("import numpy as np" + FIVE_LINES, tmp_path).splitlines()
+    return tmp_path
+
+
+def test_five_lines_stream_arrays(recording):
+    [code] = examples(README)
+    assert code == examples(PAGE)[0]
+    median = code.replace("result.depth_m.shape", "np.nanmedian(result.depth_m)")
+    lines = python(f"import numpy as np\n{median}", recording).splitlines()
     assert [line.split()[0] for line in lines] == ["0", "1", "2", "3", "4", "5"]
     assert lines[0].split()[1:] == ["nan", "None"]
     assert float(lines[-1].split()[1]) == pytest.approx(1, abs=0.02)
     assert abs(float(lines[-1].split()[2])) < 0.6
+
+
+def test_a_plan_is_run(recording):
+    assert python(examples(PAGE)[1], recording).startswith("6 ")
+
+
+def test_a_matcher_of_ones_own_is_chosen_by_its_name(recording):
+    code = examples(PAGE)[2] + (
+        "from motionstereo_cli import Settings, open_stereo, process\n"
+        "with open_stereo('left.mp4', 'right.mp4') as source:\n"
+        "    *_, last = process(source, Settings(matcher='constant'))\n"
+        "known = ~np.isnan(last.disparity_px)\n"
+        "print((known == last.motion).all(), known.any(), np.nanmax(last.disparity_px))\n"
+    )
+    assert python(code, recording) == "True True 8.0\n"
+
+
+def test_the_example_compares_two_matchers_with_the_truth(tmp_path):
+    lines = python(examples(PAGE)[3], tmp_path).splitlines()
+    scores = [re.fullmatch(r"([a-z-]+): (.*) known, (.*) of it wrong .*", line) for line in lines]
+    assert [score[1] for score in scores] == ["semi-global", "dense"]
+    for score in scores:
+        assert float(score[2]) > 0.05  # cards move before a wall that rests
+        assert float(score[3]) < 0.4
+
+
+@pytest.mark.parametrize(
+    ("function", "message"),
+    [
+        (
+            lambda right, left, settings: right.charge[1:],
+            r"gives shape \(23, 32\): give \(24, 32\)",
+        ),
+        (lambda right, left, settings: "far", "failed: ValueError"),
+        (lambda right, left: right.charge, "failed: TypeError"),
+    ],
+)
+def test_a_matcher_that_fails_is_named(function, message, monkeypatch):
+    monkeypatch.setattr(matching, "MATCH", dict(matching.MATCH))
+    monkeypatch.setitem(matching.MATCHERS, "own", None)
+    motionstereo_cli.register_matcher("own", function)
+    frame = motionstereo_cli.StereoFrame(0, 0, None, *np.zeros((2, 24, 32), np.uint8))
+    with pytest.raises(InputError, match=f"the matcher own {message}"):
+        list(motionstereo_cli.process([frame], motionstereo_cli.Settings(matcher="own")))
+
+
+@pytest.mark.parametrize(("name", "function"), [("dense", print), ("", print), ("mine", 5)])
+def test_only_new_names_and_functions_are_registered(name, function):
+    with pytest.raises(SettingsError, match="give another name, and a function"):
+        motionstereo_cli.register_matcher(name, function)
+
+
+def test_installed_packages_offer_matchers(recording, monkeypatch, tmp_path):
+    """To the command line too; one that cannot be loaded is named when it is wanted."""
+    packages = tmp_path / "packages"
+    offer = packages / "offer-1.dist-info"
+    offer.mkdir(parents=True)
+    (offer / "METADATA").write_text("Metadata-Version: 2.1\nName: offer\nVersion: 1\n")
+    (offer / "entry_points.txt").write_text(
+        "[motionstereo.matchers]\nconstant = offer:constant\ngone = offer.gone:match\n"
+        "dense = offer:constant\n"
+    )
+    (packages / "offer.py").write_text(examples(PAGE)[2].partition("register_matcher(")[0])
+    monkeypatch.setenv("PYTHONPATH", str(packages))
+
+    def ran(matcher):
+        args = ["run", "left.mp4", "right.mp4", "--matcher", matcher, "-o", matcher]
+        command = [sys.executable, "-m", "motionstereo_cli", *args, "--save", "steering"]
+        done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=recording)
+        return done.returncode, done.stderr
+
+    assert ran("constant")[0] == 0
+    assert json.loads((recording / "constant/run.json").read_text())["settings"]["matcher"]
+    code, said = ran("gone")
+    assert code == 1
+    assert "error: the matcher gone cannot be loaded: ModuleNotFoundError" in said
+    assert ran("dense")[0] == 0
+    code, said = ran("none")
+    assert code == 2
+    assert "constant" in said
 
 
 @pytest.mark.parametrize("name", motionstereo_cli.__all__)

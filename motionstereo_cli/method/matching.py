@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from motionstereo_cli.errors import InputError, SettingsError
 from motionstereo_cli.method.balance import balanced
 from motionstereo_cli.method.borders import hidden_filled, trimmed
 from motionstereo_cli.method.cleaning import filled, without_speckles
@@ -18,10 +19,12 @@ from motionstereo_cli.method.dense import ROWS, match_dense, smoothed, weights_o
 from motionstereo_cli.method.memory import Memory, age_of, blurred, keys_of
 from motionstereo_cli.method.regions import match_regions
 from motionstereo_cli.method.residual import residual
-from motionstereo_cli.method.settings import Settings
+from motionstereo_cli.method.settings import MATCHERS, Matcher, Settings, installed_matchers
 from motionstereo_cli.method.trails import match_trails
 
 if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
     from motionstereo_cli.types import Real
 
     #: Disparity, and what makes its confidence: it takes time, and few ask for it.
@@ -84,3 +87,60 @@ MATCH: dict[str, Callable[[Memory, Memory, Settings], Found]] = {
     "dense": _dense,
     "regions": _regions,
 }
+
+#: The matchers of the package itself, which cannot be replaced.
+_OWN = frozenset(MATCH)
+
+
+def register_matcher(
+    name: str, function: Callable[[Memory, Memory, Settings], ArrayLike], what: str = ""
+) -> None:
+    """Add a matcher, or replace one that was added, which settings then choose by its name.
+
+    A package offers one to every user, the command line included, by an entry point of the group
+    ``motionstereo.matchers`` that names the function.
+
+    Args:
+        name: what ``Settings(matcher=...)`` and ``--matcher`` call it.
+        function: takes the right and the left memory and the settings; returns the disparity in px
+            of each right pixel, (height, width), NaN = unknown. What it gives for pixels at rest,
+            or outside 0..``max_disparity``, becomes unknown; it must not write to the memories.
+            With ``--reference left`` it is given mirror images, and its result is mirrored back.
+        what: what it does, in a few words.
+
+    Raises:
+        SettingsError: the package has a matcher of that name, or the function is none.
+    """
+    if name in _OWN or not name or not callable(function):
+        raise SettingsError(f"matcher {name!r}: give another name, and a function")
+
+    def match(right: Memory, left: Memory, settings: Settings) -> Found:
+        try:
+            found = np.array(function(right, left, settings), np.float32)
+        except Exception as error:
+            raise InputError(f"the matcher {name} failed: {error!r}") from error
+        if found.shape != right.charge.shape:
+            raise InputError(
+                f"the matcher {name} gives shape {found.shape}: give {right.charge.shape}"
+            )
+        charged = right.charge > settings.charge_min
+        found[~(charged & (found >= 0) & (found <= settings.max_disparity))] = np.nan
+        return found, lambda: np.full_like(found, np.nan)
+
+    MATCH[name] = match
+    MATCHERS[name] = Matcher(what or name, knows_confidence=False)
+
+
+def matcher_of(settings: Settings) -> Callable[[Memory, Memory, Settings], Found]:
+    """Return the matcher that settings choose.
+
+    Raises:
+        InputError: a package offers it, and it cannot be loaded.
+    """
+    name = settings.matcher
+    if name not in MATCH:
+        try:
+            register_matcher(name, installed_matchers()[name].load())
+        except Exception as error:
+            raise InputError(f"the matcher {name} cannot be loaded: {error!r}") from error
+    return MATCH[name]

@@ -7,10 +7,14 @@ dataclasses declared with :func:`param`, here and in ``simulate``.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from functools import cache
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from motionstereo_cli.errors import SettingsError
 from motionstereo_cli.params import checked, param
+
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
 
 #: The largest range of disparities that a run takes, in px.
 MAX_DISPARITY = 2048
@@ -23,7 +27,7 @@ AUTO = 0
 
 
 class Matcher(NamedTuple):
-    """What a matcher is to users; its function is in ``matchers.py`` under the same name.
+    """What a matcher is to users; its function is in ``matching.py`` under the same name.
 
     Attributes:
         what: what it does, in a few words.
@@ -43,6 +47,26 @@ MATCHERS = {
         "largest connected region of equal charge at each displacement", knows_confidence=False
     ),
 }
+
+#: Installed packages offer matchers by entry points of this group.
+ENTRY_POINTS = "motionstereo.matchers"
+
+
+@cache
+def installed_matchers() -> dict[str, EntryPoint]:
+    """Return the matchers that installed packages offer, by name; none of them is loaded yet."""
+    from importlib.metadata import entry_points
+
+    return {point.name: point for point in entry_points(group=ENTRY_POINTS)}
+
+
+def matchers() -> dict[str, Matcher]:
+    """Return every matcher that can be chosen: of the package, registered, of other packages."""
+    offered = {
+        name: Matcher(f"of {point.value}", knows_confidence=False)
+        for name, point in installed_matchers().items()
+    }
+    return {**MATCHERS, **{name: row for name, row in offered.items() if name not in MATCHERS}}
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,7 +132,7 @@ class Settings:
         "How the two memories are matched. "
         + "; ".join(f"{name}: {matcher.what}" for name, matcher in MATCHERS.items())
         + ".",
-        choices=tuple(MATCHERS),
+        choices=matchers,
     )
     match_on: str = param(
         "charge-band",
@@ -250,7 +274,7 @@ class Settings:
             )
         if self.max_age < FOREVER and self.charge_mode == "general":
             raise SettingsError("--max-age needs --charge-mode permanency: else age is not known")
-        if self.min_confidence > 0 and not MATCHERS[self.matcher].knows_confidence:
+        if self.min_confidence > 0 and not matchers()[self.matcher].knows_confidence:
             knowing = " or ".join(name for name in MATCHERS if MATCHERS[name].knows_confidence)
             raise SettingsError(f"--min-confidence needs --matcher {knowing}")
 
