@@ -50,7 +50,17 @@ class Bag:
         pack = self.types.serialize_ros1 if self.kind == ".bag" else self.types.serialize_cdr
         self.writer.write(self.connections[topic], recorded_ns, pack(message, kind))
 
-    def image(self, topic, pixels, stamp_ns, encoding="mono8", *, recorded_ns=None, padding=0):
+    def image(
+        self,
+        topic,
+        pixels,
+        stamp_ns,
+        encoding="mono8",
+        *,
+        recorded_ns=None,
+        padding=0,
+        behind=(),
+    ):
         rows = np.ascontiguousarray(pixels).view(np.uint8).reshape(len(pixels), -1)
         rows = np.pad(rows, ((0, 0), (0, padding)))
         message = self.of("Image")(
@@ -60,7 +70,7 @@ class Bag:
             encoding=encoding,
             is_bigendian=0,
             step=rows.shape[1],
-            data=rows.reshape(-1),
+            data=np.append(rows.reshape(-1), np.asarray(behind, np.uint8)),
         )
         self.write(topic, message, stamp_ns if recorded_ns is None else recorded_ns)
 
@@ -69,7 +79,7 @@ class Bag:
         message = self.of("CompressedImage")(header=self.header(stamp_ns), format=format, data=data)
         self.write(topic, message, stamp_ns)
 
-    def camera_info(self, topic, rig, stamp_ns, *, right):
+    def camera_info(self, topic, rig, stamp_ns, *, right, region=(0, 0, 0, 0), binning=(0, 0)):
         shift = -rig.focal_px * rig.baseline_m if right else 0.0
         cx = rig.cx_of("right" if right else "left")
         f, cy = rig.focal_px, rig.cy
@@ -81,15 +91,16 @@ class Bag:
         }
         if self.kind == ".bag":
             fields = {key.upper(): value for key, value in fields.items()}
-        region = self.of("RegionOfInterest")(0, 0, 0, 0, False)
+        x, y, width, height = region
+        roi = self.of("RegionOfInterest")(x, y, height, width, False)
         message = self.of("CameraInfo")(
             header=self.header(stamp_ns),
             height=rig.height,
             width=rig.width,
             distortion_model="plumb_bob",
-            binning_x=0,
-            binning_y=0,
-            roi=region,
+            binning_x=binning[0],
+            binning_y=binning[1],
+            roi=roi,
             **fields,
         )
         self.write(topic, message, stamp_ns)

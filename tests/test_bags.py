@@ -1,6 +1,8 @@
 """ROS bags: found, read and paired as the images that were put into them."""
 
+import dataclasses
 import json
+import re
 from pathlib import Path
 
 import cv2
@@ -13,7 +15,7 @@ from motionstereo_cli.errors import InputError, SettingsError
 from motionstereo_cli.rig.calibration import rectify_source
 from motionstereo_cli.sources import open_stereo
 from motionstereo_cli.sources.bag import BagRecording
-from motionstereo_cli.sources.bag_topics import is_bag, stereo_topics
+from motionstereo_cli.sources.bag_topics import bags_in, stereo_topics
 from motionstereo_cli.sources.settings import InputSettings
 from motionstereo_cli.types import Rig
 
@@ -59,7 +61,7 @@ def test_a_bag_gives_the_images_and_times_put_into_it(tmp_path, kind):
 @pytest.mark.parametrize("kind", [".db3", ".mcap"])
 def test_the_file_in_the_folder_is_a_bag_too(tmp_path, kind):
     (file,) = written(tmp_path, kind).glob(f"*{kind}")
-    assert is_bag(file)
+    assert bags_in(file) == (file,)
     with open_stereo(file) as source:
         assert len(list(source)) == 6
 
@@ -87,7 +89,7 @@ def test_left_and_right_are_found_by_name(tmp_path, names, found):
     with Bag(path, ".bag") as bag:
         for name in names:
             bag.image(name, greys()[0][0], 10**9)
-    left, right = stereo_topics(path)
+    left, right = stereo_topics([path])
     if found == "rect":
         assert (left, right) == ("/left/image_rect", "/right/image_rect")
     else:
@@ -101,12 +103,12 @@ def test_where_names_do_not_tell_the_topics_are_listed_and_can_be_given(tmp_path
             for name in ("/front/image", "/back/image"):
                 bag.image(name, greys()[0][0], 10**9 + n * PERIOD_NS)
     with pytest.raises(InputError, match=r"--topics LEFT,RIGHT.*/back/image \(64x48 px, mono8, 2 "):
-        stereo_topics(path)
+        stereo_topics([path])
     with open_stereo(path, settings=InputSettings(topics="/front/image,/back/image")) as source:
         assert source.describe()["left"]["topic"] == "/front/image"
         assert len(list(source)) == 2
     with pytest.raises(SettingsError, match="give two topics"):
-        stereo_topics(path, "/front/image,/side/image")
+        stereo_topics([path], "/front/image,/side/image")
     folders = [tmp_path / "left", tmp_path / "right"]
     for folder in folders:
         folder.mkdir()
@@ -131,6 +133,10 @@ OPAQUE = np.full((48, 64, 1), 255, np.uint8)
         ("bgra8", np.dstack([COLOUR[:, :, ::-1], OPAQUE]), RGB_LUMA),
         ("yuv422", np.dstack([np.full_like(GREY, 128), GREY]), GREY),
         ("yuv422_yuy2", np.dstack([GREY, np.full_like(GREY, 128)]), GREY),
+        ("rgb16", COLOUR.astype(np.uint16) * 257, RGB_LUMA),
+        ("bgr16", COLOUR[:, :, ::-1].astype(np.uint16) * 257, RGB_LUMA),
+        ("bgra16", np.dstack([COLOUR[:, :, ::-1], OPAQUE]).astype(np.uint16) * 257, RGB_LUMA),
+        ("16UC3", COLOUR[:, :, ::-1].astype(np.uint16) * 257, RGB_LUMA),
     ],
 )
 def test_every_encoding_becomes_grey(tmp_path, encoding, pixels, grey):
@@ -138,9 +144,19 @@ def test_every_encoding_becomes_grey(tmp_path, encoding, pixels, grey):
     with Bag(path, ".bag") as bag:
         bag.image("/left", pixels, 10**9, encoding)
     (image,) = BagRecording(path, "/left")
-    np.testing.assert_array_equal(image.grey, grey)
+    assert np.abs(image.grey.astype(int) - grey).max() <= pixels.itemsize - 1
 
 
+@pytest.mark.parametrize("encoding", ["nv12", "nv21"])
+def test_luma_in_a_plane_of_its_own_is_grey(tmp_path, encoding):
+    path = tmp_path / "a.bag"
+    with Bag(path, ".bag") as bag:
+        bag.image("/left", GREY, 10**9, encoding, behind=np.zeros(GREY.size // 2, np.uint8))
+    (image,) = BagRecording(path, "/left")
+    np.testing.assert_array_equal(image.grey, GREY)
+
+
+@pytest.mark.parametrize("deep", [False, True])
 @pytest.mark.parametrize(
     ("encoding", "places"),
     [
@@ -150,7 +166,7 @@ def test_every_encoding_becomes_grey(tmp_path, encoding, pixels, grey):
         ("bayer_grbg8", {(0, 0): 1, (0, 1): 2, (1, 0): 0, (1, 1): 1}),
     ],
 )
-def test_bayer_patterns_are_told_apart(tmp_path, encoding, places):
+def test_bayer_patterns_are_told_apart(tmp_path, encoding, places, deep):
     """Of a picture of one colour, each pattern gives the luma of that colour."""
     blue, green, red = 30, 90, 220
     pixels = np.zeros((48, 64), np.uint8)
@@ -158,7 +174,9 @@ def test_bayer_patterns_are_told_apart(tmp_path, encoding, places):
         pixels[row::2, column::2] = (blue, green, red)[channel]
     path = tmp_path / "a.bag"
     with Bag(path, ".bag") as bag:
-        bag.image("/left", pixels, 10**9, encoding)
+        if deep:
+            pixels = pixels.astype(np.uint16) * 257
+        bag.image("/left", pixels, 10**9, encoding.replace("8", "16" if deep else "8"))
     (image,) = BagRecording(path, "/left")
     luma = 0.299 * red + 0.587 * green + 0.114 * blue
     assert np.abs(image.grey[4:-4, 4:-4] - luma).max() < 2
@@ -179,8 +197,8 @@ def test_compressed_images_and_ones_that_are_not(tmp_path):
 def test_an_unknown_encoding_is_named(tmp_path):
     path = tmp_path / "a.bag"
     with Bag(path, ".bag") as bag:
-        bag.image("/left", GREY, 10**9, "nv21")
-    with pytest.raises(InputError, match="encoding 'nv21'"):
+        bag.image("/left", GREY, 10**9, "nv77")
+    with pytest.raises(InputError, match="encoding 'nv77'"):
         BagRecording(path, "/left")
 
 
@@ -197,6 +215,98 @@ def test_without_stamps_the_time_of_recording_counts_and_stamps_that_go_back_are
     recording = BagRecording(path, "/right")
     list(recording)
     assert "go back" in recording.damage[0]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("given", ["folder", "pattern", "both"])
+def test_the_parts_of_a_split_bag_are_one_recording(tmp_path, kind, given):
+    parts = tmp_path / "parts"
+    parts.mkdir()
+    for part in (0, 1, 2):
+        path = tmp_path / f"{part}" if kind != ".bag" else parts / f"a_{part}.bag"
+        with Bag(path, kind) as bag:
+            for n, pair in list(enumerate(greys()))[2 * part : 2 * part + 2]:
+                for side, grey in zip(("left", "right"), pair, strict=True):
+                    bag.image(f"/{side}/image_raw", grey, (n + 50) * PERIOD_NS)
+        if kind != ".bag":
+            (file,) = path.glob(f"*{kind}")
+            file.rename(parts / f"a_{part}{kind}")
+    names = {
+        "folder": [parts],
+        "pattern": [f"{parts}/a_*{kind}"],
+        "both": [parts / f"a_0{kind}", parts / f"a_1{kind}"],
+    }[given]
+    count = 4 if given == "both" else 6
+    with open_stereo(*names) as source:
+        frames = list(source)
+        assert source.counts["left"]["paired"] == source.expected_frames == count
+        assert len(source.paths) == count // 2
+        assert (source.damage, source.warnings) == ([], [])
+        assert source.describe()["left"]["bytes"] == sum(p.stat().st_size for p in source.paths)
+    assert [frame.pts for frame in frames] == [(n + 50) * PERIOD_NS for n in range(count)]
+    for frame, (left, right) in zip(frames, greys(), strict=False):
+        np.testing.assert_array_equal((frame.left, frame.right), (left, right))
+
+
+def test_two_bags_of_one_camera_each_are_left_and_right(tmp_path):
+    for side in (0, 1):
+        with Bag(tmp_path / f"{side}.bag", ".bag") as bag:
+            for n, pair in enumerate(greys()):
+                bag.image("/camera/image_raw", pair[side], n * PERIOD_NS + 10**9)
+    with open_stereo(tmp_path / "0.bag", tmp_path / "1.bag") as source:
+        frames = list(source)
+    for frame, (left, right) in zip(frames, greys(), strict=True):
+        np.testing.assert_array_equal((frame.left, frame.right), (left, right))
+
+
+@pytest.mark.parametrize("begin_s", [0, 12, 1_700_000_000])
+def test_clocks_of_topics_that_differ_are_brought_together(tmp_path, begin_s):
+    path = tmp_path / "a.bag"
+    received_ns = 1_650_000_000 * 10**9
+    with Bag(path, ".bag") as bag:
+        for n, (left, right) in enumerate(greys()):
+            at_ns = received_ns + n * PERIOD_NS
+            bag.image("/left/image_raw", left, at_ns, recorded_ns=at_ns)
+            if n:  # the right camera begins an image later
+                stamp_ns = begin_s * 10**9 + n * PERIOD_NS
+                bag.image("/right/image_raw", right, stamp_ns, recorded_ns=at_ns + 10**6 * n)
+    with open_stereo(path) as source:
+        frames = list(source)
+        (warning,) = source.warnings
+        ahead_s = float(re.search(r"of a clock (\S+) s ahead", warning)[1])
+        assert ahead_s == pytest.approx(begin_s - 1_650_000_000, abs=0.01)
+        assert "--sync-shift" in warning
+    assert len(frames) == 5
+    np.testing.assert_array_equal(frames[0].left, greys()[1][0])
+    np.testing.assert_array_equal(frames[4].right, greys()[5][1])
+
+
+@pytest.mark.parametrize(
+    ("region", "binning"),
+    [((0, 0, 0, 0), (2, 2)), ((16, 8, 64, 48), (0, 0)), ((16, 8, 128, 96), (2, 2))],
+)
+def test_the_calibration_follows_region_and_binning(tmp_path, region, binning):
+    whole = Rig(width=128, height=96, focal_px=100, baseline_m=0.1, cx=63.5, cy=47.5)
+    whole = whole if not region[0] else dataclasses.replace(whole, width=256, height=192)
+    path = tmp_path / "a.bag"
+    with Bag(path, ".bag") as bag:
+        for side, grey in zip(("left", "right"), greys()[0], strict=True):
+            bag.image(f"/{side}/image_rect", grey, 10**9)
+            bag.camera_info(
+                *(f"/{side}/camera_info", whole, 10**9),
+                right=side == "right",
+                region=region,
+                binning=binning,
+            )
+    with open_stereo(path) as source:
+        calibration = rectify_source(source, ())
+    assert calibration is not None
+    rig, step = calibration.rig, binning[0] or 1
+    assert (rig.width, rig.height) == (64, 48)
+    assert rig.focal_px == pytest.approx(100 / step)
+    assert rig.baseline_m == pytest.approx(0.1)
+    assert rig.cx == pytest.approx((63.5 - region[0] + 0.5) / step - 0.5)
+    assert rig.cy == pytest.approx((47.5 - region[1] + 0.5) / step - 0.5)
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -8,10 +8,12 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
-from collections.abc import Iterator
+import itertools
+import statistics
+from collections.abc import Generator, Iterator, Sequence
 from fractions import Fraction
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -23,6 +25,7 @@ from motionstereo_cli.sources.bag_topics import (
     bag_damage,
     camera_info_of,
     image_topics,
+    name_of,
     opened_bag,
 )
 from motionstereo_cli.sources.recording import Image, Recording, images
@@ -32,27 +35,58 @@ if TYPE_CHECKING:
 
     from motionstereo_cli.types import Grey
 
-#: Encodings of raw images: bytes per pixel, what cv2 makes grey of them, None where they are.
-_ENCODINGS: dict[str, tuple[int, int | None]] = {
-    "mono8": (1, None),
-    "8UC1": (1, None),
-    "mono16": (2, None),
-    "16UC1": (2, None),
-    "rgb8": (3, cv2.COLOR_RGB2GRAY),
-    "bgr8": (3, cv2.COLOR_BGR2GRAY),
-    "8UC3": (3, cv2.COLOR_BGR2GRAY),
-    "rgba8": (4, cv2.COLOR_RGBA2GRAY),
-    "bgra8": (4, cv2.COLOR_BGRA2GRAY),
+
+class _Encoding(NamedTuple):
+    """How raw images hold pixels: samples of each, bytes of each, what makes grey of them."""
+
+    samples: int
+    sample_bytes: int
+    conversion: int | None
+
+
+#: Colours, and what cv2 makes grey of.
+_COLOURS = {
+    "rgb": (3, cv2.COLOR_RGB2GRAY),
+    "bgr": (3, cv2.COLOR_BGR2GRAY),
+    "rgba": (4, cv2.COLOR_RGBA2GRAY),
+    "bgra": (4, cv2.COLOR_BGRA2GRAY),
     # OpenCV names a Bayer pattern by its second row's second and third pixel.
-    "bayer_rggb8": (1, cv2.COLOR_BayerBG2GRAY),
-    "bayer_bggr8": (1, cv2.COLOR_BayerRG2GRAY),
-    "bayer_gbrg8": (1, cv2.COLOR_BayerGR2GRAY),
-    "bayer_grbg8": (1, cv2.COLOR_BayerGB2GRAY),
-    "yuv422": (2, cv2.COLOR_YUV2GRAY_UYVY),
-    "uyvy": (2, cv2.COLOR_YUV2GRAY_UYVY),
-    "yuv422_yuy2": (2, cv2.COLOR_YUV2GRAY_YUY2),
-    "yuyv": (2, cv2.COLOR_YUV2GRAY_YUY2),
+    "bayer_rggb": (1, cv2.COLOR_BayerBG2GRAY),
+    "bayer_bggr": (1, cv2.COLOR_BayerRG2GRAY),
+    "bayer_gbrg": (1, cv2.COLOR_BayerGR2GRAY),
+    "bayer_grbg": (1, cv2.COLOR_BayerGB2GRAY),
 }
+
+_ENCODINGS: dict[str, _Encoding] = {
+    "mono8": _Encoding(1, 1, None),
+    "mono16": _Encoding(1, 2, None),
+    **{
+        f"{name}{8 * size}": _Encoding(samples, size, conversion)
+        for name, (samples, conversion) in _COLOURS.items()
+        for size in (1, 2)
+    },
+    **{
+        f"{8 * size}UC{samples}": _Encoding(samples, size, conversion)
+        for samples, conversion in (
+            (1, None),
+            (3, cv2.COLOR_BGR2GRAY),
+            (4, cv2.COLOR_BGRA2GRAY),
+        )
+        for size in (1, 2)
+    },
+    "yuv422": _Encoding(2, 1, cv2.COLOR_YUV2GRAY_UYVY),
+    "uyvy": _Encoding(2, 1, cv2.COLOR_YUV2GRAY_UYVY),
+    "yuv422_yuy2": _Encoding(2, 1, cv2.COLOR_YUV2GRAY_YUY2),
+    "yuyv": _Encoding(2, 1, cv2.COLOR_YUV2GRAY_YUY2),
+    # Luma stands in a plane of its own before the colours.
+    "nv12": _Encoding(1, 1, None),
+    "nv21": _Encoding(1, 1, None),
+    "nv16": _Encoding(1, 1, None),
+    "nv24": _Encoding(1, 1, None),
+}
+
+#: How many first messages tell the difference of the clocks of camera and recorder.
+_CLOCK_MESSAGES = 9
 
 
 class BagRecording(Recording):
@@ -63,7 +97,7 @@ class BagRecording(Recording):
     left out; where the bag cannot be read on, the images behind it are lost.
 
     Args:
-        path: the bag.
+        files: the bag, or the parts of one that was split.
         topic: name of the topic.
         white: level that becomes 255 in images of 16 bits; 0 = 65535.
         max_pixels: largest width times height of an image.
@@ -81,24 +115,33 @@ class BagRecording(Recording):
     time_base = Fraction(1, 10**9)
 
     def __init__(
-        self, path: Path, topic: str, *, white: int = 0, max_pixels: int = MAX_PIXELS
+        self,
+        files: Path | Sequence[Path],
+        topic: str,
+        *,
+        white: int = 0,
+        max_pixels: int = MAX_PIXELS,
     ) -> None:
-        self._path, self._topic, self._max_pixels = path, topic, max_pixels
+        self._files = (files,) if isinstance(files, Path) else tuple(files)
+        self._topic, self._max_pixels = topic, max_pixels
+        self._name = f"{name_of(self._files)} {topic}"
         self._white, self._judged = white, bool(white)
         self._lost, self._ended = 0, ""
         self._going_back = 0
         with contextlib.ExitStack() as opened:
-            self._reader = opened.enter_context(opened_bag(path))
+            self._reader = opened.enter_context(opened_bag(self._files))
             found = {each.name: each for each in image_topics(self._reader)}
             if topic not in found:
-                raise InputError(f"{path} has no images on {topic}")
+                raise InputError(f"{name_of(self._files)} has no images on {topic}")
             self._about = found[topic]
             self.expected_images = self._about.messages
             rate = self._about.rate
             self.frame_rate = None if rate is None else Fraction(rate).limit_denominator(1001)
-            self.camera_info = camera_info_of(self._reader, topic)
             self.rectified = "rect" in topic
-            self._start(self._images_of(), f"{path} {topic}")
+            self.clock_ahead_s = self._clock_ahead_s()
+            self._start(self._images_of(), self._name)
+            size = (self.width, self.height)
+            self.camera_info = camera_info_of(self._reader, topic, size)
             self._opened = opened.pop_all()
 
     def close(self) -> None:
@@ -112,8 +155,8 @@ class BagRecording(Recording):
 
     @property
     def files(self) -> tuple[Path, ...]:
-        """The bag."""
-        return (self._path,)
+        """The bag, or its parts."""
+        return self._files
 
     @property
     def damage(self) -> list[str]:
@@ -129,7 +172,7 @@ class BagRecording(Recording):
     def describe(self) -> dict[str, Any]:
         """Return what the topic is, as JSON-able values."""
         return {
-            "path": str(self._path),
+            "path": name_of(self._files),
             "topic": self._topic,
             "kind": "bag",
             "codec": self._about.kind.rpartition("/")[2],
@@ -146,14 +189,32 @@ class BagRecording(Recording):
     def fingerprint(self) -> dict[str, Any]:
         """Return the size of the bag's files in bytes, and their SHA-256, one after another."""
         sums, size = hashlib.sha256(), 0
-        files = sorted(self._path.iterdir()) if self._path.is_dir() else [self._path]
-        for file in files:
+        for file in (
+            each
+            for path in self._files
+            for each in (sorted(path.iterdir()) if path.is_dir() else [path])
+        ):
             if file.is_file():
                 with file.open("rb") as opened:
                     while block := opened.read(1 << 20):
                         sums.update(block)
                         size += len(block)
         return {"bytes": size, "sha256": sums.hexdigest()}
+
+    def _clock_ahead_s(self) -> Fraction | None:
+        """Return by how much the camera's clock is ahead of the recorder's; None if unknown."""
+        with contextlib.closing(self._messages()) as messages:
+            first = [
+                (_stamp_ns(message), recorded_ns)
+                for recorded_ns, message in itertools.islice(messages, _CLOCK_MESSAGES)
+                if message is not None
+            ]
+        self._lost, self._ended = 0, ""
+        if not first:
+            return None
+        if first[0][0] == 0:  # no stamps: those of the recorder take their place
+            return Fraction(0)
+        return Fraction(statistics.median(stamp - recorded for stamp, recorded in first)) / 10**9
 
     def _images_of(self) -> Iterator[Image]:
         shape: tuple[int, ...] | None = None
@@ -162,7 +223,7 @@ class BagRecording(Recording):
             if message is None:
                 self._lost += 1
                 continue
-            stamp_ns = message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
+            stamp_ns = _stamp_ns(message)
             if shape is None:
                 by_record = stamp_ns == 0
             try:
@@ -173,7 +234,7 @@ class BagRecording(Recording):
             shape = shape or grey.shape
             if grey.shape != shape:
                 raise InputError(
-                    f"{self._path} {self._topic}: image {number} is {grey.shape[1]}x"
+                    f"{self._name}: image {number} is {grey.shape[1]}x"
                     f"{grey.shape[0]} but those before it are {shape[1]}x{shape[0]}"
                 )
             time_ns = recorded_ns if by_record else stamp_ns
@@ -181,7 +242,7 @@ class BagRecording(Recording):
             last_ns = time_ns
             yield Image(number, time_ns, grey)
 
-    def _messages(self) -> Iterator[tuple[int, Any]]:
+    def _messages(self) -> Generator[tuple[int, Any]]:
         """Yield the time at which each message was recorded, and the message or None."""
         from rosbags.highlevel import AnyReaderError
 
@@ -200,7 +261,7 @@ class BagRecording(Recording):
 
     def _grey(self, message: Any) -> Grey:
         """Return the grey levels of a message."""
-        name = f"{self._path} {self._topic}"
+        name = self._name
         if not hasattr(message, "encoding"):
             return self._scaled(decode(bytes(message.data), Path(name), self._max_pixels)[0], name)
         if message.encoding not in _ENCODINGS:
@@ -211,21 +272,20 @@ class BagRecording(Recording):
         width, height = message.width, message.height
         if not 0 < width * height <= self._max_pixels:
             raise InputError(f"{name}: images of {width}x{height} px: see --max-pixels")
-        bytes_per_pixel, conversion = _ENCODINGS[message.encoding]
+        samples, sample_bytes, conversion = _ENCODINGS[message.encoding]
+        row_bytes = width * samples * sample_bytes
         data = np.frombuffer(message.data, np.uint8)
-        if message.step < width * bytes_per_pixel or len(data) < message.step * height:
+        if message.step < row_bytes or len(data) < message.step * height:
             raise DamagedImageError(f"{len(data)} bytes are not an image of {width}x{height} px")
         rows = data[: message.step * height].reshape(height, message.step)
-        rows = np.ascontiguousarray(rows[:, : width * bytes_per_pixel])
-        if message.encoding in ("mono16", "16UC1"):
-            order = ">u2" if message.is_bigendian else "<u2"
-            return self._scaled(rows.view(order).astype(np.uint16), name)
-        if conversion is None:
-            return rows
-        pixels: NDArray[np.uint8] = rows
-        if bytes_per_pixel > 1:
-            pixels = rows.reshape(height, width, bytes_per_pixel)
-        return np.asarray(cv2.cvtColor(pixels, conversion), np.uint8)
+        pixels: NDArray[Any] = np.ascontiguousarray(rows[:, :row_bytes])
+        if sample_bytes == 2:
+            pixels = pixels.view(">u2" if message.is_bigendian else "<u2").astype(np.uint16)
+        if samples > 1:
+            pixels = pixels.reshape(height, width, samples)
+        if conversion is not None:
+            pixels = np.asarray(cv2.cvtColor(pixels, conversion), pixels.dtype)
+        return self._scaled(pixels, name)
 
     def _scaled(self, pixels: NDArray[Any], name: str) -> Grey:
         """Return grey levels; of the first image note whether it leaves much of 16 bits unused."""
@@ -233,3 +293,8 @@ class BagRecording(Recording):
             self._judge_depth(name, int(pixels.max(initial=0)), 16)
         self._judged = True
         return grey_of(pixels, Path(name), self._white)
+
+
+def _stamp_ns(message: Any) -> int:
+    stamp = message.header.stamp
+    return int(stamp.sec * 10**9 + stamp.nanosec)

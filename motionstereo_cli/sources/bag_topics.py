@@ -6,6 +6,7 @@ Read by rosbags, which needs no ROS.
 from __future__ import annotations
 
 import contextlib
+import glob
 import json
 import re
 from collections.abc import Iterator, Sequence
@@ -13,6 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from motionstereo_cli.errors import InputError, SettingsError
+from motionstereo_cli.sources.names import natural_key
 from motionstereo_cli.sources.recording import images
 
 if TYPE_CHECKING:
@@ -56,25 +58,49 @@ class Topic(NamedTuple):
         return f"{self.name} ({size}{self.encoding}, {images(self.messages)}{rate})"
 
 
-def is_bag(path: Path) -> bool:
-    """Return whether a path is that of a ROS bag."""
-    if path.is_dir():
-        return (path / "metadata.yaml").is_file()
-    return path.suffix.lower() in SUFFIXES and path.is_file()
+def bags_in(name: str | Path) -> tuple[Path, ...]:
+    """Return the ROS bag of a name, or the parts of one that was split; none where it is no bag.
+
+    Parts lie in a folder, or have names of one pattern; they are in natural order. A bag of ROS 2
+    is a folder with ``metadata.yaml``.
+    """
+    path = Path(name)
+    if path.is_dir() and (path / "metadata.yaml").is_file():
+        return (path,)
+    found = (
+        path.iterdir()
+        if path.is_dir()
+        else [path]
+        if path.exists()
+        else map(Path, glob.glob(str(name)))
+    )
+    files = [each for each in found if not each.name.startswith(".")]
+    parts = [each for each in files if each.suffix.lower() in SUFFIXES and each.is_file()]
+    if not parts or (len(parts) < len(files) and not path.is_dir()):
+        return ()
+    return tuple(sorted(parts, key=lambda part: natural_key(part.name)))
 
 
-def stereo_topics(path: Path, given: str = "") -> tuple[str, str]:
+def name_of(files: Sequence[Path]) -> str:
+    """Return what to call a bag, or the parts of one, in messages."""
+    if len(files) == 1:
+        return str(files[0])
+    return f"{files[0]} (and {len(files) - 1} more)"
+
+
+def stereo_topics(files: Sequence[Path], given: str = "") -> tuple[str, str]:
     """Return the topics of the left and the right camera.
 
     Args:
-        path: the bag.
+        files: the bag, or the parts of one that was split.
         given: both, as ``/left/image_raw,/right/image_raw``; found by name if empty.
 
     Raises:
         InputError: the bag cannot be read, or there is no pair, or more than one.
         SettingsError: what is given is not two topics of images.
     """
-    with opened_bag(path) as reader:
+    path = name_of(files)
+    with opened_bag(files) as reader:
         found = {topic.name: topic for topic in image_topics(reader)}
     listed = "; ".join(map(str, found.values())) or "none"
     if given:
@@ -100,6 +126,16 @@ def stereo_topics(path: Path, given: str = "") -> tuple[str, str]:
     return left, right
 
 
+def image_topics_of(files: Sequence[Path]) -> list[str]:
+    """Return the names of the topics of images in a bag, or in the parts of one.
+
+    Raises:
+        InputError: the bag cannot be read.
+    """
+    with opened_bag(files) as reader:
+        return [topic.name for topic in image_topics(reader)]
+
+
 def _right_of(name: str) -> str | None:
     for left, right in _SIDES:
         if re.search(rf"(?<![a-z]){left}(?![a-z0-9])", name):
@@ -108,12 +144,13 @@ def _right_of(name: str) -> str | None:
 
 
 @contextlib.contextmanager
-def opened_bag(path: Path) -> Iterator[AnyReader]:
-    """Open a bag for reading.
+def opened_bag(files: Sequence[Path]) -> Iterator[AnyReader]:
+    """Open a bag, or the parts of one, for reading as one.
 
     Raises:
         InputError: it cannot be read, or rosbags is not installed.
     """
+    path = name_of(files)
     try:
         from rosbags.highlevel import AnyReader
         from rosbags.typesys import Stores, get_typestore
@@ -122,7 +159,7 @@ def opened_bag(path: Path) -> Iterator[AnyReader]:
             f"{path} is a ROS bag, which needs rosbags: pip install 'motionstereo[ros]'"
         ) from None
     try:
-        reader = AnyReader([path], default_typestore=get_typestore(Stores.LATEST))
+        reader = AnyReader(list(files), default_typestore=get_typestore(Stores.LATEST))
         reader.open()
     except bag_damage() as error:
         advice = "rosbag reindex makes an index" if "index" in str(error) else "is it whole?"
@@ -183,8 +220,17 @@ def _first(reader: AnyReader, connections: Sequence[Connection]) -> Any:
     return None
 
 
-def camera_info_of(reader: AnyReader, topic: str) -> str | None:
-    """Return the calibration that lies beside a topic of images, as JSON."""
+def camera_info_of(reader: AnyReader, topic: str, size: tuple[int, int]) -> str | None:
+    """Return the calibration that lies beside a topic of images, as JSON.
+
+    It is of the sensor's images; where only a region of these was recorded, or pixels were binned,
+    it is adapted to the images recorded.
+
+    Args:
+        reader: the bag.
+        topic: name of the topic.
+        size: width and height of the images recorded, in px.
+    """
     parts = topic.split("/")
     for length in range(len(parts) - 1, 0, -1):  # /cam/image/compressed: /cam/image, then /cam
         name = "/".join([*parts[:length], "camera_info"])
@@ -199,5 +245,29 @@ def camera_info_of(reader: AnyReader, topic: str) -> str | None:
                 for key in "dkrp"
             }
             about_lens = {"distortion_model": info.distortion_model} if any(numbers["d"]) else {}
-            return json.dumps({"width": info.width, "height": info.height, **about_lens, **numbers})
+            stated = {"width": info.width, "height": info.height, **about_lens, **numbers}
+            return json.dumps(_as_recorded(stated, info, size))
     return None
+
+
+def _as_recorded(stated: dict[str, Any], info: Any, size: tuple[int, int]) -> dict[str, Any]:
+    """Return a calibration of the sensor's images as one of a region of them, with binned pixels.
+
+    A pixel's centre has whole coordinates, so what was at x is at (x - offset + 0.5) / n - 0.5.
+    """
+    across, down = max(info.binning_x, 1), max(info.binning_y, 1)
+    region = info.roi
+    width, height = region.width or info.width, region.height or info.height
+    if size == (info.width, info.height) or size != (width // across, height // down):
+        return stated
+    adapted: dict[str, Any] = {"width": size[0], "height": size[1]}
+    for key, columns in (("k", 3), ("p", 4)):
+        values = list(stated[key])
+        for row, offset, step in ((0, region.x_offset, across), (1, region.y_offset, down)):
+            begin = row * columns
+            values[begin : begin + columns] = [
+                value / step for value in values[begin : begin + columns]
+            ]
+            values[begin + 2] = (stated[key][begin + 2] - offset + 0.5) / step - 0.5
+        adapted[key] = values
+    return stated | adapted

@@ -6,6 +6,7 @@ import functools
 import logging
 import re
 from collections import Counter
+from datetime import datetime
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -37,6 +38,9 @@ _PROBED_PACKETS = 200
 
 #: Bare HEVC of several views (MV-HEVC) is not known by its content.
 _BARE_HEVC = frozenset({".hevc", ".h265", ".265"})
+
+#: No recording was made before this year.
+_NO_CLOCK = 1980
 
 #: The head of yuv4mpegpipe that states a rate.
 _Y4M_RATE = re.compile(rb"YUV4MPEG2[^\n]* F0*[1-9]")
@@ -138,6 +142,26 @@ class Container:
     def begin_s(self) -> Fraction:
         """Time at which the container says that it begins."""
         return Fraction(self.source.start_time or 0, av.time_base)
+
+    @property
+    def created(self) -> datetime | None:
+        """When the file was made, None if it does not say."""
+        said = self.stream.metadata.get("creation_time") or self.source.metadata.get(
+            "creation_time"
+        )
+        try:
+            found = datetime.fromisoformat(said) if said else None
+        except ValueError:
+            return None
+        # Cameras whose clock is not set begin in 1904 or 1970.
+        return found if found and found.tzinfo and found.year > _NO_CLOCK else None
+
+    @property
+    def timecode(self) -> str:
+        """Time code of the first image (hours:minutes:seconds:frames), empty if it has none."""
+        told = [self.stream.metadata, *(each.metadata for each in self.source.streams)]
+        found = (each["timecode"] for each in (*told, self.source.metadata) if "timecode" in each)
+        return next(found, "")
 
     @property
     def size_bytes(self) -> int | None:

@@ -4,57 +4,19 @@ from __future__ import annotations
 
 import json
 import math
-from contextlib import ExitStack, closing
+from contextlib import closing
 from pathlib import Path
 
 import av
 
 from motionstereo_cli.errors import InputError
 from motionstereo_cli.sources.container import ALL_VIEWS, Container
+from motionstereo_cli.sources.recording import Recording
 from motionstereo_cli.sources.settings import InputSettings
 from motionstereo_cli.sources.stereo3d import said_by, view_id
-from motionstereo_cli.sources.video import VideoRecording
 
 #: Within this many images each view comes at least once.
 _PROBED_IMAGES = 60
-
-
-def both_views(path: Path | str, settings: InputSettings, track: int) -> list[VideoRecording]:
-    """Open the left and the right view of spatial video, each as a recording of its own.
-
-    The file says which view is whose. Where it says the distance between the cameras and the angle
-    that an image spans, that makes the calibration.
-
-    Raises:
-        InputError: the file cannot be decoded, or only one view is in it.
-    """
-    eyes = eyes_in(path, settings, track)
-    with ExitStack() as opened:
-        views = []
-        for eye in ("left", "right"):
-            view = VideoRecording(
-                path,
-                rate=settings.rate,
-                track=track,
-                white=settings.white,
-                max_pixels=settings.max_pixels,
-                allow_network=settings.allow_network,
-                view=eyes[eye],
-            )
-            opened.enter_context(closing(view))
-            view.name = f"{path} ({eye} view)"
-            views.append(view)
-        said = views[0].said
-        if said.baseline_m and 0 < said.width_deg < 180:
-            for view, offset_m in zip(views, (0.0, said.baseline_m), strict=True):
-                view.camera_info = _camera_info(view, said.width_deg, offset_m)
-                view.rectified = True
-            views[0].calibration_note = (
-                f"{path} says that the cameras are {1000 * said.baseline_m:.4g} mm apart and see "
-                f"{said.width_deg:.4g} degrees: depth follows from these nominal values"
-            )
-        opened.pop_all()
-    return views
 
 
 def eyes_in(path: Path | str, settings: InputSettings, track: int) -> dict[str, int]:
@@ -91,7 +53,24 @@ def eyes_in(path: Path | str, settings: InputSettings, track: int) -> dict[str, 
     return eyes
 
 
-def _camera_info(view: VideoRecording, width_deg: float, offset_m: float) -> str:
+def add_nominal_rig(path: str, left: Recording, right: Recording) -> None:
+    """Give both views the calibration that follows from what the file says of the cameras.
+
+    Nothing where it does not say their distance and the angle that an image spans.
+    """
+    said = left.said
+    if not (said.baseline_m and 0 < said.width_deg < 180):
+        return
+    for view, offset_m in ((left, 0.0), (right, said.baseline_m)):
+        view.camera_info = _camera_info(view, said.width_deg, offset_m)
+        view.rectified = True
+    left.calibration_note = (
+        f"{path} says that the cameras are {1000 * said.baseline_m:.4g} mm apart and see "
+        f"{said.width_deg:.4g} degrees: depth follows from these nominal values"
+    )
+
+
+def _camera_info(view: Recording, width_deg: float, offset_m: float) -> str:
     """Return ``sensor_msgs/CameraInfo`` as JSON for a camera this far right of the left one."""
     focal_px = view.width / 2 / math.tan(math.radians(width_deg / 2))
     middle = (view.width - 1) / 2, (view.height - 1) / 2

@@ -3,23 +3,26 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import glob
 import re
 from collections.abc import Sequence
 from contextlib import ExitStack, closing
 from pathlib import Path
+from typing import NamedTuple
 
 from motionstereo_cli.errors import InputError, SettingsError
 from motionstereo_cli.files.stills import SUFFIXES, shown
 from motionstereo_cli.sources.bag import BagRecording
-from motionstereo_cli.sources.bag_topics import is_bag, stereo_topics
+from motionstereo_cli.sources.bag_topics import bags_in, image_topics_of, stereo_topics
 from motionstereo_cli.sources.folder import FolderRecording
-from motionstereo_cli.sources.multiview import both_views
+from motionstereo_cli.sources.joined import JoinedRecording, next_chapter, parts_of
+from motionstereo_cli.sources.multiview import add_nominal_rig, eyes_in
 from motionstereo_cli.sources.pages import PagesRecording, has_pages
 from motionstereo_cli.sources.pipe import Pipe
 from motionstereo_cli.sources.recording import Recording
 from motionstereo_cli.sources.settings import InputSettings
-from motionstereo_cli.sources.stereo import StereoSource
+from motionstereo_cli.sources.stereo import SIDES, StereoSource
 from motionstereo_cli.sources.svo import SvoRecording, is_svo
 from motionstereo_cli.sources.video import VideoRecording
 
@@ -61,9 +64,9 @@ def open_stereo(
     """Open a left and a right recording, or one that holds both views.
 
     Args:
-        left: a video file, a folder of images, a glob pattern of images, or ``-`` for standard
-            input; without ``right`` also a KITTI or EuRoC folder, or a ROS bag. With
-            ``allow_network`` in the settings also an address.
+        left: a video file, a folder or a glob pattern of images, or of videos that follow one
+            another, or ``-`` for standard input; without ``right`` also a KITTI or EuRoC folder,
+            or a ROS bag. With ``allow_network`` in the settings also an address.
         right: the like; None where ``left`` has both views.
         settings: how the views lie, which images belong together, and what to use of them.
 
@@ -85,11 +88,16 @@ def open_stereo(
                 raise InputError(
                     f"{names[0]} brings spatial video, which is read twice: give a file"
                 )
+            track = settings.tracks[0]
+            eyes = eyes_in(streams[0].files[0], settings, track)
             streams[0].close()
             streams = [
-                opened.enter_context(closing(view))
-                for view in both_views(Path(names[0]), settings, settings.tracks[0])
+                opened.enter_context(
+                    closing(open_recording(names[0], settings, track, view=eyes[eye]))
+                )
+                for eye in SIDES
             ]
+            add_nominal_rig(names[0], *streams)
         for stream in streams:
             _check_read(stream, settings)
         settings, notes = _laid_out(streams, settings)
@@ -174,7 +182,7 @@ def named(left: str | Path, right: str | Path | None, settings: InputSettings) -
             raise SettingsError(f"--layout {layout} takes one recording: leave {right} out")
         return names * 2 if layout == "tracks" else names
     if right is None:
-        return names * 2 if is_bag(Path(names[0])) else _both_in(names[0])
+        return names * 2 if bags_in(names[0]) else _both_in(names[0])
     one, other = (Path(name) for name in names)
     same = names[0] == names[1] or (one.exists() and other.exists() and one.samefile(other))
     if same:
@@ -185,22 +193,45 @@ def named(left: str | Path, right: str | Path | None, settings: InputSettings) -
     return names
 
 
-def topics_of(names: Sequence[str], settings: InputSettings) -> tuple[str, str]:
-    """Return the topics of the left and the right camera, empty where there is no bag.
+class Topic(NamedTuple):
+    """The topic of a camera, and the bag, or the parts of one, that it is in."""
+
+    files: tuple[Path, ...]
+    name: str
+
+
+def topics_of(names: Sequence[str], settings: InputSettings) -> tuple[Topic | None, Topic | None]:
+    """Return the topics of the left and the right camera, None where there is no bag.
+
+    Two bags are those of one camera each, or the parts of one bag.
 
     Raises:
         InputError: they are not to be found in the bag.
         SettingsError: topics were given, and there is no bag or it does not have them.
     """
-    if is_bag(Path(names[0])):
-        return stereo_topics(Path(names[0]), settings.topics)
-    if settings.topics:
-        raise SettingsError(f"--topics are those of a ROS bag, and {names[0]} is none")
-    return "", ""
+    bags = [bags_in(name) for name in dict.fromkeys(names)]
+    if not all(bags):
+        if settings.topics:
+            raise SettingsError(f"--topics are those of a ROS bag, and {names[0]} is none")
+        return None, None
+    if len(bags) == 2 and not settings.topics:
+        topics = [image_topics_of(files) for files in bags]
+        if all(len(found) == 1 for found in topics):
+            left, right = (
+                Topic(files, found[0]) for files, found in zip(bags, topics, strict=True)
+            )
+            return left, right
+    files = tuple(file for bag in bags for file in bag)
+    left_name, right_name = stereo_topics(files, settings.topics)
+    return Topic(files, left_name), Topic(files, right_name)
 
 
 def open_recording(
-    name: str, settings: InputSettings, track: int = 0, topic: str = ""
+    name: str,
+    settings: InputSettings,
+    track: int = 0,
+    topic: Topic | None = None,
+    view: int | None = None,
 ) -> Recording:
     """Open a recording.
 
@@ -209,6 +240,7 @@ def open_recording(
         settings: what to make of it.
         track: which video track of it, from 1; 0 = the first.
         topic: which topic of it, where it is a ROS bag.
+        view: which view of it, where it is a multiview stream; None = the base view.
 
     Raises:
         InputError: it cannot be decoded or has no images.
@@ -217,7 +249,12 @@ def open_recording(
     if is_svo(path):
         return SvoRecording(path, max_pixels=settings.max_pixels)
     if topic:
-        return BagRecording(path, topic, white=settings.white, max_pixels=settings.max_pixels)
+        return BagRecording(
+            topic.files, topic.name, white=settings.white, max_pixels=settings.max_pixels
+        )
+    if parts := _videos_of(name):
+        opened = functools.partial(_open_video, settings=settings, track=track, view=view)
+        return opened(parts[0]) if len(parts) == 1 else JoinedRecording(name, parts, opened)
     is_still = path.suffix.lower() in SUFFIXES or not path.exists()
     if not (name == STDIN or is_address(name)) and (path.is_dir() or is_still):
         if path.is_file() and has_pages(path):
@@ -228,19 +265,40 @@ def open_recording(
         return FolderRecording(
             path, files, settings.rate, white=settings.white, max_pixels=settings.max_pixels
         )
+    video = _open_video(_openable(name), settings, track, view)
+    if (following := next_chapter(path)) is not None:
+        pattern = path.with_name(f"G???{path.stem[-4:]}{path.suffix}")
+        video.warnings += (f"{name} goes on in {following}: to read both, give '{pattern}'",)
+    return video
+
+
+def _open_video(
+    path: Path | Pipe | str, settings: InputSettings, track: int = 0, view: int | None = None
+) -> VideoRecording:
     try:
         return VideoRecording(
-            _openable(name),
+            path,
             rate=settings.rate,
             track=track,
             white=settings.white,
             max_pixels=settings.max_pixels,
             allow_network=settings.allow_network,
+            view=view,
         )
     except InputError as error:
-        if how := _how_to_convert(path.suffix):
-            raise InputError(f"{name} is {how}") from error
+        if isinstance(path, Path) and (how := _how_to_convert(path.suffix)):
+            raise InputError(f"{path} is {how}") from error
         raise
+
+
+def _videos_of(name: str) -> list[Path]:
+    """Return the videos of a folder or a pattern, in order; none where it has images."""
+    path = Path(name)
+    if name == STDIN or is_address(name) or (path.exists() and not path.is_dir()):
+        return []
+    found = list(path.iterdir()) if path.is_dir() else _files(name)
+    files = [each for each in found if not each.name.startswith(".")]
+    return [] if shown(files, SUFFIXES) else parts_of(name, files)
 
 
 def _openable(name: str) -> Path | Pipe | str:
@@ -269,7 +327,7 @@ def _both_in(name: str) -> list[str]:
         folders = [Path(name, part) for part in pair]
         if all(folder.is_dir() for folder in folders):
             return [str(folder) for folder in folders]
-    if Path(name).is_dir() and not shown(Path(name).iterdir(), SUFFIXES):
+    if Path(name).is_dir() and not (shown(Path(name).iterdir(), SUFFIXES) or _videos_of(name)):
         raise SettingsError(_alone(name))
     return [name]
 

@@ -76,6 +76,15 @@ def _by_time(left: Recording, right: Recording, settings: InputSettings) -> Pair
     half_period = _half_period(left, right)
     stamped = left.stamped and right.stamped
     reach = tolerance or (half_period if stamped or shift else None)
+    if reach and stamped and not shift and (ahead_s := _clocks_apart_s(left, right)):
+        said = (
+            f"the time stamps of {right.name} are of a clock {float(ahead_s):+.6f} s ahead of that "
+            f"of {left.name}, by the times at which both were recorded: images are paired with "
+            "that --sync-shift; give it yourself if you know it better"
+        )
+        return Pairing(
+            lambda one, other: _time_lead(one, other) - ahead_s, reach, True, warning=said
+        )
     if reach:
         apart = _apart(left, right, shift, reach) if stamped and not tolerance else ""
         return Pairing(
@@ -85,6 +94,14 @@ def _by_time(left: Recording, right: Recording, settings: InputSettings) -> Pair
     if half_period and left is not right and left.timed and right.timed and not told:
         return _by_containers(left, right, half_period)
     return None
+
+
+def _clocks_apart_s(left: Recording, right: Recording) -> Fraction | None:
+    """Return how far the right clock is ahead, where one recorder tells; None where they agree."""
+    if left.clock_ahead_s is None or right.clock_ahead_s is None:
+        return None
+    ahead_s = right.clock_ahead_s - left.clock_ahead_s
+    return ahead_s if abs(ahead_s) >= _CLOCKS_APART_S else None
 
 
 def _by_names(left: Recording, right: Recording, offset: int) -> Pairing:

@@ -14,6 +14,7 @@ import numpy as np
 from motionstereo_cli.errors import InputError
 from motionstereo_cli.files.stills import Stated, pixel_format
 from motionstereo_cli.sources.sphere import Sphere
+from motionstereo_cli.sources.stereo3d import Said
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -49,12 +50,15 @@ class Recording(ABC):
             which images belong together.
         stamped: the time stamps were taken by the camera, and do so as well.
         timed: its time stamps are those of a container, which wrote them as images came.
+        clock_ahead_s: by how much the clock of its time stamps is ahead of that of the recorder,
+            which recorded both cameras; None if unknown.
         clock: what time stamps count from, by a name: those of one name may be compared.
         begin_s: time of the first image, 0 where there is no time.
         timeless: nothing but a rate given makes a time of the images' numbers.
         names: the images' names without suffix by their place, where they are files.
         stated: how it says that it holds both views, None if it does not.
         unread: how it holds both views, where that is not read, and what to do; empty elsewhere.
+        said: what its first image says of its views.
         multiview: it is one view of a stream that holds more (MV-HEVC).
         sphere: the angles of its rows and columns; None where it is flat.
         rereadable: another process can read the same again.
@@ -79,11 +83,13 @@ class Recording(ABC):
     stamped: bool = False
     timed: bool = False
     clock: str = ""
+    clock_ahead_s: Fraction | None = None
     begin_s: Fraction = Fraction(0)
     timeless: bool = False
     names: Sequence[str] = ()
     stated: Stated | None = None
     unread: str = ""
+    said: Said = Said()
     multiview: bool = False
     sphere: Sphere | None = None
     rereadable: bool = True

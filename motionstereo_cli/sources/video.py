@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import itertools
 from collections.abc import Iterator, Sequence
+from datetime import datetime
 from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,7 +22,7 @@ from motionstereo_cli.sources.pace import Pace, rhythm
 from motionstereo_cli.sources.pipe import Pipe
 from motionstereo_cli.sources.recording import Image, Recording, images
 from motionstereo_cli.sources.seeking import CodedImage, Entry, entry, numbered
-from motionstereo_cli.sources.stereo3d import Said, said_by, view_id
+from motionstereo_cli.sources.stereo3d import said_by, view_id
 
 if TYPE_CHECKING:
     from motionstereo_cli.types import Grey
@@ -64,9 +65,6 @@ class VideoRecording(Recording):
         allow_network: let a playlist name files and network addresses.
         view: which view of a multiview stream (MV-HEVC), None = its base view.
 
-    Attributes:
-        said: what the first image says of its views.
-
     Raises:
         InputError: not a video, too large, or none of its images can be decoded.
         SettingsError: it has no such track.
@@ -92,7 +90,6 @@ class VideoRecording(Recording):
         self._packet_end = 0  # in bytes from the beginning of the file
         self._end_error = ""
         self._changed = False
-        self.said = Said()
         self._file = Container(
             path, max_pixels=max_pixels, allow_network=allow_network, track=track, view=view
         )
@@ -227,6 +224,10 @@ class VideoRecording(Recording):
     def describe(self) -> dict[str, Any]:
         """Return what the video is, as JSON-able values."""
         more: dict[str, Any] = {"track": self._file.track} if self._file.tracks > 1 else {}
+        if self._file.created:
+            more["created"] = self._file.created.isoformat()
+        if self._file.timecode:
+            more["timecode"] = self._file.timecode
         if self.multiview:
             more["view"] = self.said.eye or "base"
         if self.sphere is not None:
@@ -261,14 +262,33 @@ class VideoRecording(Recording):
         return None
 
     def _count_by_length(self) -> int | None:
-        container = self._file.source
-        length_s: Fraction | None = None
-        if self._stream.duration is not None:
-            length_s = self._stream.duration * self._tick_s
-        # Matroska tells only the end of its longest stream.
-        elif container.duration is not None and len(container.streams) == 1:
-            length_s = Fraction(container.duration, av.time_base) - self._file.begin_s
+        length_s = self._stated_length_s()
         return round(length_s * self.frame_rate) if length_s and self.frame_rate else None
+
+    def _stated_length_s(self) -> Fraction | None:
+        if self._stream.duration is not None:
+            return self._stream.duration * self._tick_s
+        # Matroska tells only the end of its longest stream.
+        container = self._file.source
+        if container.duration is not None and len(container.streams) == 1:
+            return Fraction(container.duration, av.time_base) - self._file.begin_s
+        return None
+
+    @property
+    def length_s(self) -> Fraction:
+        """Time from the first image to the end of the last, as far as the file tells it."""
+        if (stated_s := self._stated_length_s()) is not None and not self.timeless:
+            return stated_s
+        return (
+            Fraction(self.expected_images or 0) / self.frame_rate
+            if self.frame_rate
+            else Fraction(0)
+        )
+
+    @property
+    def created(self) -> datetime | None:
+        """When the file was made, None if it does not say."""
+        return self._file.created
 
     def _read(
         self, packets: Iterator[_Packet] | None = None, begin: Entry | None = None
