@@ -118,7 +118,8 @@ renew: $(READY)  ## accept what the code gives now: the tables of the documentat
 clean:  ## remove everything that make made
 	rm -rf .venv out build *.egg-info .coverage*
 
-$(READY): pyproject.toml $(wildcard motionstereo_cli/compiled/*.py)
+$(READY): pyproject.toml $(wildcard motionstereo_cli/compiled/*.py motionstereo_cli/compiled/*.h \
+		motionstereo_cli/compiled/*.pxd)
 	@echo "Installing into .venv, once: this takes one or two minutes."
 	$(PYTHON) -m venv .venv
 	$(BIN)/pip install --disable-pip-version-check --editable ".[dev]"

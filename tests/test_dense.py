@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from motionstereo_cli.compiled import dense as loops
+from motionstereo_cli.method import dense
 from motionstereo_cli.method.balance import balanced
 from motionstereo_cli.method.borders import hidden_filled, trimmed
 from motionstereo_cli.method.contrast import contrast, noise_of
@@ -101,6 +102,9 @@ class TestBalance:
 small = arrays(np.int16, (3, 9), elements=st.integers(0, 40), fill=st.nothing())
 
 
+needs_vectors = pytest.mark.skipif(dense.vectors is None, reason="has no vectors")
+
+
 class TestDense:
     @settings(max_examples=60)
     @given(small, small, small, small, st.integers(0, 2**27 - 1), st.integers(1, 7), st.data())
@@ -111,9 +115,32 @@ class TestDense:
         proposed = np.full((3, 9), np.nan, np.float32)
         proposed[1, ::2] = data.draw(st.integers(0, 8 * reach)) / 8  # exact in binary
         weight = np.where(np.isnan(proposed), 0, 15).astype(np.int16)
-        given_ = right * 3, left * 3, right_slope - 20, left_slope - 20, where, proposed, weight
-        found, wanted = semi_global(*given_, reach), oracles.semi_global(*given_, reach)
+        greys = (3 * right).astype(np.uint8), (3 * left).astype(np.uint8)
+        slopes = (right_slope - 20).astype(np.int8), (left_slope - 20).astype(np.int8)
+        given_ = *greys, *slopes, where, proposed, weight
+        found = semi_global(*given_, reach, with_vectors=False)
+        wanted = oracles.semi_global(*given_, reach)
         np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-4)
+
+    @needs_vectors
+    @settings(max_examples=150, deadline=None)
+    @given(
+        st.integers(0, 2**32), st.integers(1, 8), st.integers(1, 70), st.integers(0, 100), st.data()
+    )
+    def test_vectors_give_the_bytes_of_loops(self, seed, rows, width, reach, data):
+        rng = np.random.default_rng(seed)
+        grain, share = data.draw(st.sampled_from([(0.01, 1), (1.5, 0.9), (1.5, 0.3)]))
+        wall = textured(rows, width + reach, grain, seed)[:, : width + reach]
+        right = wall[:, reach:]
+        shift = data.draw(st.integers(0, reach))
+        left = wall[:, reach - shift :][:, :width] + rng.integers(0, 4, (rows, width), np.uint8)
+        slopes = rng.integers(-128, 128, (2, rows, width), np.int8)
+        proposed = (rng.random((rows, width)) * reach).astype(np.float32)
+        weight = rng.choice(np.array([0, 5, 15], np.int16), (rows, width))
+        given_ = right, left, *slopes, rng.random((rows, width)) < share, proposed, weight, reach
+        strip_bytes = data.draw(st.sampled_from([1 << 26, 1 << 13, 1]))
+        found = semi_global(*given_, with_vectors=True, strip_bytes=strip_bytes)
+        np.testing.assert_array_equal(found, semi_global(*given_, with_vectors=False))
 
     @pytest.mark.parametrize("strip_rows", [2, 6, 16])
     def test_strips_of_any_height_give_the_same_bytes(self, strip_rows):

@@ -29,6 +29,9 @@ LOOPS = "motionstereo_cli/compiled"
 #: Shared code of the loops, compiled once.
 SHARED = "motionstereo_cli.compiled.shared"
 
+#: A loop file that needs vector types, which the compiler of Windows does not have.
+VECTORS = "vectors"
+
 #: Cython directives: no bounds checks, C division.
 DIRECTIVES = {
     "language_level": "3",
@@ -92,11 +95,13 @@ class BuildLoops(build_ext):
         compiler = _compiler()
         if compiler:
             os.environ["CC"] = compiler
-        names = [Path(path).stem for path in glob.glob(f"{LOOPS}/*.py")]
+        names = {Path(path).stem for path in glob.glob(f"{LOOPS}/*.py")} - {"__init__"}
+        if sys.platform == "win32":
+            names.discard(VECTORS)
         translated = cythonize(
             [
                 Extension(SHARED, ["build/cython/shared.c"]),
-                *(Extension(_name(n), [f"{LOOPS}/{n}.py"]) for n in names if n != "__init__"),
+                *(Extension(_name(n), [f"{LOOPS}/{n}.py"]) for n in sorted(names)),
             ],
             build_dir="build/cython",
             shared_utility_qualified_name=SHARED,
@@ -107,6 +112,8 @@ class BuildLoops(build_ext):
             Extension(
                 _name(f"{variant}.{extension.name.rsplit('.', 1)[1]}"),
                 extension.sources,
+                include_dirs=[LOOPS],
+                depends=glob.glob(f"{LOOPS}/*.h"),
                 extra_compile_args=options,
             )
             for variant, options in _variants(zig=compiler is None).items()
@@ -120,7 +127,8 @@ class BuildLoops(build_ext):
         for variant in _variants(zig=False):
             os.makedirs(f"{LOOPS}/{variant}", exist_ok=True)
         super().run()
-        sources = b"".join(Path(path).read_bytes() for path in sorted(glob.glob(f"{LOOPS}/*.py")))
+        paths = sorted(path for end in ("py", "pxd", "h") for path in glob.glob(f"{LOOPS}/*.{end}"))
+        sources = b"".join(Path(path).read_bytes() for path in paths)
         first = Path(self.get_ext_fullpath(_name("baseline.shared")))
         (first.parent / "checksum").write_text(str(zlib.crc32(sources)), encoding="ascii")
 

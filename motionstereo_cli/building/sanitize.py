@@ -37,7 +37,11 @@ def build(folder: str) -> Path:
     extensions = cythonize(
         [
             Extension(
-                name, [path], extra_compile_args=OPTIONS, extra_link_args=[f"-fsanitize={CHECKS}"]
+                name,
+                [path],
+                include_dirs=[LOOPS],
+                extra_compile_args=OPTIONS,
+                extra_link_args=[f"-fsanitize={CHECKS}"],
             )
             for name, path in {SHARED: f"{folder}/c/shared.c", **sources}.items()
         ],

@@ -31,7 +31,8 @@ V3_FLAGS = {"avx2", "bmi1", "bmi2", "f16c", "fma", "abm", "movbe"}
 
 def checksum() -> str:
     """Return what tells whether the loops have changed since they were compiled."""
-    return str(zlib.crc32(b"".join(path.read_bytes() for path in sorted(HERE.glob("*.py")))))
+    paths = sorted(path for end in ("py", "pxd", "h") for path in HERE.glob(f"*.{end}"))
+    return str(zlib.crc32(b"".join(path.read_bytes() for path in paths)))
 
 
 def _runs_v3() -> bool:

@@ -15,6 +15,11 @@ from numpy.typing import NDArray
 from motionstereo_cli.compiled import checked_array, checked_number, reused
 from motionstereo_cli.compiled import dense as loops
 
+try:
+    from motionstereo_cli.compiled import vectors
+except ImportError:  # in plain Python, and where the compiler has no vector types
+    vectors = None  # type: ignore[assignment]
+
 #: Views are matched at half the height: half the time, and no worse, for noise averages out.
 ROWS = 2
 
@@ -42,10 +47,15 @@ _MIN_MARGIN, _MIN_SHARE = 80, 0.05
 #: what lies around.
 _AROUND_ROWS, _AROUND_COLUMNS = 16, 32
 
-#: The same for the loops.
-WEIGHTS = loops.Weights(  # type: ignore[call-arg]  # mypy does not know its dataclasses
-    *(_MAX_GREY, _MAX_SLOPE, _STEP, _LEAP, _MIN_LEAP, _PER_GREY_LEVEL, _MIN_MARGIN, _MIN_SHARE)
+#: What the costs of a frame and those of its paths may take, in each thread.
+_STRIP_BYTES = 48 << 20
+
+#: Penalties and margins for the loops.
+_PENALTIES = (
+    *(_MAX_GREY, _MAX_SLOPE, _STEP, _LEAP, _MIN_LEAP, _PER_GREY_LEVEL),
+    *(_MIN_MARGIN, _MIN_SHARE),
 )
+WEIGHTS = loops.Weights(*_PENALTIES)  # type: ignore[call-arg]  # mypy does not know its dataclasses
 
 
 def smoothed(view: NDArray[np.uint8]) -> NDArray[np.uint8]:
@@ -96,8 +106,8 @@ def match_dense(
         _halved(view) for view in (right, left, where.view(np.uint8) * np.uint8(255))
     )
     disparity, margin = semi_global(
-        right_grey.astype(np.int16),
-        left_grey.astype(np.int16),
+        right_grey,
+        left_grey,
         _slopes(right_grey),
         _slopes(left_grey),
         _around(wanted > 0),
@@ -118,9 +128,9 @@ def _halved(view: NDArray[np.uint8]) -> NDArray[np.uint8]:
     return np.asarray(cv2.resize(even, size, interpolation=cv2.INTER_AREA), np.uint8)
 
 
-def _slopes(grey: NDArray[np.uint8]) -> NDArray[np.int16]:
+def _slopes(grey: NDArray[np.uint8]) -> NDArray[np.int8]:
     """Return slopes of grey, which do not mind a difference in brightness between the views."""
-    return (np.clip(cv2.Sobel(grey, cv2.CV_16S, 1, 0), -80, 80) // 2).astype(np.int16)
+    return (np.clip(cv2.Sobel(grey, cv2.CV_16S, 1, 0), -80, 80) // 2).astype(np.int8)
 
 
 def _around(where: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -130,14 +140,17 @@ def _around(where: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 
 def semi_global(
-    right: NDArray[np.int16],
-    left: NDArray[np.int16],
-    right_slope: NDArray[np.int16],
-    left_slope: NDArray[np.int16],
+    right: NDArray[np.uint8],
+    left: NDArray[np.uint8],
+    right_slope: NDArray[np.int8],
+    left_slope: NDArray[np.int8],
     where: NDArray[np.bool_],
     proposed_px: NDArray[np.float32],
     weight: NDArray[np.int16],
     max_disparity: int,
+    *,
+    with_vectors: bool = vectors is not None,
+    strip_bytes: int = _STRIP_BYTES,
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Return disparity and margin, (rows, width) float32 each, NaN = unknown.
 
@@ -147,18 +160,34 @@ def semi_global(
         proposed_px: disparities to prefer, (rows, width) float32.
         weight: what speaks against all others, 0 where none is proposed, (rows, width).
         max_disparity: px.
+        with_vectors: by vectors of the processor, where the range lets them; the loops take longer
+            and give the same bytes.
+        strip_bytes: memory that the vectors may take.
     """
-    right = checked_array(right, np.int16)
-    shape = right.shape
-    disparity, margin = np.empty((2, *shape), np.float32)
-    frame = loops.Frame(  # type: ignore[call-arg]
-        right,
-        *(checked_array(each, np.int16, shape) for each in (left, right_slope, left_slope)),
-        checked_array(where, np.bool_, shape).view(np.uint8),
-        checked_array(proposed_px, np.float32, shape),
-        checked_array(weight, np.int16, shape),
+    right = checked_array(right, np.uint8)
+    rows, width = shape = right.shape
+    count = 1 + checked_number("max_disparity", max_disparity, 0)
+    left = checked_array(left, np.uint8, shape)
+    right_slope, left_slope = (
+        checked_array(each, np.int8, shape) for each in (right_slope, left_slope)
     )
-    disparities = 1 + checked_number("max_disparity", max_disparity, 0)
-    work = reused(loops.Workspace, *shape, disparities)
-    loops.semi_global(frame, WEIGHTS, work, disparity, margin)
+    wanted = checked_array(where, np.bool_, shape).view(np.uint8)
+    proposed_px = checked_array(proposed_px, np.float32, shape)
+    weight = checked_array(weight, np.int16, shape)
+    disparity, margin = np.empty((2, *shape), np.float32)
+    if with_vectors and count <= vectors.MAX_COUNT:
+        every = np.full((1, 1), (1 << -(-count // vectors.CHUNK)) - 1, np.uint64)
+        frame = vectors.Frame(  # type: ignore[call-arg]
+            *(right, left, right_slope, left_slope, wanted, proposed_px, weight)
+        )
+        vectors.semi_global(
+            *(frame, count, np.array(_PENALTIES, np.float32), every, rows, width, strip_bytes),
+            *(reused(vectors.Workspace), disparity, margin),
+        )
+    else:
+        slow = loops.Frame(  # type: ignore[call-arg]
+            *(each.astype(np.int16) for each in (right, left, right_slope, left_slope)),
+            *(wanted, proposed_px, weight),
+        )
+        loops.semi_global(slow, WEIGHTS, reused(loops.Workspace, *shape, count), disparity, margin)
     return disparity, margin
