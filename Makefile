@@ -18,10 +18,11 @@ demo: $(READY)  ## run the main job on sample_data
 test: $(READY)  ## run the tests, on all cores
 	$(BIN)/pytest -n auto --dist loadfile
 
-lint: $(READY)  ## check style and types
+lint: $(READY)  ## check style, types and spelling
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+	$(BIN)/codespell $(wildcard *.md .github .ci motionstereo_cli tests) Makefile pyproject.toml
 
 # 40 frames of straight corridor, the turn to the left (40..64), and the straight after it.
 sample: $(READY)  ## render sample_data again, and what a run gives of it now
@@ -58,7 +59,7 @@ sanitize: $(READY)  ## run the tests of the loops on loops that check each acces
 		|| { cat out/sanitize.log; exit 1; }
 	MOTIONSTEREO_LOOPS=$(CURDIR)/out/sanitize/motionstereo_cli/compiled LD_PRELOAD="$(SANITIZER)" \
 	ASAN_OPTIONS=detect_leaks=0 PYTHONMALLOC=malloc \
-		$(BIN)/pytest -p no:cacheprovider --capture=sys \
+		$(BIN)/pytest -n auto -p no:cacheprovider --capture=sys --durations=15 \
 		-W error::pytest.PytestUnraisableExceptionWarning $(LOOP_TESTS)
 
 # Coverage cannot see into compiled loops, so their tests run once more as plain Python.
@@ -120,7 +121,7 @@ clean:  ## remove everything that make made
 
 $(READY): pyproject.toml $(wildcard motionstereo_cli/compiled/*.py motionstereo_cli/compiled/*.h \
 		motionstereo_cli/compiled/*.pxd)
-	@echo "Installing into .venv, once: this takes one or two minutes."
+	@echo "Installing into .venv, once: this compiles the inner loops in about a minute."
 	$(PYTHON) -m venv .venv
 	$(BIN)/pip install --disable-pip-version-check --editable ".[dev]"
 	touch $@

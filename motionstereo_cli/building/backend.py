@@ -1,5 +1,8 @@
 """The build backend: setuptools, and Cython for the loops in ``motionstereo_cli/compiled``.
 
+What is published is made here too: a README whose links lead to the project's address, and a source
+distribution with all that ``make`` needs.
+
 Without a C compiler the build requires and uses that of the package ``ziglang``.
 """
 
@@ -8,6 +11,7 @@ from __future__ import annotations
 import glob
 import os
 import platform
+import re
 import shlex
 import shutil
 import sys
@@ -23,6 +27,8 @@ from setuptools.build_meta import (
 )
 from setuptools.build_meta import get_requires_for_build_wheel as _setuptools_for_wheel
 from setuptools.command.build_ext import build_ext
+from setuptools.command.egg_info import egg_info
+from setuptools.command.sdist import sdist
 
 LOOPS = "motionstereo_cli/compiled"
 
@@ -144,3 +150,46 @@ class BuildLoops(build_ext):
                 compiler_so=[*zig, "-fPIC", "-DNDEBUG", "-w"], linker_so=[*zig, *shared]
             )
         super().build_extensions()
+
+
+def with_full_links(page: str, address: str, version: str) -> str:
+    """Return a Markdown page of the checkout with full addresses, as other sites need them.
+
+    Args:
+        page: links and pictures are paths from the checkout's root.
+        address: of the repository, on a site with the addresses of GitHub.
+        version: the release that links lead to.
+    """
+
+    def full(link: re.Match[str]) -> str:
+        kind = "raw" if link[1] else "blob"
+        return f"{link[1]}[{link[2]}]({address}/{kind}/v{version}/{link[3]})"
+
+    return re.sub(r"(!?)\[([^\]]*)\]\((?!https?:|#|mailto:)([^)\s]+)\)", full, page)
+
+
+class Metadata(egg_info):
+    """Writes the metadata, with the README as the package index shows it."""
+
+    def run(self) -> None:
+        """Put full addresses into the README."""
+        about = self.distribution.metadata
+        address = self.distribution.metadata.project_urls["Source"]
+        about.long_description = with_full_links(
+            about.long_description, address, about.get_version()
+        )
+        super().run()
+
+
+class WholeCheckout(sdist):
+    """Makes the source distribution: ``make demo`` and ``make test`` run in it."""
+
+    def make_distribution(self) -> None:
+        """Add what is no part of the package."""
+        files = {*self.filelist.files, "Makefile", "CHANGELOG.md", ".gitignore"}
+        files.update(path for end in ("pxd", "h") for path in glob.glob(f"{LOOPS}/*.{end}"))
+        for folder in (".ci", ".github", "tests", "sample_data", "motionstereo_cli/building"):
+            for place, _, names in os.walk(folder):
+                files.update(os.path.join(place, name) for name in names)
+        self.filelist.files = sorted(path for path in files if "__pycache__" not in path)
+        super().make_distribution()
