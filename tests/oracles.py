@@ -231,3 +231,111 @@ def semi_global(right, left, right_slope, left_slope, where, proposed_px, weight
                 below, above = (int(total[d + i] - total[d]) for i in (-1, 1))
                 disparity[y, x] += (below - above) / (2 * max(below, above, 1))
     return disparity, margin
+
+
+def plane(disparity, weight, grey, y, x, window):
+    """Disparity, error and inliers' share of the plane at a pixel, by numpy's least squares."""
+    rows, width = disparity.shape
+    samples = [
+        (i - x, j - y, float(disparity[j, i]), float(weight[j, i]))
+        for j in range(y % window.step_y, rows, window.step_y)
+        for i in range(x % window.step_x, width, window.step_x)
+        if abs(j - y) <= window.reach_y
+        and abs(i - x) <= window.reach_x
+        and weight[j, i] > 0
+        and disparity[j, i] >= 0
+        and abs(float(grey[j, i]) - float(grey[y, x])) <= window.max_grey
+    ]
+    nothing = (np.nan, np.nan, np.nan)
+    if len(samples) < 12:
+        return nothing
+    at_x, at_y, d, w = np.array(samples).T
+    halves = np.floor(2 * d)
+    median = next(h for h in sorted(halves) if 2 * w[halves <= h].sum() >= w.sum()) / 2 + 0.25
+    fitted = np.full(len(d), median)
+    for turn in range(window.rounds):
+        wide = {0: 1, 1: 1, 2: 2}.get(window.rounds - 1 - turn, 4)
+        inlier = np.abs(d - fitted) <= window.tolerance_px * wide
+        if inlier.sum() < 12:
+            return nothing
+        v = w * inlier
+        along, down = at_x - (v @ at_x) / v.sum(), at_y - (v @ at_y) / v.sum()
+        normal = np.array([[v @ along**2, v @ (along * down)], [v @ (along * down), v @ down**2]])
+        normal += 4 * v.sum() * np.eye(2)
+        slopes = np.linalg.solve(normal, [v @ (along * d), v @ (down * d)])
+        here = (v @ d) / v.sum() - slopes @ [(v @ at_x) / v.sum(), (v @ at_y) / v.sum()]
+        fitted = here + slopes[0] * at_x + slopes[1] * at_y
+    middle = np.array([v @ at_x, v @ at_y]) / v.sum()
+    off = np.abs(middle) / [window.reach_x, window.reach_y]
+    if here < 0 or v.sum() < window.min_share * w.sum() or off.max() > window.max_off_centre:
+        return nothing
+    near = w * (np.abs(d - fitted) <= window.tolerance_px)
+    variance = max(near @ (d - fitted) ** 2 / v.sum(), 0.15**2)
+    lever = 1 / v.sum() + middle @ np.linalg.solve(normal, middle)
+    return here, np.sqrt(variance * lever), v.sum() / w.sum()
+
+
+def refined(disparity, right, left):
+    """Disparity after a step of Lucas and Kanade, window by window."""
+    rows, width = disparity.shape
+    result = disparity.copy()
+
+    def at(image, y, x):
+        return image[min(max(y, 0), rows - 1), min(max(x, 0), width - 1)]
+
+    def slope(image, y, x):
+        reflected = x + 1 if x + 1 < width else width - 2
+        return (image[y, reflected] - image[y, abs(x - 1)]) / 2
+
+    def between(y, x, value):
+        whole = int(np.floor(x))
+        one, other = (value(y, min(max(whole + i, 0), width - 1)) for i in (0, 1))
+        return one + (other - one) * (x - whole)
+
+    def window(y, x):
+        return [
+            (min(max(y + j, 0), rows - 1), min(max(x + i, 0), width - 1))
+            for j in range(-3, 4)
+            for i in range(-7, 8)
+        ]
+
+    def clipped(y, x):
+        return {(j, i) for j, i in window(y, x) if abs(j - y) <= 3 and abs(i - x) <= 7}
+
+    start = disparity.copy()
+    flat = np.zeros(disparity.shape, bool)
+    for y, x in np.argwhere(~np.isnan(disparity)):
+        nearby = [disparity[p] for p in clipped(y, x) if not np.isnan(disparity[p])]
+        flat[y, x] = max(nearby) - min(nearby) <= 3
+        if flat[y, x]:
+            known = [disparity[p] for p in window(y, x) if not np.isnan(disparity[p])]
+            start[y, x] = np.mean(known)
+    sums = np.zeros((3, rows, width))
+    for y, x in np.argwhere(~np.isnan(disparity)):
+        there = x + start[y, x]
+        differs = between(y, there, lambda j, i: left[j, i]) - right[y, x]
+        g = (between(y, there, lambda j, i: slope(left, j, i)) + slope(right, y, x)) / 2
+        if abs(differs) < 20 and there <= width - 1:
+            sums[:, y, x] = g * differs, g * g, differs * differs
+    for y, x in np.argwhere(flat):
+        up, down, noise = np.mean([sums[:, j, i] for j, i in window(y, x)], axis=0)
+        moved = start[y, x] - up / (down + 1 + noise)
+        d = disparity[y, x]
+        result[y, x] = max(min(max(moved, d - 0.75), d + 0.75), 0)
+    return result
+
+
+def whole_rows(disparity, half_grey, grey):
+    """Disparity of all rows from that of half of them, pixel by pixel."""
+    result = np.empty(grey.shape, np.float32)
+    for y, x in np.ndindex(grey.shape):
+        own = y // 2
+        other = min(max(own + (1 if y % 2 else -1), 0), len(disparity) - 1)
+        here, there = disparity[own, x], disparity[other, x]
+        away, beside = (abs(float(grey[y, x]) - half_grey[row, x]) for row in (own, other))
+        if abs(here - there) < 1.5:
+            here = 0.75 * here + 0.25 * there
+        elif beside + 2 < away:
+            here = there
+        result[y, x] = here
+    return result

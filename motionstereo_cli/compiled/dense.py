@@ -19,7 +19,7 @@ MAX_COST = cython.declare(cython.short, 32767)
 
 
 #: Bytes that the costs of a strip may take.
-STRIP_BYTES = cython.declare(cython.Py_ssize_t, 1 << 24)
+STRIP_BYTES = cython.declare(cython.Py_ssize_t, 1 << 25)
 
 
 @cython.cclass

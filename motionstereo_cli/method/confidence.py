@@ -88,11 +88,13 @@ def confidence_by_margin(
     Args:
         disparity_px: (height, width) float32, NaN = unknown.
         matched_px: the same without what was filled in, (height, width) float32.
-        margin: by how much the second best disparity costs more, (height, width) float32.
+        margin: by how much the second best disparity costs more, (height, width) float32; NaN where
+            a disparity comes from a neighbour.
     """
     disparity_px = checked_array(disparity_px, np.float32)
     chance, nothing = np.empty_like(disparity_px), np.float32(0)
     margin = checked_array(margin, np.float32, disparity_px.shape)
+    margin = np.where(np.isnan(margin), _FILLED_MARGIN, margin)
     loops.confidence(
         disparity_px,
         checked_array(matched_px, np.float32, disparity_px.shape),

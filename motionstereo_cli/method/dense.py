@@ -20,9 +20,6 @@ try:
 except ImportError:  # in plain Python, and where the compiler has no vector types
     vectors = None  # type: ignore[assignment]
 
-#: Views are matched at half the height: half the time, and no worse, for noise averages out.
-ROWS = 2
-
 #: Largest difference of grey, and of its slope in quarters of a level per px, that counts.
 _MAX_GREY, _MAX_SLOPE = 20, 20
 
@@ -43,9 +40,9 @@ _SMOOTHING = 5, 10, 1.5
 #: less than this share more.
 _MIN_MARGIN, _MIN_SHARE = 80, 0.05
 
-#: Pixels so far above and below, and to the sides, of those wanted are matched as well: they tell
-#: what lies around.
-_AROUND_ROWS, _AROUND_COLUMNS = 16, 32
+#: Pixels so many rows above and below, and px to the sides, of those wanted are matched as well:
+#: they tell what lies around.
+_AROUND_ROWS, _AROUND_COLUMNS = 8, 32
 
 #: What the costs of a frame and those of its paths may take, in each thread.
 _STRIP_BYTES = 48 << 20
@@ -88,44 +85,28 @@ def match_dense(
     weights: NDArray[np.int16],
     max_disparity: int,
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return disparity and its margin, (height, width) float32 each, NaN = unknown.
+    """Return disparity and its margin, (rows, width) float32 each, NaN = unknown.
 
     Some pixels around those wanted have one as well. The margin is by how much the cost of the
     second best disparity exceeds that of the best.
 
     Args:
-        right, left: views of equal brightness, (height, width) uint8.
-        where: right pixels wanted, (height, width) bool.
-        proposed_px: disparities to prefer where grey does not decide, of every second row from
-            the first on, (ceil(height / 2), width) float32.
-        weights: how much to prefer them, see :func:`weights_of`, of the same rows.
+        right, left: views of equal brightness and of half the rows, (rows, width) uint8.
+        where: right pixels wanted, (rows, width) bool.
+        proposed_px: disparities to prefer where grey does not decide, (rows, width) float32.
+        weights: how much to prefer them, see :func:`weights_of`, (rows, width).
         max_disparity: largest x in the left view minus x in the right one, px.
     """
-    height = right.shape[0]
-    right_grey, left_grey, wanted = (
-        _halved(view) for view in (right, left, where.view(np.uint8) * np.uint8(255))
-    )
-    disparity, margin = semi_global(
-        right_grey,
-        left_grey,
-        _slopes(right_grey),
-        _slopes(left_grey),
-        _around(wanted > 0),
+    return semi_global(
+        right,
+        left,
+        _slopes(right),
+        _slopes(left),
+        _around(where),
         proposed_px,
         weights,
         max_disparity,
     )
-    return (
-        np.repeat(disparity, ROWS, axis=0)[:height],
-        np.repeat(margin, ROWS, axis=0)[:height],
-    )
-
-
-def _halved(view: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Return an image of means of two rows; of an odd number of rows the last one stands alone."""
-    even = view if len(view) % ROWS == 0 else np.concatenate((view, view[-1:]))
-    size = view.shape[1], len(even) // ROWS
-    return np.asarray(cv2.resize(even, size, interpolation=cv2.INTER_AREA), np.uint8)
 
 
 def _slopes(grey: NDArray[np.uint8]) -> NDArray[np.int8]:
@@ -134,7 +115,7 @@ def _slopes(grey: NDArray[np.uint8]) -> NDArray[np.int8]:
 
 
 def _around(where: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    size = 2 * _AROUND_COLUMNS + 1, 2 * _AROUND_ROWS // ROWS + 1
+    size = 2 * _AROUND_COLUMNS + 1, 2 * _AROUND_ROWS + 1
     box = cv2.getStructuringElement(cv2.MORPH_RECT, size)
     return np.asarray(cv2.dilate(where.view(np.uint8), box), np.uint8).view(np.bool_)
 

@@ -15,10 +15,20 @@ from motionstereo_cli.method.balance import balanced
 from motionstereo_cli.method.borders import hidden_filled, trimmed
 from motionstereo_cli.method.cleaning import filled, without_speckles
 from motionstereo_cli.method.confidence import confidence, confidence_by_margin
-from motionstereo_cli.method.dense import ROWS, match_dense, smoothed, weights_of
+from motionstereo_cli.method.dense import match_dense, smoothed, weights_of
 from motionstereo_cli.method.memory import Memory, age_of, blurred, keys_of
+from motionstereo_cli.method.planes import Surface, planed
+from motionstereo_cli.method.refine import refined
 from motionstereo_cli.method.regions import match_regions
 from motionstereo_cli.method.residual import residual
+from motionstereo_cli.method.rows import (
+    ROWS,
+    halved,
+    halved_exactly,
+    halved_mask,
+    whole,
+    without_fringes,
+)
 from motionstereo_cli.method.settings import MATCHERS, Matcher, Settings, installed_matchers
 from motionstereo_cli.method.trails import match_trails
 
@@ -29,6 +39,10 @@ if TYPE_CHECKING:
 
     #: Disparity, and what makes its confidence: it takes time, and few ask for it.
     Found = tuple[Real, Callable[[], Real]]
+
+
+#: Where a plane decides, its inliers' share stands for a margin: all of them for this one.
+_MARGIN_OF_PLANES = np.float32(200)
 
 
 def _trails(right: Memory, left: Memory, settings: Settings) -> Found:
@@ -58,17 +72,26 @@ def _dense(right: Memory, left: Memory, settings: Settings) -> Found:
         max_ratio=s.max_ratio,
         min_votes=max(s.min_votes // ROWS, 1),
     )
-    right_grey = smoothed(right.grey)
-    left_grey = balanced(right_grey, smoothed(left.grey), s.max_disparity)
-    disparity, margin = match_dense(
-        *(right_grey, left_grey, charged, proposed),
-        weights_of(proposed, wanted[::ROWS], age_of(right, s)[::ROWS] == 0),
+    right_grey, left_smoothed = smoothed(right.grey), smoothed(left.grey)
+    left_grey = balanced(right_grey, left_smoothed, s.max_disparity)
+    age = age_of(right, s)[::ROWS]
+    half, margin = match_dense(
+        *(halved(right_grey), halved(left_grey), halved_mask(charged), proposed),
+        weights_of(proposed, wanted[::ROWS], age == 0),
         s.max_disparity,
     )
-    disparity = trimmed(disparity, right_grey, left_grey)
+    half_grey = halved_exactly(right_grey)
+    brighter = halved_exactly(left_grey) - halved_exactly(left_smoothed)
+    half = refined(half, halved_exactly(right.grey), halved_exactly(left.grey) + brighter)
+    surface = Surface.of(half_grey, charged[::ROWS], age)
+    half, share = planed(half, proposed, surface, s.max_disparity)
+    disparity = trimmed(whole(half, half_grey, right_grey), right_grey, left_grey)
     matched = without_speckles(disparity, ~np.isnan(disparity), s.speckle_px)
     disparity = hidden_filled(filled(matched, charged, s.gap_px), charged)
     disparity[~charged] = np.nan
+    disparity = without_fringes(disparity, charged)
+    margin = np.where(np.isnan(share), margin, share * _MARGIN_OF_PLANES)
+    margin = np.repeat(margin, ROWS, axis=0)[: len(charged)]
     return disparity, lambda: confidence_by_margin(disparity, matched, margin)
 
 

@@ -1,0 +1,157 @@
+"""Planes on smooth surfaces, disparity between whole px, and half the rows."""
+
+import cv2
+import numpy as np
+import oracles
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from motionstereo_cli.compiled import planes as loops
+from motionstereo_cli.method.planes import Surface, planed
+from motionstereo_cli.method.refine import refined
+from motionstereo_cli.method.rows import halved, halved_exactly, whole, without_fringes
+
+NAN = np.float32(np.nan)
+
+
+def texture(rows, width, seed=0, sigma=1.5):
+    white = np.random.default_rng(seed).standard_normal((rows, width)).astype(np.float32)
+    smooth = cv2.GaussianBlur(white, (0, 0), sigma)
+    return 120 + 30 * smooth / smooth.std()
+
+
+class TestPlanes:
+    @settings(max_examples=40)
+    @given(
+        st.integers(0, 10_000),
+        st.sampled_from([(6, 4, 2, 1, 3, 2), (9, 5, 1, 2, 4, 3), (3, 3, 1, 1, 1, 1)]),
+        st.integers(1, 5),
+    )
+    def test_planes_are_the_oracles(self, seed, sizes, rounds):
+        rng = np.random.default_rng(seed)
+        rows, width = 11, 17
+        y, x = np.mgrid[:rows, :width]
+        slopes = rng.uniform(-0.4, 0.4, 2)
+        disparity = (9 + slopes[0] * x + slopes[1] * y).astype(np.float32)
+        disparity += rng.normal(0, 0.3, disparity.shape).astype(np.float32)
+        disparity[rng.random(disparity.shape) < 0.2] = 15
+        disparity[rng.random(disparity.shape) < 0.2] = np.nan
+        weight = rng.choice([0, 0.5, 1], disparity.shape).astype(np.float32)
+        grey = rng.integers(100, 112, disparity.shape).astype(np.float32)
+        where = rng.random(disparity.shape) < 0.7
+        window = loops.Window(*sizes, 8, 1.0, rounds, 0.5, 0.7)
+        found = np.empty((3, rows, width), np.float32)
+        samples = loops.Samples(rows, width, 32)
+        loops.fit(disparity, weight, grey, where.view(np.uint8), window, samples, *found)
+        assert np.isnan(found[:, ~where]).all()
+        for top, left in np.ndindex(-(-rows // sizes[5]), -(-width // sizes[4])):
+            block = np.s_[
+                top * sizes[5] : (top + 1) * sizes[5], left * sizes[4] : (left + 1) * sizes[4]
+            ]
+            inside = np.argwhere(where[block])
+            if not len(inside):
+                continue
+            middle = (np.array(where[block].shape) - 1) / 2
+            offset = min(inside.tolist(), key=lambda p: (np.abs(p - middle).sum(), p))
+            place = np.add(offset, [block[0].start, block[1].start])
+            wanted = oracles.plane(disparity, weight, grey, *place.tolist(), window)
+            np.testing.assert_allclose(found[:, place[0], place[1]], wanted, rtol=0, atol=2e-3)
+
+    def wall(self, slope=0.1):
+        """A smooth wall between textured ones, slanted all along: truth, disparity as matched."""
+        rows, width = 40, 160
+        truth = np.broadcast_to(5 + slope * np.arange(width, dtype=np.float32), (rows, width))
+        grey = texture(rows, width)
+        grey[:, 60:100] = 120
+        matched = truth.copy()
+        matched[:, 60:100] += np.random.default_rng(1).choice([0, 3], (rows, 40), p=[0.8, 0.2])
+        return truth, grey, matched.astype(np.float32)
+
+    @pytest.mark.parametrize("age", [0, 5])
+    def test_a_smooth_wall_goes_on_between_textured_ones(self, age):
+        truth, grey, matched = self.wall()
+        everywhere = np.ones(truth.shape, np.bool_)
+        surface = Surface.of(grey, everywhere, np.full(truth.shape, age, np.uint8))
+        assert surface.smooth[:, 68:92].all()
+        assert surface.smooth[:, :50].mean() < 0.05
+        found, share = planed(matched, np.full_like(matched, np.nan), surface, 64)
+        wrong = np.abs(found - truth)[:, 68:92] > 1
+        assert wrong.mean() < 0.05 < (np.abs(matched - truth)[:, 68:92] > 1).mean()
+        assert (share[:, 68:92] > 0.6).all()
+        assert np.isnan(share[~surface.smooth]).all()
+
+    def test_trails_that_agree_with_the_matching_nearby_are_taken(self):
+        truth, grey, matched = self.wall()
+        matched[:, 60:100] = np.nan
+        surface = Surface.of(grey, np.ones(truth.shape, np.bool_), np.zeros(truth.shape, np.uint8))
+        found, _ = planed(matched, truth.copy(), surface, 64)
+        assert (np.abs(found - truth)[:, 68:92] < 0.5).all()
+
+    def test_what_lies_beyond_the_left_views_border_is_unknown(self):
+        grey = texture(24, 80)
+        surface = Surface.of(grey, np.ones(grey.shape, np.bool_), np.zeros(grey.shape, np.uint8))
+        known = np.full(grey.shape, 20, np.float32)
+        found, _ = planed(known, np.full_like(known, np.nan), surface, 64)
+        np.testing.assert_array_equal(found[:, :60], known[:, :60])
+        assert np.isnan(found[:, 60:]).all()
+
+
+class TestRefined:
+    @settings(max_examples=15)
+    @given(st.integers(0, 10_000))
+    def test_steps_are_the_oracles(self, seed):
+        rng = np.random.default_rng(seed)
+        rows, width = 10, 26
+        right, left = (rng.integers(90, 120, (rows, width)).astype(np.float32) for _ in range(2))
+        disparity = (4 + rng.integers(0, 8, (rows, width)) / 4).astype(np.float32)
+        disparity[rng.random(disparity.shape) < 0.15] = np.nan
+        disparity[:, rng.integers(width) :] += 2 * rng.integers(3)
+        found, wanted = refined(disparity, right, left), oracles.refined(disparity, right, left)
+        np.testing.assert_allclose(found, wanted, rtol=0, atol=0.04)  # cv2.remap: 1/32 px
+
+    @pytest.mark.parametrize("true_px", [4.0, 4.3, 4.5, 4.8])
+    def test_whole_px_become_what_the_views_say(self, true_px):
+        wall = texture(30, 120, sigma=2)
+        shift = np.array([[1, 0, -true_px], [0, 1, 0]], np.float32)
+        right = cv2.warpAffine(wall, shift, (120, 30), flags=cv2.INTER_CUBIC)
+        found = refined(np.full(wall.shape, round(true_px), np.float32), right, wall)
+        assert np.abs(np.median(found[:, 10:100]) - true_px) < 0.1
+
+    def test_unknown_stays_unknown_and_borders_stay_where_they_are(self):
+        disparity = np.full((20, 60), 4, np.float32)
+        disparity[:, 30:] = 12
+        disparity[5, 5] = np.nan
+        found = refined(disparity, texture(20, 60), texture(20, 60, seed=1))
+        np.testing.assert_array_equal(np.isnan(found), np.isnan(disparity))
+        np.testing.assert_array_equal(found[:, 23:37], disparity[:, 23:37])
+
+
+class TestRows:
+    @settings(max_examples=60)
+    @given(
+        st.sampled_from([1, 4, 5]),
+        st.data(),
+    )
+    def test_rows_are_the_oracles(self, height, data):
+        rows = (height + 1) // 2
+        values = st.sampled_from([NAN, 0, 1, 2.25, 6])
+        disparity = data.draw(arrays(np.float32, (rows, 4), elements=values))
+        grey = data.draw(arrays(np.uint8, (height, 4), elements=st.integers(0, 12)))
+        half_grey = halved_exactly(grey)
+        found = whole(disparity, half_grey, grey)
+        np.testing.assert_array_equal(found, oracles.whole_rows(disparity, half_grey, grey))
+
+    def test_halves_are_means_and_an_odd_row_stands_alone(self):
+        view = np.array([[1, 5], [3, 6], [9, 9]], np.uint8)
+        np.testing.assert_array_equal(halved_exactly(view), [[2, 5.5], [9, 9]])
+        assert np.abs(halved(view).astype(float) - halved_exactly(view)).max() <= 0.5
+
+    def test_fringes_go_and_areas_stay(self):
+        known = np.full((12, 20), NAN)
+        known[3:9, 3:12] = 5
+        known[6, 12:18] = 5
+        found = without_fringes(known, np.ones(known.shape, np.bool_))
+        assert np.isnan(found[6, 14:]).all()
+        assert (found[4:8, 4:11] == 5).all()
