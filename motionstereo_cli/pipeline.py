@@ -13,8 +13,8 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Collection, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, NamedTuple
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -26,6 +26,8 @@ from motionstereo_cli.method.memory import Memory, age_of, in_mirror, mirrored, 
 from motionstereo_cli.method.settings import AUTO, FOREVER, Settings
 from motionstereo_cli.robot.guide import Guide, guide_of
 from motionstereo_cli.robot.mapper import camera_points
+from motionstereo_cli.robot.odometer import Odometer
+from motionstereo_cli.robot.odometry import Motion, Odometry, TravelledPath
 from motionstereo_cli.robot.tracker import Tracker, Tracks
 from motionstereo_cli.types import (
     FrameImages,
@@ -58,10 +60,12 @@ class TrackingState:
     Attributes:
         guided: what the guide knows.
         tracks: the moving objects.
+        path: where the rig has come to by its own motion; None where that is not followed.
     """
 
     guided: Any = None
     tracks: Tracks = field(default_factory=Tracks)
+    path: TravelledPath | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,11 +74,13 @@ class State:
 
     Attributes:
         right, left: the permanency memories; None before the first frame.
-        tracking: heading and objects.
+        odometry: what own motion is found from; None where it is not asked for.
+        tracking: heading, objects and path.
     """
 
     right: Memory | None = None
     left: Memory | None = None
+    odometry: Odometry | None = None
     tracking: TrackingState = field(default_factory=TrackingState)
 
 
@@ -86,12 +92,14 @@ class FrameSummary:
         time: which frame it is.
         profile: what the guide takes from it.
         regions: what may be an object.
+        motion: the rig's own since the frame before; None where it is unknown or not asked for.
         charged, matched, points: as :class:`~motionstereo_cli.types.Step` has them.
     """
 
     time: FrameTime
     profile: Any
     regions: tuple[Region, ...]
+    motion: Motion | None
     charged: float
     matched: float
     points: tuple[NDArray[np.float64], Grey] | None
@@ -112,6 +120,7 @@ class StreamContext(NamedTuple):
         rig: the camera; None if unknown.
         guide: makes the headings.
         tracker: follows moving objects; None where nobody asks for them.
+        odometer: finds the rig's own motion; None where nobody asks for it.
         extras: which of :data:`EXTRAS` the images have.
         with_points: whether steps have points.
     """
@@ -120,6 +129,7 @@ class StreamContext(NamedTuple):
     rig: Rig | None
     guide: Guide[Any, Any]
     tracker: Tracker | None
+    odometer: Odometer | None
     extras: frozenset[str]
     with_points: bool
 
@@ -131,13 +141,23 @@ class StreamContext(NamedTuple):
         *,
         with_poses: bool,
         with_objects: bool,
+        with_own_motion: bool = False,
+        motion_offset_px: float = 0.0,
         extras: Collection[str] = EXTRAS,
         with_points: bool = False,
     ) -> StreamContext:
         """Return what a stream needs.
 
+        Args:
+            settings, rig: see above.
+            with_poses: the guide steers by poses, which are given or found.
+            with_objects: moving objects are followed.
+            with_own_motion: poses are found from the videos; needs a rig.
+            motion_offset_px: constant that they are found with, added to disparity.
+            extras, with_points: see above.
+
         Raises:
-            SettingsError: ``max_disparity`` is still to be measured.
+            SettingsError: ``max_disparity`` is still to be measured, or a rig is missing.
         """
         if settings.max_disparity == AUTO:
             raise SettingsError(
@@ -145,14 +165,19 @@ class StreamContext(NamedTuple):
             )
         guide = guide_of(settings, rig, with_poses=with_poses)
         tracker = Tracker(settings, rig) if with_objects else None
-        return cls(settings, rig, guide, tracker, frozenset(extras), with_points)
+        odometer = None
+        if with_own_motion:
+            if rig is None:
+                raise SettingsError("own motion needs a rig: without it nothing is in metres")
+            odometer = Odometer(rig, settings.max_disparity, motion_offset_px)
+        return cls(settings, rig, guide, tracker, odometer, frozenset(extras), with_points)
 
 
 def process(
     frames: Iterable[StereoFrame],
     settings: Settings | None = None,
     rig: Rig | None = None,
-    pose_of: Callable[[StereoFrame], Pose] | None = None,
+    pose_of: Callable[[StereoFrame], Pose] | Literal["auto"] | None = None,
     *,
     with_objects: bool = True,
     extras: Collection[str] = EXTRAS,
@@ -166,7 +191,8 @@ def process(
         settings: parameters; the defaults if None.
         rig: the camera, for depth in m and steering angles; without one they are None.
         pose_of: tells where the rig was; asked once a frame, in order. With it and a rig, the
-            guidance remembers what it has seen around it.
+            guidance remembers what it has seen around it. ``auto``: poses are found from the
+            frames, in the robot frame of the first one.
         with_objects: find moving objects; with poses, the guidance keeps clear of them.
         extras: which of :data:`EXTRAS` the results have; the others are None, and take no time.
         jobs: frames matched at a time; all but one of them are taken before a result is given.
@@ -190,9 +216,11 @@ def process(
         rig,
         with_poses=pose_of is not None,
         with_objects=with_objects,
+        with_own_motion=pose_of == "auto",
         extras=extras,
     )
-    for frame, step, after in steps(frames, context, pose_of, jobs=jobs, state=state):
+    given = None if pose_of == "auto" else pose_of
+    for frame, step, after in steps(frames, context, given, jobs=jobs, state=state):
         images = step.images
         assert images is not None
         assert images.bands is not None
@@ -211,6 +239,7 @@ def process(
             matched=step.matched,
             state=after,
             pose=step.pose,
+            fix=step.fix,
             objects=step.objects,
         )
 
@@ -231,10 +260,10 @@ def steps(
     """
     state = state or State()
     tracking = state.tracking
-    for frame, right, left, found in analysed(frames, context, state, jobs):
+    for frame, after, found in analysed(frames, context, state, jobs):
         pose = None if pose_of is None else pose_of(frame)
         tracking, step = follow(tracking, found.summary, pose, context, found.images)
-        yield frame, step, State(right, left, tracking)
+        yield frame, step, replace(after, tracking=tracking)
 
 
 def follow(
@@ -249,19 +278,23 @@ def follow(
     Args:
         tracking: what was known before.
         summary: what the frame shows.
-        pose: where the rig was; None where it is not known.
+        pose: where the rig was; None where that is not known, or to be found.
         context: what is the same for all frames.
         images: what the step is to have for images.
     """
     tracks, objects = tracking.tracks, tuple[MovingObject, ...]()
+    path, fix = tracking.path, None
+    if context.odometer is not None:
+        path, pose, fix = context.odometer.follow(path, summary.motion)
     if context.tracker is not None:
         tracks, objects = context.tracker.follow(tracks, summary.regions, summary.time, pose)
     guided, steering = context.guide.steer(tracking.guided, summary.profile, pose, objects)
-    return TrackingState(guided, tracks), Step(
+    return TrackingState(guided, tracks, path), Step(
         time=summary.time,
         steering=steering,
         objects=objects,
         pose=pose,
+        fix=fix,
         charged=summary.charged,
         matched=summary.matched,
         points=summary.points,
@@ -271,22 +304,43 @@ def follow(
 
 def analysed(
     frames: Iterable[StereoFrame], context: StreamContext, state: State, jobs: int
-) -> Iterator[tuple[StereoFrame, Memory, Memory, FrameAnalysis]]:
-    """Yield each frame, the right and the left memory after it, and what they show."""
-    right, left = state.right, state.left
+) -> Iterator[tuple[StereoFrame, State, FrameAnalysis]]:
+    """Yield each frame, what is known after it except the tracking, and what it shows."""
     with ThreadPoolExecutor(jobs, "match") as threads:
-        waiting: deque[tuple[StereoFrame, Memory, Memory, Future[FrameAnalysis]]] = deque()
+        waiting: deque[tuple[StereoFrame, State, Future[FrameAnalysis]]] = deque()
         for frame in frames:
-            right_view, left_view = checked_views(frame, right, context.rig)
-            right = see(right, right_view, context.settings)
-            left = see(left, left_view, context.settings)
-            found = threads.submit(analyse, frame, right, left, context)
-            waiting.append((frame, right, left, found))
+            state, motion = remembered(state, frame, context)
+            waiting.append((frame, state, threads.submit(analyse, frame, state, motion, context)))
             if len(waiting) >= jobs:
-                first, its_right, its_left, found = waiting.popleft()
-                yield first, its_right, its_left, found.result()
-        for first, its_right, its_left, found in waiting:
-            yield first, its_right, its_left, found.result()
+                first, after, found = waiting.popleft()
+                yield first, after, found.result()
+        for first, after, found in waiting:
+            yield first, after, found.result()
+
+
+def remembered(
+    state: State, frame: StereoFrame, context: StreamContext
+) -> tuple[State, Motion | None]:
+    """Return the memories after a frame, and the rig's own motion if that is asked for.
+
+    Raises:
+        InputError: the views cannot be used.
+    """
+    right, left = checked_views(frame, state.right, context.rig)
+    odometry, motion = state.odometry, None
+    if context.odometer is not None:
+        last = None
+        if state.right is not None and state.left is not None:
+            last = state.right.grey, state.left.grey
+        odometry, motion = context.odometer.step(odometry, last, right, left, frame.index)
+    return (
+        State(
+            right=see(state.right, right, context.settings),
+            left=see(state.left, left, context.settings),
+            odometry=odometry,
+        ),
+        motion,
+    )
 
 
 def checked_views(frame: StereoFrame, before: Memory | None, rig: Rig | None) -> tuple[Grey, Grey]:
@@ -311,13 +365,24 @@ def checked_views(frame: StereoFrame, before: Memory | None, rig: Rig | None) ->
 
 
 def analyse(
-    frame: StereoFrame, right: Memory, left: Memory, context: StreamContext
+    frame: StereoFrame, state: State, motion: Motion | None, context: StreamContext
 ) -> FrameAnalysis:
-    """Return what one moment of the memories decides by itself, in the reference view."""
-    with_confidence = "confidence" in context.extras
-    disparity_px, confidence = match(right, left, context.settings, with_confidence=with_confidence)
-    shown = right if context.settings.reference == "right" else left
-    return described(frame, shown, disparity_px, confidence, context)
+    """Return what one moment of the memories decides by itself, in the reference view.
+
+    Args:
+        frame: the frame.
+        state: the memories after it.
+        motion: the rig's own.
+        context: what is the same for all frames.
+    """
+    assert state.right is not None
+    assert state.left is not None
+    disparity_px, confidence = match(
+        *(state.right, state.left, context.settings),
+        with_confidence="confidence" in context.extras,
+    )
+    shown = state.right if context.settings.reference == "right" else state.left
+    return described(frame, shown, disparity_px, confidence, motion, context)
 
 
 def described(
@@ -325,6 +390,7 @@ def described(
     shown: Memory,
     disparity_px: Real,
     confidence: Real | None,
+    motion: Motion | None,
     context: StreamContext,
 ) -> FrameAnalysis:
     """Return all that follows from one frame's disparity.
@@ -333,6 +399,7 @@ def described(
         frame: the frame.
         shown: the memory of the reference camera after it.
         disparity_px, confidence: as :func:`match` gives them.
+        motion: the rig's own.
         context: what is the same for all frames.
     """
     s, rig = context.settings, context.rig
@@ -357,6 +424,7 @@ def described(
         time=frame.time,
         profile=context.guide.profile(disparity_px, shown.moved),
         regions=regions,
+        motion=motion,
         charged=float(np.count_nonzero(shown.charge > s.charge_min)) / disparity_px.size,
         matched=float(np.count_nonzero(~np.isnan(disparity_px))) / disparity_px.size,
         points=points,

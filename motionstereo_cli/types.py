@@ -210,6 +210,25 @@ class MovingObject:
 
 
 @dataclass(frozen=True, slots=True)
+class Fix:
+    """How far to believe in a pose that was found from the videos themselves.
+
+    Attributes:
+        lost: the motion of this frame is unknown; the last one that is known is taken to go on.
+        sigma_m, sigma_rad: standard deviation of place and turn, by errors that frames do not
+            share.
+        disparity_offset_px: constant by which disparities are too small, 0 where none can be told.
+        agreeing: share of the points whose grey agrees with the motion, 0..1; 0 where unknown.
+    """
+
+    lost: bool
+    sigma_m: float
+    sigma_rad: float
+    disparity_offset_px: float
+    agreeing: float
+
+
+@dataclass(frozen=True, slots=True)
 class FrameImages:
     """The images of one frame in the reference camera's view; they are not to be written to.
 
@@ -240,6 +259,7 @@ class Step:
         steering: its heading.
         objects: what moves, as far as it has been followed for a few frames.
         pose: where the rig was; None where it is not known.
+        fix: how far to believe in the pose, where it was found from the videos.
         charged, matched: shares of the image, 0..1, that carry charge and have a disparity.
         points: what moved, (n, 3) float64 m in the reference camera's optical frame, and its
             grey, (n,) uint8; None where no output asks for it.
@@ -254,6 +274,7 @@ class Step:
     matched: float
     points: tuple[NDArray[np.float64], Grey] | None = None
     images: FrameImages | None = None
+    fix: Fix | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -277,6 +298,7 @@ class FrameResult:
         state: what is known after this frame; :func:`~motionstereo_cli.pipeline.process` goes on
             from it.
         pose: where the rig was; None where it is not known.
+        fix: how far to believe in the pose, where it was found from the videos.
         objects: what moves, as far as it has been followed for a few frames.
     """
 
@@ -294,3 +316,4 @@ class FrameResult:
     state: Any = None
     pose: Pose | None = None
     objects: tuple[MovingObject, ...] = ()
+    fix: Fix | None = None

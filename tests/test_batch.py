@@ -269,11 +269,17 @@ def options_of(clip):
 
 
 @pytest.mark.parametrize(
-    ("count", "save"), [(2, ",".join(OUTPUTS)), (5, "steering,objects,disparity,depth-video,map")]
+    ("count", "save", "poses"),
+    [
+        (2, ",".join(OUTPUTS), "poses.txt"),
+        (5, "steering,objects,disparity,depth-video,map", "poses.txt"),
+        (5, "steering,objects,poses,poses-kitti,odometry,map", "auto"),
+    ],
 )
-def test_pieces_give_the_bytes_of_one_run(long_clip, tmp_path, count, save):
+def test_pieces_give_the_bytes_of_one_run(long_clip, tmp_path, count, save, poses):
     """Every output, in permanency mode; a run-in that is too short shows."""
-    given = [*options_of(long_clip), "--poses", str(long_clip / "poses.txt"), "--save", save]
+    poses = poses if poses == "auto" else str(long_clip / poses)
+    given = [*options_of(long_clip), "--poses", poses, "--save", save]
     assert piecemeal(given, tmp_path, count) == []
 
 

@@ -1,11 +1,20 @@
 """Own motion from two videos, against exact poses of rendered scenes."""
 
+import csv
 import itertools
+import re
+from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 
+from motionstereo_cli import read_poses, read_rig
+from motionstereo_cli.__main__ import main
+from motionstereo_cli.errors import SettingsError
+from motionstereo_cli.pipeline import process
 from motionstereo_cli.rig.pose_forms import rotations
+from motionstereo_cli.rig.settings import PoseSettings
 from motionstereo_cli.robot.alignment import (
     LEVELS,
     Keyframe,
@@ -26,6 +35,10 @@ from motionstereo_cli.robot.odometry import (
 )
 from motionstereo_cli.simulate.scenes import render_scene
 from motionstereo_cli.simulate.settings import SimulateSettings
+from motionstereo_cli.simulate.write import simulate
+from motionstereo_cli.sinks.poses_table import TumFile
+from motionstereo_cli.sources.settings import InputSettings
+from motionstereo_cli.types import Fix, FrameTime, Pose, Steering, Step, StereoFrame
 
 RANGE_PX = 48
 #: Axes of the right camera in the rig's.
@@ -157,6 +170,120 @@ class TestMotion:
         rig, pairs, _ = street
         other = scene(scene="corridor", frames="3", seed=1)[1]
         assert motions([*pairs[:3], *other], lens_of(rig))[3] is None
+
+
+class TestRun:
+    """``--poses auto`` from files, beside what the scene says."""
+
+    @pytest.fixture(scope="class")
+    @staticmethod
+    def recording(tmp_path_factory):
+        folder = tmp_path_factory.mktemp("street") / "street"
+        settings = SimulateSettings(
+            scene="street", frames="14", width=320, height=240, seed=5, noise_sigma=1
+        )
+        simulate(folder, settings)
+        return folder
+
+    @staticmethod
+    def run(recording, out, *options, rig="rig.yaml"):
+        given = [recording / "left.mp4", recording / "right.mp4", "--rig", recording / rig]
+        assert main(["run", *map(str, given), "-o", str(out), *options]) == 0
+        return out
+
+    @staticmethod
+    def matrices(path, rig):
+        return [of_right_camera(Pose(*each), rig) for each in read_poses(path).poses.tolist()]
+
+    def test_poses_are_those_of_the_rig(self, recording, tmp_path):
+        save = "poses,poses-kitti,odometry,steering"
+        out = self.run(recording, tmp_path / "out", "--poses", "auto", "--save", save)
+        rig = read_rig(recording / "rig.yaml")
+        true = self.matrices(recording / "poses.txt", rig)
+        found = self.matrices(out / "poses.txt", rig)
+        off, turned = drift(found, true)
+        assert off < 0.01
+        assert turned < 0.3
+        # The same as the left camera's, in KITTI's form.
+        settings = PoseSettings(pose_frame="optical")
+        kitti = read_poses(out / "poses-kitti.txt", settings, rig)
+        steps = [self.steps(each.poses, rig) for each in (kitti, read_poses(out / "poses.txt"))]
+        assert np.allclose(*steps, atol=1e-5)
+        with (out / "odometry.csv").open(newline="") as file:
+            rows = list(csv.DictReader(file))
+        assert [row["lost"] for row in rows] == ["0"] * 14
+        assert 0 < float(rows[5]["sigma_m"]) < float(rows[-1]["sigma_m"]) < 0.5
+        assert {row["disparity_offset_px"] for row in rows} == {"0.000"}
+
+    @staticmethod
+    def steps(poses, rig):
+        matrices = [of_right_camera(Pose(*each), rig) for each in poses.tolist()]
+        return [np.linalg.inv(a) @ b for a, b in itertools.pairwise(matrices)]
+
+    def test_what_needs_poses_finds_them_and_says_so(self, recording, tmp_path, capsys):
+        out = self.run(recording, tmp_path / "out", "--save", "map,steering")
+        assert "map: poses are found from the recording" in capsys.readouterr().err
+        assert (out / "map.ply").exists()
+        plain = self.run(recording, tmp_path / "plain", "--save", "steering")
+        steering = [(each / "steering.csv").read_bytes() for each in (out, plain)]
+        assert steering[0] == steering[1]  # the guidance has poses only where they are asked for
+
+    def test_a_wrong_offset_is_said_measured_and_mended(self, recording, tmp_path, capsys):
+        text = (recording / "rig.yaml").read_text().replace("doffs: 0.0", "doffs: 1.0")
+        (recording / "off.yaml").write_text(text)
+        save = ["--save", "poses,depth", "--poses", "auto"]
+        left = self.run(recording, tmp_path / "left", *save, rig="off.yaml")
+        said = re.search("disparities are (.*?) px too large", capsys.readouterr().err)
+        assert float(said[1]) == pytest.approx(1, abs=0.06)
+        save += ["--disparity-offset", "auto"]
+        mended = self.run(recording, tmp_path / "mended", *save, rig="off.yaml")
+        said = re.search("--disparity-offset (.*?):", capsys.readouterr().err)
+        assert float(said[1]) == pytest.approx(-1, abs=0.06)
+        rig = read_rig(recording / "rig.yaml")
+        true = self.matrices(recording / "poses.txt", rig)
+        for out in (left, mended):
+            assert drift(self.matrices(out / "poses.txt", rig), true)[0] < 0.01
+        right = self.run(recording, tmp_path / "right", *save)
+        depths = [
+            cv2.imread(str(out / "depth/000010.png"), -1).astype(float)
+            for out in (left, mended, right)
+        ]
+        known = np.logical_and.reduce([each > 0 for each in depths])
+        off, healed = (np.abs(each[known] / depths[2][known] - 1).mean() for each in depths[:2])
+        assert healed < 0.02
+        assert off > 0.05
+
+    def test_an_offset_is_a_number_or_auto(self):
+        with pytest.raises(SettingsError, match="--disparity-offset cannot be 'much'"):
+            InputSettings(disparity_offset="much")
+
+    def test_needs_a_rig(self, recording, tmp_path, capsys):
+        given = [str(recording / "left.mp4"), str(recording / "right.mp4"), "--poses", "auto"]
+        assert main(["run", *given, "-o", str(tmp_path / "out")]) == 2
+        assert "--poses need --rig" in capsys.readouterr().err
+
+    def test_frames_that_are_lost_have_no_line(self, tmp_path):
+        pose, fix = Pose(1, 2, 3, 0, 0, 0, 1), Fix(False, 0.1, 0.01, 0.0, 0.9)
+        sink = TumFile(tmp_path / "poses.txt", "")
+        for index, lost in enumerate([False, True, False]):
+            steering = Steering("blind", None, None, None, None)
+            time = FrameTime(index, index, index / 10)
+            each = replace(fix, lost=lost)
+            sink.write(Step(time, steering, (), pose, 0.0, 0.0, fix=each))
+        sink.close()
+        lines = (tmp_path / "poses.txt").read_text().splitlines()
+        assert [line.split()[0] for line in lines] == ["0.000000", "0.200000"]
+
+    def test_from_python(self, street):
+        rig, pairs, true = street
+        frames = [
+            StereoFrame(index, index, index / 10, pair.left, pair.right)
+            for index, pair in enumerate(pairs[:9])
+        ]
+        results = list(process(frames, None, rig, "auto", with_objects=False, extras=()))
+        found = [of_right_camera(result.pose, rig) for result in results]
+        assert drift(found, true[:9])[0] < 0.01
+        assert not any(result.fix.lost for result in results)
 
 
 class TestConstantErrorOfDisparity:

@@ -141,6 +141,18 @@ def test_a_killed_run_goes_on(command, undisturbed, tmp_path, capsys, monkeypatc
     assert resumed in before
 
 
+def test_a_killed_run_that_finds_its_poses_goes_on(command, tmp_path):
+    """The odometry is in the checkpoint, between keyframes too."""
+    at = command.index("--poses")
+    given = [*command[: at + 1], "auto", *command[at + 2 :]]
+    assert main([*given, "-o", str(tmp_path / "whole" / "out")]) == 0
+    args = [*given, "-o", str(tmp_path / "out")]
+    killed = subprocess.run([sys.executable, "-c", KILLED, "14", *args], check=False)
+    assert killed.returncode == -signal.SIGKILL
+    assert main([*args, "--resume", "--jobs", "3"]) == 0
+    assert contents(tmp_path / "out") == contents(tmp_path / "whole" / "out")
+
+
 def test_the_videos_are_whole_and_in_time(undisturbed):
     with av.open(str(undisturbed / "depth.mp4")) as video:
         stamps = [frame.pts * frame.time_base for frame in video.decode(video=0)]

@@ -187,7 +187,7 @@ def plans(
         except MotionStereoError as error:
             wrong.append(f"{entry.place}: {error}")
             continue
-        paths = [plan.left, plan.right, *plan.rig, plan.poses]
+        paths = [plan.left, plan.right, *plan.rig, plan.poses_file]
         missing = [str(path) for path in paths if path and not _there(str(path))]
         wrong += [f"{entry.place}: there is no {path}" for path in missing]
         found[entry.name] = plan

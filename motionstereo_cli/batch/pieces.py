@@ -40,6 +40,7 @@ from motionstereo_cli.pipeline import (
 )
 from motionstereo_cli.robot.free_space import FreeSpace
 from motionstereo_cli.robot.guide import ImageProfile, MapProfile
+from motionstereo_cli.robot.odometry import BLOCK_FRAMES, Motion
 from motionstereo_cli.runs.checkpoint import Reader
 from motionstereo_cli.runs.folder import RunFolder, discard, record_of
 from motionstereo_cli.runs.folder_files import FolderKind
@@ -168,9 +169,9 @@ def behind_damage(plan: RunPlan, pieces: Sequence[Piece]) -> list[Piece]:
 
 
 def _run_in(plan: RunPlan) -> int:
-    """Return for how many frames the memories last."""
+    """Return for how many frames the memories last, and what own motion is found from."""
     s = plan.settings
-    return math.ceil((s.charge_max - s.charge_min) / s.charge_leak)
+    return max(math.ceil((s.charge_max - s.charge_min) / s.charge_leak), BLOCK_FRAMES + 1)
 
 
 def _analyses(
@@ -182,7 +183,7 @@ def _analyses(
 ) -> Iterator[FrameAnalysis]:
     """Open the outputs at the first frame; yield the analysis of each frame."""
     last_pts = None
-    for frame, _, _, found in analysed(frames, job.stream, State(), job.plan.jobs or 1):
+    for frame, _, found in analysed(frames, job.stream, State(), job.plan.jobs or 1):
         if frame.index < piece.first:
             last_pts = frame.pts
             continue
@@ -286,7 +287,7 @@ def _follow(job: Job, folders: Sequence[Path], sinks: RunFolder, watcher: Watche
 def _kept(folder: Path, rig: Rig | None) -> Iterator[tuple[FrameSummary, FrameImages | None]]:
     """Yield what a piece has kept of its frames."""
     path = folder / PIECE.outputs[_KEPT][0]
-    classes = FrameSummary, FrameTime, ImageProfile, MapProfile, FreeSpace
+    classes = FrameSummary, FrameTime, ImageProfile, MapProfile, FreeSpace, Motion
     try:
         with open_regular(path) as file:
             while file.peek(1):

@@ -52,13 +52,13 @@ _MAX_GAP = 10
 _MIN_UPRIGHT, _MOSTLY_UP, _FAR_UP_M = 0.3, 0.8, 0.5
 
 #: Directions of the robot frame in the optical one: forward is z, left is -x, up is -y.
-_OPTICAL_FROM_ROBOT = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
+OPTICAL_FROM_ROBOT = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
 
 #: Directions of the optical frame in that of x forward, y right, z down.
 _NED_FROM_OPTICAL = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 
 #: Directions of a world with z up in the worlds of poses that have another.
-_WORLDS = {"optical": _OPTICAL_FROM_ROBOT, "ned": np.diag([1.0, -1.0, -1.0])}
+_WORLDS = {"optical": OPTICAL_FROM_ROBOT, "ned": np.diag([1.0, -1.0, -1.0])}
 
 
 @dataclass(frozen=True, slots=True)
@@ -331,7 +331,7 @@ def _of_robot(
         turns = turns @ _NED_FROM_OPTICAL
     # The middle lies half a baseline to the right of the left camera.
     places = places + turns @ np.array([rig.baseline_m / 2, 0, 0])
-    turns = turns @ _OPTICAL_FROM_ROBOT
+    turns = turns @ OPTICAL_FROM_ROBOT
     if frame in _WORLDS:
         world = _WORLDS[frame]
         places, turns = places @ world, world.T @ turns

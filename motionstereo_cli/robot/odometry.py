@@ -68,6 +68,8 @@ _ERROR_GAIN, _ERROR_FLOOR_PX = 0.1, 0.02
 NO_ERROR_SIGMA_PX = 0.001
 #: Less than the first of these is not told from none; from the second on it is taken as it is.
 _ERROR_TOLD_PX = 0.06, 0.12
+#: Standard deviations of shift and turn in a frame where the rig is lost.
+_LOST_M, _LOST_RAD = 0.2, 0.1
 #: Covariance of a motion over that of its equations, whose points share their errors likewise.
 _COVARIANCE = 10.0
 
@@ -358,7 +360,7 @@ def _by_corners(last: Pair, image: Grey, lens: Lens, range_px: int) -> tuple[Rea
 
 
 @dataclass(frozen=True, slots=True)
-class Path:
+class TravelledPath:
     """Where the rig has come to.
 
     Attributes:
@@ -378,26 +380,33 @@ class Path:
     lost: int = 0
 
 
-def setting_out() -> Path:
+def setting_out() -> TravelledPath:
     """Return the path before the first frame."""
-    return Path(np.eye(4), np.zeros((6, 6)), 0.0, ERROR_SIGMA_PX**-2, np.eye(4))
+    return TravelledPath(np.eye(4), np.zeros((6, 6)), 0.0, ERROR_SIGMA_PX**-2, np.eye(4))
 
 
-def travelled(path: Path, motion: Motion | None) -> Path:
+def travelled(path: TravelledPath, motion: Motion | None) -> TravelledPath:
     """Return the path a frame later.
 
     A motion is corrected, to first order, for what the constant error of disparity is by all frames
     and not by its own block. Where the rig is lost the last motion is taken to go on: a guess,
-    which :attr:`Path.lost` tells.
+    which :attr:`TravelledPath.lost` tells.
     """
     if motion is None:
-        return replace(path, pose=path.pose @ path.last, lost=path.lost + 1)
+        moved, unsure = path.last, np.diag([_LOST_M**2] * 3 + [_LOST_RAD**2] * 3)
+        turned = adjoint(_inverse(moved))
+        return replace(
+            path,
+            pose=path.pose @ moved,
+            covariance=turned @ (path.covariance + unsure) @ turned.T,
+            lost=path.lost + 1,
+        )
     counted = min(_ERROR_GAIN * motion.information, _ERROR_FLOOR_PX**-2)
     information = path.information + counted
     error = (path.error_px * path.information + motion.measured_px * counted) / information
     moved = _small(motion.per_error * (told(error) - motion.error_px)) @ motion.before_from_now
     turned = adjoint(_inverse(moved))
-    return Path(
+    return TravelledPath(
         pose=path.pose @ moved,
         covariance=turned @ (path.covariance + motion.covariance) @ turned.T,
         error_px=error,

@@ -23,12 +23,14 @@ from motionstereo_cli.files.reading import open_regular
 from motionstereo_cli.method.memory import Memory
 from motionstereo_cli.method.settings import Settings
 from motionstereo_cli.pipeline import State, TrackingState
+from motionstereo_cli.robot.alignment import Keyframe
 from motionstereo_cli.robot.course import Course
 from motionstereo_cli.robot.fused_map import Grid, Voxels
 from motionstereo_cli.robot.guide import ImageHeading, MapCourse
 from motionstereo_cli.robot.local_map import LocalMap
 from motionstereo_cli.robot.mapper import Surroundings
 from motionstereo_cli.robot.objects import Observation, Region, Track
+from motionstereo_cli.robot.odometry import Odometry, TravelledPath
 from motionstereo_cli.robot.tracker import Tracks
 from motionstereo_cli.runs.open_outputs import Totals
 from motionstereo_cli.sinks.sink import Sink
@@ -49,12 +51,15 @@ STATE_TYPES: tuple[type, ...] = (
         Track,
         Observation,
         Region,
+        Odometry,
+        Keyframe,
+        TravelledPath,
     ),
     *(Surroundings, Grid, Voxels, Pose, Totals),
 )
 _NAMED = {each.__qualname__: each for each in STATE_TYPES}
 _OF_NUMPY = {"ndarray", "dtype", "scalar", "_reconstruct", "_frombuffer"}
-_HEAD = b"motionstereo checkpoint 3"
+_HEAD = b"motionstereo checkpoint 4"
 
 #: Arrays by what annotations call them; all others may be of any kind of number.
 _ARRAYS = {"Grey": "uint8", "Real": "float32"}

@@ -39,10 +39,11 @@ def with_range(plan: RunPlan, say: Say) -> RunPlan:
         return plan
     if found := _begun_with(plan):
         return _settled(plan, found)
-    return _measured(plan, _sample(plan), say)
+    return _measured(plan, sample_of(plan), say)
 
 
-def _sample(plan: RunPlan) -> Iterator[StereoFrame]:
+def sample_of(plan: RunPlan) -> Iterator[StereoFrame]:
+    """Yield up to five windows of 16 frames, spread over the recordings of a plan."""
     for number in range(MAX_WINDOWS):
         with open_stereo(plan.left, plan.right, plan.input_settings) as source:
             rectify_source(source, plan.rig, plan.baseline_unit)

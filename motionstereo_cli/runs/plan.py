@@ -19,6 +19,8 @@ from motionstereo_cli.sources.settings import InputSettings
 
 #: Names of standard input and output. Files of that name are ``./-``.
 _STANDARD = "-"
+#: Name of poses that are found from the recording itself. A file of that name needs its folder's.
+AUTO_POSES = "auto"
 
 _PATHS = ("out", "poses", "table")
 _PARAMETERS = {
@@ -40,7 +42,8 @@ class RunPlan:
         rig: calibration files, in any format that ``--rig`` takes; none: no lengths, no angles.
         baseline_unit: unit of length in the calibration, ``m``, ``cm`` or ``mm``; None = the
             format's.
-        poses: where the rig was; needs a calibration, of ``rig`` or in a bag.
+        poses: where the rig was, a file or ``auto``: found from the recording itself; needs a
+            calibration, of ``rig`` or in a bag.
         pose_settings: how to understand the poses.
         save: names of the outputs in ``out``, from :data:`~motionstereo_cli.sinks.outputs.OUTPUTS`.
         table: a further place for the steering table; ``-`` is standard output, row by row.
@@ -128,6 +131,11 @@ class RunPlan:
     def folder(self) -> Path | None:
         """The output folder; None where there is only a table on standard output."""
         return None if str(self.out) == _STANDARD else self.out
+
+    @property
+    def poses_file(self) -> Path | None:
+        """The file of poses, if there is one."""
+        return None if str(self.poses) == AUTO_POSES else self.poses
 
     @property
     def outputs(self) -> tuple[str, ...]:

@@ -23,7 +23,7 @@ from motionstereo_cli.rig import rig_values
 from motionstereo_cli.rig.poses import Trajectory
 from motionstereo_cli.runs.folder_files import head
 from motionstereo_cli.runs.open_outputs import Totals
-from motionstereo_cli.runs.plan import RunPlan
+from motionstereo_cli.runs.plan import AUTO_POSES, RunPlan
 from motionstereo_cli.sinks.outputs import OUTPUTS, available
 from motionstereo_cli.sinks.sink import RunContext
 from motionstereo_cli.sources import StereoSource
@@ -74,6 +74,7 @@ class Job:
         frames: all frames of the source.
         context: what the outputs need.
         poses: where the rig was; None if it is not known.
+        motion_offset_px: constant that own motion is found with, added to disparity.
     """
 
     plan: RunPlan
@@ -81,6 +82,7 @@ class Job:
     frames: Iterable[StereoFrame]
     context: RunContext
     poses: Trajectory | None
+    motion_offset_px: float = 0.0
 
     @property
     def save(self) -> tuple[str, ...]:
@@ -88,12 +90,11 @@ class Job:
         return available(
             self.plan.outputs,
             rig=self.context.rig is not None,
-            poses=self.poses is not None,
             steering_format=self.context.output.steering_format,
         )
 
     def pose_of(self, frame: StereoFrame | FrameTime) -> Pose | None:
-        """Return where the rig was; None where it is not known.
+        """Return where the rig was; None where it is not known, or to be found.
 
         Raises:
             InputError: the poses do not cover the frame.
@@ -101,15 +102,23 @@ class Job:
         return None if self.poses is None else self.poses.of(frame)
 
     @property
+    def with_own_motion(self) -> bool:
+        """Whether poses are found from the recording: they are asked for, and not given."""
+        asked = self.plan.poses is not None or any(OUTPUTS[name].needs_poses for name in self.save)
+        return asked and self.poses is None and self.context.rig is not None
+
+    @property
     def stream(self) -> StreamContext:
         """What the outputs have the processing find, and no more: it takes time."""
         rows = [OUTPUTS[name] for name in self.save]
-        with_poses = self.poses is not None
+        with_poses = self.plan.poses is not None
         return StreamContext.of(
             self.plan.settings,
             self.context.rig,
             with_poses=with_poses,
             with_objects=with_poses or any(row.needs_objects for row in rows),
+            with_own_motion=self.with_own_motion,
+            motion_offset_px=self.motion_offset_px,
             extras={extra for row in rows for extra in row.extras},
             with_points=any(row.needs_points for row in rows),
         )
@@ -138,6 +147,8 @@ def identity_of(job: Job, inputs: Iterable[Path]) -> dict[str, Any]:
         "time_base": None if source.time_base is None else str(source.time_base),
         "grey": GREY,
         **({"pose_settings": dataclasses.asdict(job.poses.settings)} if job.poses else {}),
+        **({"poses": AUTO_POSES} if plan.poses and job.with_own_motion else {}),
+        **({"motion_offset_px": job.motion_offset_px} if job.with_own_motion else {}),
     }
 
 

@@ -29,6 +29,7 @@ from motionstereo_cli.rig.calibration import rectify_source
 from motionstereo_cli.rig.poses import read_poses
 from motionstereo_cli.runs.checkpoint import check_state
 from motionstereo_cli.runs.cores import usable_cores
+from motionstereo_cli.runs.disparity_offset import with_measured_offset
 from motionstereo_cli.runs.disparity_range import with_range, with_range_of_opening
 from motionstereo_cli.runs.folder import RunFolder
 from motionstereo_cli.runs.folder_files import TABLE
@@ -153,9 +154,9 @@ def job_of(plan: RunPlan, source: StereoSource, watcher: Watcher) -> Job:
     else:
         check_size(calibration.rig, source)
         rig = adapted_rig(calibration.rig, source.settings)
-        if plan.poses:
+        if plan.poses_file:
             poses = read_poses(
-                *(plan.poses, plan.pose_settings, calibration.rig, calibration.body_from_left)
+                *(plan.poses_file, plan.pose_settings, calibration.rig, calibration.body_from_left)
             )
             first, last = source.numbers if poses.by_number else source.span_s
             whole = source.last_number if poses.by_number else source.last_s
@@ -168,9 +169,12 @@ def job_of(plan: RunPlan, source: StereoSource, watcher: Watcher) -> Job:
     else:
         plan, frames = with_range_of_opening(plan, source, watcher.say)
     context = RunContext(time_base, plan.settings, rig, plan.output_settings)
-    job = Job(plan, source, frames, context, poses)
+    job = with_measured_offset(Job(plan, source, frames, context, poses), watcher.say)
     if plan.folder is not None:
         check_video_size(job.save, source.width, source.height)
+    if job.with_own_motion and plan.poses is None:
+        asking = ", ".join(name for name in job.save if OUTPUTS[name].needs_poses)
+        watcher.say("note", f"{asking}: poses are found from the recording, as --poses auto does")
     return job
 
 
@@ -179,6 +183,7 @@ def _do_without_rig(plan: RunPlan, watcher: Watcher) -> None:
     output = plan.output_settings
     for flags, given in (
         ("--poses", plan.poses),
+        ("--disparity-offset", plan.input_settings.disparity_offset_px != 0),
         ("--near-m and --far-m", output.near_m or output.far_m),
     ):
         if given:
@@ -203,7 +208,12 @@ def check_size(rig: Rig, source: StereoSource) -> None:
 def inputs_of(job: Job) -> list[Path]:
     """Return the files and folders that a run reads."""
     plan = job.plan
-    return [*job.source.paths, *plan.rig, *([plan.poses] if plan.poses else []), *plan.reads]
+    return [
+        *job.source.paths,
+        *plan.rig,
+        *([plan.poses_file] if plan.poses_file else []),
+        *plan.reads,
+    ]
 
 
 def _sinks(job: Job) -> Sinks:

@@ -35,7 +35,7 @@ class Output:
         shows_images: the steps that it takes have images.
         extras: what it needs of :data:`motionstereo_cli.pipeline.EXTRAS`.
         needs_rig: it needs a rig.
-        needs_poses: it needs poses.
+        needs_poses: it needs poses; where none are given, they are found from the recording.
         needs_objects: it needs moving objects.
         needs_points: the steps that it takes have points.
         beside: further files that come with it.
@@ -289,6 +289,39 @@ OUTPUTS = {
         extras=_DEPTH,
         shows_images=True,
     ),
+    "poses": Output(
+        "poses.txt",
+        "where the rig was, TUM form: time_s x_m y_m z_m qx qy qz qw of the point halfway between "
+        "the cameras, x forward, y left, z up, in the world of --poses or, where they are found "
+        "from the recording, of the first frame; frames where the rig was lost are left out; "
+        "number of the frame in place of the time where the recording has none",
+        "poses_table.tum_file",
+        takes="step",
+        needs_rig=True,
+        needs_poses=True,
+    ),
+    "poses-kitti": Output(
+        "poses-kitti.txt",
+        "the same in KITTI's form, a row for each frame: the first three rows of the matrix "
+        "that takes places in the left camera, x right, y down, z forward, to those in its "
+        "first frame; where the rig was lost, its last motion is taken to go on",
+        "poses_table.kitti_file",
+        takes="step",
+        needs_rig=True,
+        needs_poses=True,
+    ),
+    "odometry": Output(
+        "odometry.csv",
+        "how far to believe in poses that were found from the recording, a row for each frame: "
+        "lost 0 or 1; sigma_m in m and sigma_rad in rad, standard deviations of place and turn "
+        "by errors that frames do not share; disparity_offset_px, by which disparities "
+        "are too small; agreeing, the share of points whose grey agrees; empty = poses were given",
+        "poses_table.odometry_file",
+        kind="table",
+        takes="step",
+        needs_rig=True,
+        needs_poses=True,
+    ),
     "map": Output(
         "map.ply",
         "what moved in the image, fused over all frames: points in the world of the poses in m, "
@@ -308,15 +341,13 @@ OUTPUTS = {
 DEFAULT_OUTPUTS = ("steering", "depth", "charge", "depth-video")
 
 
-def available(
-    save: Sequence[str], *, rig: bool, poses: bool = False, steering_format: str = "csv"
-) -> tuple[str, ...]:
+def available(save: Sequence[str], *, rig: bool, steering_format: str = "csv") -> tuple[str, ...]:
     """Return the outputs to write, each once, with those that they bring.
 
     Without a rig, disparity takes the place of depth.
 
     Raises:
-        SettingsError: an output without such a substitute needs a rig, or one needs poses.
+        SettingsError: an output without such a substitute needs a rig.
     """
     instead = {
         name: row.without_rig for name, row in OUTPUTS.items() if row.without_rig and not rig
@@ -328,8 +359,6 @@ def available(
     for name in names:
         if OUTPUTS[name].needs_rig and not rig:
             raise SettingsError(f"--save {name} needs --rig: without it nothing is in metres")
-        if OUTPUTS[name].needs_poses and not poses:
-            raise SettingsError(f"--save {name} needs --poses: they say where the rig was")
     return names
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import re
 from dataclasses import dataclass
@@ -18,6 +19,10 @@ Place = int | Fraction
 
 #: One image in a quarter of an hour, in frames per second.
 _MIN_RATE = 0.001
+
+#: What stands for a disparity offset that is measured, and the largest.
+MEASURED = "auto"
+_MAX_OFFSET_PX = 100
 
 _TIME = re.compile(r"(?:(?:(\d+):)?(\d+):)?(\d+(?:\.\d*)?)(s?)", re.ASCII)
 
@@ -137,6 +142,13 @@ class InputSettings:
         low=0.01,
         high=8,
     )
+    disparity_offset: str = param(
+        "0",
+        "Constant that is added to disparity for depth, as a small turn between the cameras takes "
+        "it away. auto: measured before the run from how things move while the rig moves.",
+        unit="px",
+        group="Calibration",
+    )
     white: int = param(
         0,
         "Level that becomes white in images of more than 8 bits, as 4095 where a camera puts 12 "
@@ -167,7 +179,7 @@ class InputSettings:
 
     def __post_init__(self) -> None:
         checked(self)
-        _ = self.crop_box, self.rate, self.tracks
+        _ = self.crop_box, self.rate, self.tracks, self.disparity_offset_px
         first, stop = self.first, self.stop
         comparable = type(stop) is type(first) or not self.start
         if stop is not None and comparable and stop <= first:
@@ -186,6 +198,20 @@ class InputSettings:
                 raise SettingsError(
                     f"--sync-offset pairs by number and {flag} by time: give one of them"
                 )
+
+    @property
+    def disparity_offset_px(self) -> float | None:
+        """What is added to disparity for depth; None where that is to be measured."""
+        if self.disparity_offset == MEASURED:
+            return None
+        with contextlib.suppress(ValueError):
+            offset_px = float(self.disparity_offset)
+            if abs(offset_px) <= _MAX_OFFSET_PX:
+                return offset_px
+        raise SettingsError(
+            f"--disparity-offset cannot be {self.disparity_offset!r}: give {MEASURED}, or "
+            f"-{_MAX_OFFSET_PX} to {_MAX_OFFSET_PX} px"
+        )
 
     @property
     def rate(self) -> Fraction | None:
@@ -261,6 +287,8 @@ class InputSettings:
 def adapted_rig(rig: Rig, settings: InputSettings) -> Rig:
     """Return the rig of what is delivered from the rig of the whole views.
 
+    A disparity offset that is known goes into doffs; one that is to be measured does not yet.
+
     A pixel's centre has whole coordinates, so a view that is scaled by s has what was at x at
     s (x + 0.5) - 0.5. Depth stays the same: focal length, disparity and doffs all grow with s.
 
@@ -270,7 +298,7 @@ def adapted_rig(rig: Rig, settings: InputSettings) -> Rig:
     box = settings.box(rig.width, rig.height)
     width, height = settings.delivered(rig.width, rig.height)
     across, down = width / box.width, height / box.height
-    return dataclasses.replace(
+    adapted = dataclasses.replace(
         rig,
         width=width,
         height=height,
@@ -280,6 +308,12 @@ def adapted_rig(rig: Rig, settings: InputSettings) -> Rig:
         doffs=rig.doffs * across,
         focal_y_px=None if rig.focal_y_px is None else rig.focal_y_px * down,
     )
+    return with_offset(adapted, settings.disparity_offset_px or 0.0)
+
+
+def with_offset(rig: Rig, offset_px: float) -> Rig:
+    """Return a rig whose disparities are too small by a constant; the right camera stays."""
+    return dataclasses.replace(rig, cx=rig.cx - offset_px, doffs=rig.doffs + offset_px)
 
 
 def _place(flag: str, text: str) -> Place:

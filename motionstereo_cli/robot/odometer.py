@@ -1,0 +1,127 @@
+"""Finds where the rig is from its two videos alone."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from motionstereo_cli.rig.pose_forms import quaternions
+from motionstereo_cli.rig.poses import OPTICAL_FROM_ROBOT
+from motionstereo_cli.robot.alignment import Lens
+from motionstereo_cli.robot.odometry import (
+    ERROR_SIGMA_PX,
+    NO_ERROR_SIGMA_PX,
+    Motion,
+    Odometry,
+    Pair,
+    TravelledPath,
+    setting_out,
+    step,
+    told,
+    travelled,
+)
+from motionstereo_cli.types import Fix, Pose, Rig, StereoFrame
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from motionstereo_cli.types import Grey
+
+
+@dataclass(frozen=True, slots=True)
+class Odometer:
+    """Finds where the rig is; the world is its robot frame at the first frame.
+
+    Args:
+        rig: the camera.
+        max_disparity: largest disparity in px.
+        offset_px: constant by which disparities are too small, as the left view shows it.
+    """
+
+    rig: Rig
+    max_disparity: int
+    offset_px: float = 0.0
+
+    @property
+    def lens(self) -> Lens:
+        """The geometry of the rig."""
+        rig = self.rig
+        focal_px = rig.focal_px, rig.fy_px
+        left_cx_px = rig.cx_of("left") - self.offset_px
+        return Lens(focal_px, rig.cx_of("right"), left_cx_px, rig.cy, rig.baseline_m)
+
+    def step(
+        self,
+        before: Odometry | None,
+        last: tuple[Grey, Grey] | None,
+        right: Grey,
+        left: Grey,
+        number: int,
+        *,
+        error_sigma_px: float = NO_ERROR_SIGMA_PX,
+    ) -> tuple[Odometry, Motion | None]:
+        """Return what is known after a frame, and the motion; see :mod:`.odometry`.
+
+        Args:
+            before: what was known before; None at the first frame.
+            last: right and left view of the frame before; None at the first frame.
+            right, left: the views.
+            number: of the frame.
+            error_sigma_px: how large the constant error of disparity may be.
+        """
+        return step(
+            before,
+            None if last is None else Pair(*last),
+            Pair(right, left),
+            *(number, self.lens, self.max_disparity, error_sigma_px),
+        )
+
+    def follow(
+        self, path: TravelledPath | None, motion: Motion | None
+    ) -> tuple[TravelledPath, Pose, Fix]:
+        """Return the path after a frame, and where the rig is."""
+        path = travelled(path or setting_out(), motion)
+        turn = OPTICAL_FROM_ROBOT.T @ path.pose[:3, :3] @ OPTICAL_FROM_ROBOT
+        middle = np.array([-self.rig.baseline_m / 2, 0.0, 0.0])
+        place = path.pose[:3, :3] @ middle + path.pose[:3, 3] - middle
+        pose = Pose(*(OPTICAL_FROM_ROBOT.T @ place).tolist(), *quaternions(turn[None])[0].tolist())
+        variance = np.diag(path.covariance)
+        return (
+            path,
+            pose,
+            Fix(
+                lost=path.lost > 0,
+                sigma_m=math.sqrt(float(variance[:3].sum())),
+                sigma_rad=math.sqrt(float(variance[3:].sum())),
+                disparity_offset_px=self.offset_px + told(path.error_px),
+                agreeing=0.0 if motion is None else motion.score,
+            ),
+        )
+
+
+def disparity_offset_px(frames: Iterable[StereoFrame], odometer: Odometer) -> float:
+    """Return the constant by which disparities are too small, 0 where none can be told.
+
+    What is far off has disparity 0 (less doffs), and how a thing moves through the image while the
+    rig moves says how far off it is: where disparity contradicts both by a constant, the principal
+    points are wrong, as by a small turn between the cameras.
+
+    Args:
+        frames: stretches of consecutive frames; a gap in their numbers begins the next.
+        odometer: the rig as it is believed to be.
+    """
+    state, last, number = None, None, None
+    path = setting_out()
+    for frame in frames:
+        if number is None or frame.index != number + 1:
+            state, last = None, None
+        right, left = map(np.ascontiguousarray, (frame.right, frame.left))
+        state, motion = odometer.step(
+            *(state, last, right, left, frame.index), error_sigma_px=ERROR_SIGMA_PX
+        )
+        path = travelled(path, motion)
+        last, number = (right, left), frame.index
+    return told(path.error_px)

@@ -1,0 +1,64 @@
+"""``--disparity-offset auto``: the constant error of disparity, measured before the first frame."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from collections.abc import Callable, Iterable
+
+from motionstereo_cli.check.measure import WINDOW_FRAMES
+from motionstereo_cli.robot.odometer import Odometer, disparity_offset_px
+from motionstereo_cli.runs.disparity_range import sample_of
+from motionstereo_cli.runs.record import Job
+from motionstereo_cli.sources.settings import with_offset
+from motionstereo_cli.types import StereoFrame
+
+Say = Callable[[str, str], object]
+
+#: An offset of less px does not matter: depth at 10 px of disparity is then off by 1.5 %.
+MATTERS_PX = 0.15
+
+
+def with_measured_offset(job: Job, say: Say) -> Job:
+    """Return the job with a measured disparity offset where that is asked for.
+
+    Own motion is found with what was measured even where depth is to be left as it is. The sample
+    is that of ``--max-disparity auto``.
+
+    Args:
+        job: the job, with a range of disparities that is a number.
+        say: called with a kind, ``note`` or ``warning``, and a line.
+
+    Raises:
+        InputError: the recordings cannot be read.
+    """
+    rig, asked = job.context.rig, job.plan.input_settings.disparity_offset_px is None
+    if rig is None or not (asked or job.with_own_motion):
+        return job
+    sample: Iterable[StereoFrame] = ()
+    frames = job.frames
+    if job.source.rereadable:
+        sample = sample_of(job.plan)
+    else:
+        rest = iter(frames)
+        sample = list(itertools.islice(rest, WINDOW_FRAMES))
+        frames = itertools.chain(sample, rest)
+    odometer = Odometer(rig, job.plan.settings.max_disparity)
+    offset_px = round(disparity_offset_px(sample, odometer), 3)
+    if asked:
+        say("note", f"--disparity-offset {offset_px:g}: measured from how things move")
+        context = dataclasses.replace(job.context, rig=with_offset(rig, offset_px))
+        return dataclasses.replace(job, frames=frames, context=context)
+    if abs(offset_px) < MATTERS_PX:
+        return dataclasses.replace(job, frames=frames)
+    say("warning", offset_warning(offset_px))
+    return dataclasses.replace(job, frames=frames, motion_offset_px=offset_px)
+
+
+def offset_warning(offset_px: float) -> str:
+    """Return what to say where disparities are too small by a constant that matters."""
+    return (
+        f"disparities are {abs(offset_px):.2f} px too {'small' if offset_px > 0 else 'large'} by "
+        "how things move as the rig moves, as after a small turn between the cameras: depth is "
+        "wrong, most of all far off; calibrate again, or give --disparity-offset auto"
+    )

@@ -1,0 +1,108 @@
+"""Where the rig was, in the forms of TUM and KITTI, and how far to believe in it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from motionstereo_cli.rig.pose_forms import rotations
+from motionstereo_cli.rig.poses import HEAD, OPTICAL_FROM_ROBOT, format_pose
+from motionstereo_cli.sinks.writers import TableFile, TableMark, cell
+from motionstereo_cli.types import Step
+
+if TYPE_CHECKING:
+    from motionstereo_cli.sinks.sink import RunContext
+    from motionstereo_cli.types import Pose
+
+ODOMETRY_HEADER = "frame,time_s,lost,sigma_m,sigma_rad,disparity_offset_px,agreeing"
+
+
+class TumFile(TableFile):
+    """Poses in the form of TUM: a line for each frame that has one."""
+
+    def write(self, step: Step) -> None:
+        """Append the line of a frame."""
+        if step.pose is not None and not (step.fix and step.fix.lost):
+            time = step.time
+            time_s = float(time.index) if time.time_s is None else time.time_s
+            self.add([format_pose(time_s, step.pose).rstrip("\n")])
+
+
+class KittiFile(TableFile):
+    """Poses in the form of KITTI: a line for each frame.
+
+    Args:
+        path: final name.
+        baseline_m: distance between the cameras.
+        since: go on from this checkpoint: one of the table, and the first pose.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        baseline_m: float,
+        since: tuple[TableMark, tuple[float, ...]] | None = None,
+    ) -> None:
+        super().__init__(path, "", None if since is None else since[0])
+        self._to_left_m = baseline_m / 2
+        self._first = None if since is None else np.reshape(since[1], (4, 4))
+
+    def write(self, step: Step) -> None:
+        """Append the line of a frame."""
+        assert step.pose is not None
+        here = self._left_camera(step.pose)
+        if self._first is None:
+            self._first = here
+        rows = (np.linalg.inv(self._first) @ here)[:3]
+        self.add([" ".join(f"{value:z.9e}" for value in rows.ravel().tolist())])
+
+    def checkpoint(self) -> tuple[TableMark, tuple[float, ...]]:  # type: ignore[override]
+        """Make sure that all so far is on the disk."""
+        first = np.eye(4) if self._first is None else self._first
+        return super().checkpoint(), tuple(first.ravel().tolist())
+
+    def _left_camera(self, pose: Pose) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
+        """Return the matrix of the left camera's optical frame in the world, (4, 4)."""
+        turn = rotations(np.array([[pose.qx, pose.qy, pose.qz, pose.qw]]))[0]
+        matrix = np.eye(4)
+        matrix[:3, :3] = turn @ OPTICAL_FROM_ROBOT.T
+        matrix[:3, 3] = (pose.x_m, pose.y_m, pose.z_m) + turn @ (0.0, self._to_left_m, 0.0)
+        return matrix
+
+
+class OdometryFile(TableFile):
+    """How far to believe in poses that were found from the recording."""
+
+    def write(self, step: Step) -> None:
+        """Append the row of a frame."""
+        fix, time = step.fix, step.time
+        told = ("",) * 5
+        if fix is not None:
+            told = (
+                str(int(fix.lost)),
+                cell(fix.sigma_m, 4),
+                cell(fix.sigma_rad, 5),
+                cell(fix.disparity_offset_px, 3),
+                cell(fix.agreeing, 2),
+            )
+        self.add([",".join((str(time.index), cell(time.time_s, 6), *told))])
+
+
+def tum_file(path: Path, _: RunContext, since: TableMark | None = None) -> TumFile:
+    """Return a sink for poses in the form of TUM."""
+    return TumFile(path, HEAD.rstrip("\n"), since)
+
+
+def kitti_file(
+    path: Path, context: RunContext, since: tuple[TableMark, tuple[float, ...]] | None = None
+) -> KittiFile:
+    """Return a sink for poses in the form of KITTI."""
+    assert context.rig is not None
+    return KittiFile(path, context.rig.baseline_m, since)
+
+
+def odometry_file(path: Path, _: RunContext, since: TableMark | None = None) -> OdometryFile:
+    """Return a sink for the table on own motion."""
+    return OdometryFile(path, ODOMETRY_HEADER, since)
