@@ -7,7 +7,7 @@ BENCH = PYTHONPATH=tests $(BIN)/python -m bench
 GOLDEN = steering,depth,disparity
 
 .PHONY: demo test lint sample regress fuzz figures presets bench bench-accuracy bench-batch bench-drive \
-	bench-map bench-objects check-trials torture sanitize coverage renew man clean help
+	bench-map bench-objects check-trials torture sanitize goals coverage renew man clean help
 
 demo: $(READY)  ## run the main job on sample_data
 	$(BIN)/motionstereo run sample_data/left.mp4 sample_data/right.mp4 \
@@ -100,6 +100,9 @@ bench-drive: $(READY)  ## let the robot find its way by different depths; resume
 bench-map: $(READY)  ## measure how true the map of a drive is
 	$(BENCH) map
 	$(BENCH) map --walkers 2
+
+goals: $(READY)  ## measure what tests/bench/goals.toml aims at, all of it or PART=house: prints reached or short
+	$(BENCH) goals $(if $(PART),--part $(PART))
 
 bench-batch: $(READY)  ## measure what a batch costs, and kill what works on it: 20 minutes
 	$(BENCH) batch

@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib
 import sys
 
-BENCHES = ("accuracy", "batch", "drive", "map", "objects", "presets", "speed", "torture")
+BENCHES = ("accuracy", "batch", "drive", "goals", "map", "objects", "presets", "speed", "torture")
 
 
 def main(args: list[str]) -> int:
