@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from motionstereo_cli.rig.calibration import rectify_source
     from motionstereo_cli.rig.poses import read_poses
     from motionstereo_cli.rig.rig_file import read_rig
-    from motionstereo_cli.rig.settings import PoseSettings
+    from motionstereo_cli.rig.settings import PoseSettings, RigSettings
     from motionstereo_cli.runs.plan import RunPlan
     from motionstereo_cli.runs.run import run
     from motionstereo_cli.sources.opening import open_stereo
@@ -29,6 +29,7 @@ __all__ = [
     "Pose",
     "PoseSettings",
     "Rig",
+    "RigSettings",
     "RunPlan",
     "Settings",
     "Steering",
@@ -49,7 +50,7 @@ _MODULES = {
     "rig.calibration": ("rectify_source",),
     "rig.poses": ("read_poses",),
     "rig.rig_file": ("read_rig",),
-    "rig.settings": ("PoseSettings",),
+    "rig.settings": ("PoseSettings", "RigSettings"),
     "method.matching": ("register_matcher",),
     "method.settings": ("Settings",),
     "runs.plan": ("RunPlan",),

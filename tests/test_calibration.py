@@ -14,6 +14,7 @@ from motionstereo_cli.commands import cli
 from motionstereo_cli.errors import InputError
 from motionstereo_cli.rig import read_rig, write_rig
 from motionstereo_cli.rig.calibration import Calibration, read_calibration
+from motionstereo_cli.rig.settings import RigSettings
 from motionstereo_cli.types import Rig
 
 SIZE = (320, 240)
@@ -291,7 +292,7 @@ def test_rig_file(tmp_path: Path) -> None:
 )
 def test_unit_of_length(tmp_path: Path, factor: float, unit: str | None, *, warned: bool) -> None:
     path = opencv_file(tmp_path / "stereo.yaml", T=T * factor)
-    calibration = read_calibration([path], SIZE, baseline_unit=unit)
+    calibration = read_calibration([path], SIZE, settings=RigSettings(baseline_unit=unit or "auto"))
     assert calibration.rig.baseline_m == pytest.approx(LENGTH_M)
     assert bool(calibration.warnings) == warned
     assert all("--baseline-unit" in line for line in calibration.warnings)
@@ -310,7 +311,7 @@ def test_a_long_baseline_of_a_rig_file_is_kept_and_warned_about(tmp_path: Path) 
     calibration = read_calibration([tmp_path / "rig.yaml"])
     assert calibration.rig.baseline_m == 120
     assert "--baseline-unit mm" in calibration.warnings[0]
-    unit = read_calibration([tmp_path / "rig.yaml"], baseline_unit="mm")
+    unit = read_calibration([tmp_path / "rig.yaml"], settings=RigSettings(baseline_unit="mm"))
     assert unit.rig.baseline_m == pytest.approx(0.12)
 
 

@@ -17,6 +17,7 @@ from motionstereo_cli.check.advice import advised, as_toml
 from motionstereo_cli.check.findings import CheckReport, Finding
 from motionstereo_cli.check.measure import WINDOW_FRAMES, check, watched
 from motionstereo_cli.check.mounting import Mounting
+from motionstereo_cli.rig.settings import RigSettings
 from motionstereo_cli.simulate.scenes import render_scene
 from motionstereo_cli.simulate.settings import SimulateSettings
 from motionstereo_cli.sources.settings import InputSettings
@@ -413,5 +414,7 @@ def test_turns_follow_those_that_are_given() -> None:
         "sync_offset": -3,
         "max_disparity": "auto",
     }
-    text = as_toml(["why"], given, [Path('a"\n\x7f.yaml')], "mm", found).decode()
+    text = as_toml(
+        ["why"], (given, RigSettings(baseline_unit="mm")), [Path('a"\n\x7f.yaml')], found
+    ).decode()
     assert tomllib.loads(text)["rig"] == ['a"\n\x7f.yaml']

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from motionstereo_cli.errors import OutputError
+from motionstereo_cli.rig.settings import RigSettings
 from motionstereo_cli.sources.settings import InputSettings
 
 if TYPE_CHECKING:
@@ -83,18 +84,16 @@ def _turned(given: InputSettings, more: Any) -> dict[str, Any]:
 
 def as_toml(
     head: Sequence[str],
-    given: InputSettings,
+    given: Iterable[InputSettings | RigSettings],
     rig: Iterable[Path],
-    unit: str | None,
     advice: Iterable[Advice],
 ) -> bytes:
     """Return a configuration of ``run``: what was given, and what is advised.
 
     Args:
         head: lines that say what it is.
-        given: how the input was read; what is not the default is repeated.
+        given: how the input and the calibration were read; what is not the default is repeated.
         rig: the calibration files that were given.
-        unit: unit of length in them, None if not given.
         advice: what is advised; it wins.
 
     Raises:
@@ -103,11 +102,11 @@ def as_toml(
     advice = list(advice)
     values: dict[str, Any] = {
         field.name: value
-        for field in dataclasses.fields(given)
-        if (value := getattr(given, field.name)) != field.default
+        for settings in given
+        for field in dataclasses.fields(settings)
+        if (value := getattr(settings, field.name)) != field.default
     }
     values |= {"rig": [str(path) for path in rig]} if rig else {}
-    values |= {"baseline_unit": unit} if unit else {}
     for each in advice:
         values.pop(each.name, None)
     lines = [f"# {line}" for line in head]

@@ -18,6 +18,7 @@ from motionstereo_cli.commands.options import (
 )
 from motionstereo_cli.method.settings import MAX_DISPARITY, Settings
 from motionstereo_cli.params import params
+from motionstereo_cli.rig.settings import RigSettings
 from motionstereo_cli.sources.settings import InputSettings
 
 if TYPE_CHECKING:
@@ -50,7 +51,7 @@ def check(
     right: str | None,
     input_settings: InputSettings,
     rig: tuple[Path, ...],
-    baseline_unit: str | None,
+    rig_settings: RigSettings,
     max_disparity: int,
     as_json: bool,
     advice: Path | None,
@@ -74,7 +75,7 @@ def check(
         open_stereo(left, right, input_settings) as source,
         tqdm(total=source.expected_frames, unit="frame", disable=None) as bar,
     ):
-        calibration = rectify_source(source, rig, baseline_unit)
+        calibration = rectify_source(source, rig, rig_settings)
         report = check_library(
             source,
             max_disparity or MAX_DISPARITY,
@@ -88,12 +89,16 @@ def check(
         raise InputError(NO_FRAMES)
     click.echo(json.dumps(report.as_json(), indent=2) if as_json else _table(report), nl=as_json)
     if advice is not None:
-        _write(advice, report, source, rig, baseline_unit)
+        _write(advice, report, source, rig, rig_settings)
     return 1 if report.ruined else DAMAGED_EXIT_CODE if source.damage else 0
 
 
 def _write(
-    path: Path, report: CheckReport, source: StereoSource, rig: tuple[Path, ...], unit: str | None
+    path: Path,
+    report: CheckReport,
+    source: StereoSource,
+    rig: tuple[Path, ...],
+    rig_settings: RigSettings,
 ) -> None:
     """Write the advised options and print how to use them."""
     from motionstereo_cli.check.advice import advised, as_toml
@@ -105,7 +110,7 @@ def _write(
         "motionstereo run LEFT RIGHT --config with the name of this file.",
     ]
     found = advised(report, source.settings, source.frame_rate, source.likely_white)
-    content = as_toml(head, source.settings, rig, unit, found)
+    content = as_toml(head, (source.settings, rig_settings), rig, found)
     write_output(path, content, (*source.paths, *rig, *config_files()))
     say("note", f"advised options are in {path}: use them with run --config {path}")
 

@@ -11,6 +11,7 @@ import click
 from motionstereo_cli.commands.grouped import GroupedCommand
 from motionstereo_cli.commands.messages import printable, say
 from motionstereo_cli.commands.options import config_option, input_options, rig_options
+from motionstereo_cli.rig.settings import RigSettings
 from motionstereo_cli.sources.settings import InputSettings, adapted_rig
 
 if TYPE_CHECKING:
@@ -28,7 +29,7 @@ def info(
     right: str | None,
     input_settings: InputSettings,
     rig: tuple[Path, ...],
-    baseline_unit: str | None,
+    rig_settings: RigSettings,
     as_json: bool,
 ) -> None:
     """Show what was detected in an input.
@@ -45,7 +46,7 @@ def info(
         with open_stereo(left, right, input_settings) as source:
             source.count()
             facts = _facts(source)
-            calibration = rectify_source(source, rig, baseline_unit)
+            calibration = rectify_source(source, rig, rig_settings)
             if calibration is not None:
                 facts["rig"] = rig_values(adapted_rig(calibration.rig, input_settings))
         warnings = (*source.warnings, *(calibration.warnings if calibration else ()))

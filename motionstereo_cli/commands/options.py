@@ -16,7 +16,7 @@ from motionstereo_cli.errors import InputError, SettingsError
 from motionstereo_cli.files.reading import read_bytes
 from motionstereo_cli.method.settings import PRESETS, Settings
 from motionstereo_cli.params import Param, near_match, params
-from motionstereo_cli.rig.settings import PoseSettings
+from motionstereo_cli.rig.settings import PoseSettings, RigSettings
 from motionstereo_cli.simulate.settings import DriveSettings
 from motionstereo_cli.sinks.settings import OutputSettings
 from motionstereo_cli.sources.settings import InputSettings
@@ -145,10 +145,9 @@ def pose_options(command: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def rig_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Give a command ``--rig`` and ``--baseline-unit``.
+    """Give a command ``--rig`` and its options.
 
-    It receives them as ``rig``, a tuple of paths, empty if not given, and ``baseline_unit``, None
-    if not given.
+    It receives them as ``rig``, a tuple of paths, empty if not given, and one ``rig_settings``.
     """
     files = click.option(
         "--rig",
@@ -159,16 +158,17 @@ def rig_options(command: Callable[..., Any]) -> Callable[..., Any]:
         "pair of files (ROS camera_info, EuRoC sensor.yaml, OpenCV intrinsics and extrinsics). It "
         "also tells how to rectify the images.",
     )
-    return files(baseline_unit_option(command))
+    return files(calibration_options(command))
 
 
-baseline_unit_option = click.option(
-    "--baseline-unit",
-    cls=GroupedOption,
-    group="Calibration",
-    type=click.Choice(["m", "cm", "mm"]),
-    help="Unit of length in the calibration.  [default: by the format, or guessed]",
-)
+def calibration_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Give a command the options of a calibration; it receives them as one ``rig_settings``."""
+
+    def collect(*, rig_chosen: dict[str, Any], **values: Any) -> Any:
+        return command(rig_settings=RigSettings(**rig_chosen), **values)
+
+    collected: Callable[..., Any] = functools.update_wrapper(collect, command)
+    return _declared(RigSettings, "rig_chosen", "Calibration")(collected)
 
 
 _preset_option = click.option(

@@ -9,7 +9,8 @@ import click
 
 from motionstereo_cli.commands.grouped import GroupedCommand
 from motionstereo_cli.commands.messages import say
-from motionstereo_cli.commands.options import baseline_unit_option
+from motionstereo_cli.commands.options import calibration_options
+from motionstereo_cli.rig.settings import RigSettings
 
 _STDOUT = Path("-")
 
@@ -49,14 +50,14 @@ def _two_numbers(
     callback=_two_numbers,
     help="Numbers of KITTI's cameras.  [default: 0,1, or 2,3 if only these are there]",
 )
-@baseline_unit_option
+@calibration_options
 def rig(
     *,
     files: tuple[Path, ...],
     out: Path,
     size: tuple[int, int] | None,
     cameras: tuple[int, int] | None,
-    baseline_unit: str | None,
+    rig_settings: RigSettings,
 ) -> None:
     """Convert a calibration to rig.yaml and show how it was read.
 
@@ -69,7 +70,7 @@ def rig(
     from motionstereo_cli.rig import format_rig
     from motionstereo_cli.rig.calibration import read_calibration
 
-    calibration = read_calibration(files, size, baseline_unit=baseline_unit, pair=cameras)
+    calibration = read_calibration(files, size, rig_settings, pair=cameras)
     click.echo(calibration.describe(), nl=False, err=True)
     for line in calibration.warnings:
         say("warning", line)

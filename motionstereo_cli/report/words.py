@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 from motionstereo_cli.method.settings import Settings
 from motionstereo_cli.params import Param, params
-from motionstereo_cli.rig.settings import PoseSettings
+from motionstereo_cli.rig.settings import PoseSettings, RigSettings
 from motionstereo_cli.sinks.outputs import DEFAULT_OUTPUTS
 from motionstereo_cli.sinks.settings import OutputSettings
 from motionstereo_cli.sources.settings import InputSettings
@@ -18,6 +18,7 @@ GROUPS: Mapping[str, type] = {
     "input_settings": InputSettings,
     "settings": Settings,
     "output_settings": OutputSettings,
+    "rig_settings": RigSettings,
     "pose_settings": PoseSettings,
 }
 

@@ -16,25 +16,25 @@ import numpy as np
 
 from motionstereo_cli.errors import InputError
 from motionstereo_cli.files.reading import MAX_PIXELS
-from motionstereo_cli.rig.cameras import Pair
+from motionstereo_cli.rig.cameras import SHAPES, Pair
 from motionstereo_cli.rig.formats import read_files
+from motionstereo_cli.rig.lenses import maps_of
 from motionstereo_cli.rig.rectify import (
-    BASELINE_UNITS,
     LONGEST_BASELINE_M,
     check_centres,
     inside,
-    maps_of,
     max_moved_px,
     rig_of,
     transforms_of,
 )
 from motionstereo_cli.rig.ros_and_orbslam import read_ros
+from motionstereo_cli.rig.settings import RigSettings
 from motionstereo_cli.rig.turned import is_vertical, turned
 from motionstereo_cli.types import Rig
 
 if TYPE_CHECKING:
     from motionstereo_cli.rig.cameras import Camera, Matrix
-    from motionstereo_cli.rig.rectify import Maps
+    from motionstereo_cli.rig.lenses import Maps
     from motionstereo_cli.sources import StereoSource
     from motionstereo_cli.types import Grey
 
@@ -111,23 +111,24 @@ class Calibration:
 def read_calibration(
     paths: Sequence[Path],
     size: tuple[int, int] | None = None,
+    settings: RigSettings | None = None,
     *,
-    baseline_unit: str | None = None,
     pair: tuple[int, int] | None = None,
     max_pixels: int = MAX_PIXELS,
     turned_deg: int = 0,
 ) -> Calibration:
     """Read the calibration of a stereo camera.
 
-    Where the files say how images are to be rectified (R1, R2, P1, P2), that holds; otherwise
-    cv2.stereoRectify finds it, with the principal points at one place (doffs = 0) and no empty
-    borders.
+    Where the files say how images are to be rectified (R1, R2, P1, P2), that holds unless a view is
+    chosen. Otherwise the principal points come to one place (doffs = 0): of pinhole lenses as
+    cv2.stereoRectify has it, without empty borders; of wide ones in the middle of the image, with
+    the focal length of the lens's middle.
 
     Args:
         paths: files as :func:`~motionstereo_cli.rig.formats.read_files` takes them.
         size: width and height of the recorded images in px, None if unknown.
-        baseline_unit: unit of length in the files, ``m``, ``cm`` or ``mm``; None is what the format
-            says, or a guess where that gives an unlikely baseline.
+        settings: unit of length in the files, and view of the rectified images; the defaults if
+            None.
         pair: numbers of the left and right camera, for KITTI.
         max_pixels: largest width times height of the images.
         turned_deg: by how much the images are turned clockwise after they are recorded, 90 or
@@ -137,14 +138,14 @@ def read_calibration(
         InputError: a file cannot be read, lacks or spoils a value, is for another size, or does not
             say the size and neither does the caller.
     """
-    name = " and ".join(str(path) for path in paths)
+    s, name = settings or RigSettings(), " and ".join(str(path) for path in paths)
     read = read_files(paths, size, pair)
     if isinstance(read, Rig):
-        return _judged(_of_rig(read, name, size, baseline_unit, max_pixels), name)
+        return _judged(_of_rig(read, name, size, s, max_pixels), name)
     recorded = read.size or (size and (size[1], size[0]))
     if turned_deg in (90, 270) and recorded and is_vertical(read):
         read = turned(name, read, recorded, turned_deg)
-    return _judged(_of_pair(read, name, size, baseline_unit, max_pixels), name)
+    return _judged(_of_pair(read, name, size, s, max_pixels), name)
 
 
 def _judged(calibration: Calibration, name: str) -> Calibration:
@@ -164,7 +165,7 @@ def _of_pair(
     read: Pair,
     name: str,
     size: tuple[int, int] | None,
-    baseline_unit: str | None,
+    settings: RigSettings,
     max_pixels: int,
 ) -> Calibration:
     stated, size = read.size, _agreed_size(name, read.size, size, max_pixels)
@@ -174,12 +175,15 @@ def _of_pair(
     elif read.rectified is not None:
         matrices = [projection for _, projection in read.rectified]
         check_centres(name, matrices, size, stated=bool(stated), outside=True)
-    transforms = read.rectified or transforms_of(name, read, cameras, size)
+    transforms = read.rectified
+    if cameras is not None:
+        transforms = transforms_of(name, read, size, settings.fov)
+    assert transforms is not None
     (_, first), (_, second) = transforms
-    rig, warnings = rig_of(name, (first, second), size, read.unit, baseline_unit)
+    rig, warnings = rig_of(name, (first, second), size, read.unit, settings.length_m)
     calibration = Calibration(rig, read.kind, "rectified images", warnings=read.notes + warnings)
     if cameras is None:
-        return calibration
+        return _without_view(calibration, name, settings)
     left, right = (
         maps_of(camera, rotation, projection, size)
         for camera, (rotation, projection) in zip(cameras, transforms, strict=True)
@@ -188,7 +192,8 @@ def _of_pair(
     if coverage < _MIN_COVERAGE:
         raise InputError(
             f"{name}: rectified, only {coverage:.0%} of the image would be left: "
-            "check that the calibration is of this camera and in this order"
+            "check that the calibration is of this camera and in this order; of wide lenses, "
+            "--fov 100 chooses another view"
         )
     needed = max(max_moved_px(left), max_moved_px(right)) > _NEGLIGIBLE_PX
     return dataclasses.replace(
@@ -198,6 +203,14 @@ def _of_pair(
         coverage=coverage,
         body_from_left=_body_from_rectified(read, transforms[0][0], rig.baseline_m),
     )
+
+
+def _without_view(calibration: Calibration, name: str, settings: RigSettings) -> Calibration:
+    """Return the calibration of rectified images, whose view cannot be chosen."""
+    if not settings.fov:
+        return calibration
+    warning = f"{name} is of rectified images: --fov is not used"
+    return dataclasses.replace(calibration, warnings=(*calibration.warnings, warning))
 
 
 def _body_from_rectified(pair: Pair, turn: Matrix, baseline_m: float) -> Matrix | None:
@@ -210,7 +223,7 @@ def _body_from_rectified(pair: Pair, turn: Matrix, baseline_m: float) -> Matrix 
 
 
 def rectify_source(
-    source: StereoSource, paths: Sequence[Path], baseline_unit: str | None = None
+    source: StereoSource, paths: Sequence[Path], settings: RigSettings | None = None
 ) -> Calibration | None:
     """Read the calibration of a source, and have the source rectify its images if necessary.
 
@@ -219,14 +232,14 @@ def rectify_source(
     Args:
         source: not yet iterated.
         paths: calibration files; None is returned where there is none.
-        baseline_unit: as in :func:`read_calibration`.
+        settings: as in :func:`read_calibration`.
 
     Raises:
         InputError: as in :func:`read_calibration`.
     """
     size = (source.view_width, source.view_height)
     if not paths and source.camera_infos:
-        calibration = _recorded(source, size, baseline_unit)
+        calibration = _recorded(source, size, settings or RigSettings())
         if calibration.maps is not None:
             source.rectify(*calibration.rectifiers())
         return calibration
@@ -240,7 +253,7 @@ def rectify_source(
     calibration = read_calibration(
         paths,
         size,
-        baseline_unit=baseline_unit,
+        settings,
         pair=pair,
         max_pixels=s.max_pixels,
         turned_deg=s.rotate_left if s.rotate_left == s.rotate_right else 0,
@@ -250,9 +263,7 @@ def rectify_source(
     return calibration
 
 
-def _recorded(
-    source: StereoSource, size: tuple[int, int], baseline_unit: str | None
-) -> Calibration:
+def _recorded(source: StereoSource, size: tuple[int, int], settings: RigSettings) -> Calibration:
     """Return the calibration that was recorded beside the images of a source."""
     from motionstereo_cli.rig.structure import read_structure
 
@@ -261,7 +272,7 @@ def _recorded(
     if source.rectified:
         pair = dataclasses.replace(pair, cameras=None)
     name = files[0][0].as_posix()
-    found = _of_pair(pair, name, size, baseline_unit, source.settings.max_pixels)
+    found = _of_pair(pair, name, size, settings, source.settings.max_pixels)
     return dataclasses.replace(found, warnings=(*source.calibration_notes, *found.warnings))
 
 
@@ -269,18 +280,19 @@ def _of_rig(
     rig: Rig,
     name: str,
     size: tuple[int, int] | None,
-    baseline_unit: str | None,
+    settings: RigSettings,
     max_pixels: int,
 ) -> Calibration:
     _agreed_size(name, (rig.width, rig.height), size, max_pixels)
-    rig = dataclasses.replace(rig, baseline_m=rig.baseline_m * BASELINE_UNITS[baseline_unit or "m"])
+    rig = dataclasses.replace(rig, baseline_m=rig.baseline_m * (settings.length_m or 1.0))
     warnings: tuple[str, ...] = ()
     if rig.baseline_m > LONGEST_BASELINE_M:
         warnings = (
             f"{name}: a baseline of {rig.baseline_m:g} m is long: "
             "if it is in mm, say --baseline-unit mm",
         )
-    return Calibration(rig, "rig.yaml", "rectified images", warnings=warnings)
+    calibration = Calibration(rig, "rig.yaml", "rectified images", warnings=warnings)
+    return _without_view(calibration, name, settings)
 
 
 def _agreed_size(
@@ -302,10 +314,11 @@ def _agreed_size(
 
 
 def _model(cameras: tuple[Camera, Camera]) -> str:
-    left, right = (len(camera.distortion) for camera in cameras)
-    name = "fisheye" if cameras[0].fisheye else "pinhole"
+    model = cameras[0].model
+    left, right = (len(each.distortion) - len(SHAPES.get(model, ())) for each in cameras)
     count = f"{left}" if left == right else f"{left} and {right}"
-    return f"{name}, {count} distortion coefficients"
+    name = {"omni": "omnidirectional (Mei)", "ds": "double sphere", "eucm": "extended unified"}
+    return f"{name.get(model, model)}, {count} distortion coefficients"
 
 
 def _remapped(grey: Grey, maps: Maps) -> Grey:

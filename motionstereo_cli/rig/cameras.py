@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -22,57 +23,40 @@ if TYPE_CHECKING:
 #: Names of lens models, in lower case without signs. Kannala and Brandt's has many.
 _FISHEYE = frozenset(
     {
-        "fisheye",
-        "equidistant",
-        "equi",
-        "pinholeequi",
-        "pinholeequidistant",
-        "kb",
-        "kb4",
-        "kb8",
-        "kannalabrandt",
-        "kannalabrandt4",
-        "kannalabrandt8",
-        "opencvfisheye",
-        "fisheyeopencv",
+        *("fisheye", "equidistant", "equi", "pinholeequi", "pinholeequidistant", "kb", "kb4"),
+        *("kb8", "kannalabrandt", "kannalabrandt4", "kannalabrandt8", "opencvfisheye"),
+        *("fisheyeopencv",),
     }
 )
+_OMNI = frozenset({"omni", "mei", "omniradtan", "omnidirectional", "omnidir"})
+_DOUBLE_SPHERE = frozenset({"ds", "doublesphere", "dsnone"})
+_EUCM = frozenset({"eucm", "eucmnone", "extendedunified"})
+_FOV = frozenset({"fov", "atan", "pinholefov"})
 _PINHOLE = frozenset(
     {
-        "pinhole",
-        "perspective",
-        "plumbbob",
-        "radtan",
-        "radtan4",
-        "radtan5",
-        "radtan8",
-        "pinholeradtan",
-        "radialtangential",
-        "radialtangential4",
-        "brown",
-        "brownconrady",
-        "rational",
-        "rationalpolynomial",
-        "thinprism",
-        "opencv",
-        "fullopencv",
-        "opencvpinhole",
-        "standard",
-        "linear",
-        "rectified",
-        "none",
-        "no",
-        "ideal",
-        "nodistortion",
-        "undistorted",
+        *("pinhole", "perspective", "plumbbob", "radtan", "radtan4", "radtan5", "radtan8"),
+        *("pinholeradtan", "pinholeradtan4", "pinholeradtan5", "pinholeradtan8"),
+        *("pinholeradialtangential", "radialtangential", "radialtangential4"),
+        *("radialtangential8", "brown", "brownconrady", "rational", "rationalpolynomial"),
+        *("thinprism", "opencv", "fullopencv", "opencvpinhole", "standard", "linear", "rectified"),
+        *("none", "no", "ideal", "nodistortion", "undistorted"),
     }
 )
 #: Those of the pinhole that have no distortion at all, and those that have eight coefficients.
 _IDEAL = frozenset({"linear", "rectified", "none", "no", "ideal", "nodistortion", "undistorted"})
 _RATIONAL = frozenset({"rational", "rationalpolynomial", "radtan8"})
+_NAMES = {
+    **{"fisheye": _FISHEYE, "omni": _OMNI, "ds": _DOUBLE_SPHERE, "eucm": _EUCM, "fov": _FOV},
+    "pinhole": _PINHOLE,
+}
 
-#: How many coefficients cv2.fisheye and OpenCV's pinhole camera take; fewer have zeros appended.
-_FISHEYE_COUNTS, _PINHOLE_COUNTS = (4,), (4, 5, 8, 12, 14)
+#: How many distortion coefficients each model takes; fewer have zeros appended. Names of further
+#: parameters, which come first.
+_COUNTS = {
+    **{"pinhole": (4, 5, 8, 12, 14), "fisheye": (4,), "omni": (4, 5), "ds": (0,), "eucm": (0,)},
+    "fov": (1,),
+}
+SHAPES = {"omni": ("xi",), "ds": ("xi", "alpha"), "eucm": ("alpha", "beta")}
 
 #: No focal length is as small.
 _MIN_FOCAL_PX = 1e-3
@@ -84,14 +68,15 @@ class Camera:
 
     Attributes:
         matrix: (3, 3) intrinsic matrix K in px.
-        distortion: (n,) coefficients in OpenCV's order; n is 4 for a fisheye, 4, 5, 8, 12 or 14
-            otherwise.
-        fisheye: whether they are those of cv2.fisheye (Kannala and Brandt).
+        distortion: (n,) coefficients in OpenCV's order, after what else the model has (xi, or xi
+            and alpha, or alpha and beta).
+        model: ``pinhole``, ``fisheye`` (Kannala and Brandt), ``omni``, ``ds``, ``eucm`` or ``fov``;
+            see :func:`~motionstereo_cli.rig.lenses.project`.
     """
 
     matrix: Matrix
     distortion: Matrix
-    fisheye: bool = False
+    model: str = "pinhole"
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,24 +122,47 @@ def rectified_pair(
     return Pair(kind, rectified=(left, right), size=size, unit=unit, notes=notes)
 
 
-def known_lenses(name: object, models: Sequence[str]) -> dict[str, str]:
-    """Return models of a lens by their plain names.
+def lens_model(name: object, models: Sequence[str]) -> str:
+    """Return the model of :class:`Camera` of what a file says of a lens.
+
+    Args:
+        name: the file, for messages.
+        models: names of models, empty where it says nothing.
 
     Raises:
-        InputError: one is not known.
+        InputError: one is not known, or they contradict.
     """
-    known = {re.sub(r"[^a-z0-9]", "", model.lower()): model for model in models if model}
-    for plain, model in known.items():
-        if plain not in _FISHEYE | _PINHOLE:
+    found = set()
+    for model in filter(None, models):
+        plain = _plain(model)
+        known = next((each for each, names in _NAMES.items() if plain in names), None)
+        if known is None:
             raise InputError(
                 f"{name}: the lens model {model[:60]!r} is not known: calibrate with OpenCV's "
-                "pinhole model (plumb_bob, radtan) or its fisheye model (equidistant)"
+                "pinhole model (plumb_bob, radtan), its fisheye model (equidistant), or omni, ds, "
+                "eucm or fov"
             )
-    return known
+        found.add(known)
+    special = found - {"pinhole"}
+    if len(special) > 1:
+        raise InputError(
+            f"{name}: the lens models {' and '.join(sorted(filter(None, models)))} do not go "
+            "together: check the file"
+        )
+    return special.pop() if special else "pinhole"
+
+
+def _plain(model: str) -> str:
+    return re.sub(r"[^a-z0-9]", "", model.lower())
 
 
 def lens_camera(
-    name: object, label: str, matrix: Matrix, distortion: Matrix, models: Sequence[str]
+    name: object,
+    label: str,
+    matrix: Matrix,
+    distortion: Matrix,
+    models: Sequence[str],
+    shape: Sequence[float] = (),
 ) -> tuple[Camera, tuple[str, ...]]:
     """Return a camera, and notes on what was assumed of its lens.
 
@@ -164,41 +172,50 @@ def lens_camera(
         matrix: (3, 3).
         distortion: coefficients, (n,) or in a row or column.
         models: what the file says of the lens: names of models, empty where it says nothing.
+        shape: the model's further parameters.
 
     Raises:
         InputError: a model is not known, or its number of coefficients does not fit.
     """
-    known = known_lenses(name, models)
-    fisheye = bool(known.keys() & _FISHEYE)
+    model, said = lens_model(name, models), {_plain(each): each for each in models if each}
     coefficients, notes = distortion.ravel(), tuple[str, ...]()
-    if known.keys() & _IDEAL and not fisheye and coefficients.any():
-        model = known[min(known.keys() & _IDEAL)]
+    wanted = SHAPES.get(model, ())
+    if len(shape) != len(wanted):
         raise InputError(
-            f"{name}: the lens model {model!r} has no distortion, but {label} is not zero: "
-            "give the model that the coefficients are of"
+            f"{name}: a lens of the model {model} has {' and '.join(wanted)} beside its focal "
+            "lengths, which are not here: check the file"
         )
-    if not known and distortion.shape == (4, 1) and coefficients.any():
+    if said.keys() & _IDEAL and model == "pinhole" and coefficients.any():
+        raise InputError(
+            f"{name}: the lens model {said[min(said.keys() & _IDEAL)]!r} has no distortion, but "
+            f"{label} is not zero: give the model that the coefficients are of"
+        )
+    if not said and distortion.shape == (4, 1) and coefficients.any():
         notes = (
             f"{name}: {label} has four coefficients in a column, as cv2.fisheye writes them, and "
             "no lens model: they are taken for pinhole k1 k2 p1 p2; if they are not, add the line "
             "'distortion_model: fisheye'",
         )
-    if known.keys() & _RATIONAL and not fisheye and 0 < coefficients.size < 8:
+    if said.keys() & _RATIONAL and model == "pinhole" and 0 < coefficients.size < 8:
         notes = (
             f"{name}: {label} has {coefficients.size} coefficients where rational_polynomial has "
             "8: they are taken for k1 k2 p1 p2 k3, the others for 0",
         )
-    counts = _FISHEYE_COUNTS if fisheye else _PINHOLE_COUNTS
+    counts = _COUNTS[model]
+    if counts == (0,) and not coefficients.any():
+        coefficients = coefficients[:0]
     if coefficients.size < counts[0]:
         coefficients = np.append(coefficients, np.zeros(counts[0] - coefficients.size))
     if coefficients.size not in counts:
-        wanted = " or ".join(map(str, counts))
-        model = "fisheye" if fisheye else "pinhole"
         raise InputError(
-            f"{name}: {label} is not {wanted} numbers, as the {model} model has them, "
-            f"but {coefficients.size}: check the file"
+            f"{name}: {label} is not {' or '.join(map(str, counts))} numbers, as the {model} model "
+            f"has them, but {coefficients.size}: check the file"
         )
-    return Camera(matrix, coefficients, fisheye), notes
+    if model == "fov" and not 0 < coefficients[0] < math.pi:
+        raise InputError(
+            f"{name}: {label} is {coefficients[0]:g}, no angle of view: check the file"
+        )
+    return Camera(matrix, np.append(shape, coefficients), model), notes
 
 
 def checked_intrinsics(name: object, label: str, matrix: Matrix) -> Matrix:
@@ -213,3 +230,8 @@ def checked_intrinsics(name: object, label: str, matrix: Matrix) -> Matrix:
     if not np.allclose(matrix[2, :3], [0, 0, 1]):
         raise InputError(f"{name}: the last row of {label} is not 0 0 1: check the file")
     return matrix
+
+
+def intrinsic_matrix(fx: float, fy: float, cx: float, cy: float) -> Matrix:
+    """Return the intrinsic matrix (3, 3) of focal lengths and a principal point in px."""
+    return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]])

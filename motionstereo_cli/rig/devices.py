@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 
 from motionstereo_cli.errors import InputError
-from motionstereo_cli.rig.cameras import Pair, checked_intrinsics
-from motionstereo_cli.rig.values import Source, coefficients, intrinsic_matrix
+from motionstereo_cli.rig.cameras import Pair, checked_intrinsics, intrinsic_matrix
+from motionstereo_cli.rig.values import Source, coefficients
 
 if TYPE_CHECKING:
     from motionstereo_cli.rig.cameras import Camera, Matrix

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from motionstereo_cli.errors import InputError
-from motionstereo_cli.rig.cameras import Pair, checked_intrinsics, rectified_pair
-from motionstereo_cli.rig.values import Source, coefficients, flattened, intrinsic_matrix
+from motionstereo_cli.rig.cameras import Pair, checked_intrinsics, intrinsic_matrix, rectified_pair
+from motionstereo_cli.rig.values import Source, coefficients, flattened
 
 if TYPE_CHECKING:
     from motionstereo_cli.rig.cameras import Camera, Matrix, Rectified

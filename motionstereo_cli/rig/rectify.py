@@ -10,22 +10,26 @@ import cv2
 import numpy as np
 
 from motionstereo_cli.errors import InputError
-from motionstereo_cli.rig.cameras import Pair, checked_intrinsics
+from motionstereo_cli.rig.cameras import Pair, checked_intrinsics, intrinsic_matrix
+from motionstereo_cli.rig.lenses import middle_focal_px
+from motionstereo_cli.rig.settings import LENGTHS_M
 from motionstereo_cli.types import Rig
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from motionstereo_cli.rig.cameras import Camera, Matrix, Rectified
-    from motionstereo_cli.types import Real
+    from motionstereo_cli.rig.lenses import Maps
 
-    Maps = tuple[Real, Real]
-
-BASELINE_UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
-
-#: Baselines beyond these are hardly in the unit that a file has or seems to have.
+#: Baselines beyond these are hardly in the unit that a file has or seems to have, and few of files
+#: without a unit are beyond the third.
 LONGEST_BASELINE_M = 2.0
 _SHORTEST_BASELINE_MM = 2.0
+_USUAL_BASELINE_M = 0.8
+
+#: Rectified images of wide lenses have no wider view unless the user says so: beyond it, most of
+#: an image shows little of the scene.
+_WIDEST_VIEW_DEG = 120.0
 
 #: A principal point lies about in the middle. One that lies, in both axes and both images, as if
 #: the size were this many times another is of a calibration for that other size; both axes agree
@@ -83,46 +87,55 @@ def check_centres(
 
 
 def transforms_of(
-    name: str, pair: Pair, cameras: tuple[Camera, Camera] | None, size: tuple[int, int]
+    name: str, pair: Pair, size: tuple[int, int], fov_deg: float = 0.0
 ) -> tuple[Rectified, Rectified]:
-    """Return rotations and projections into the rectified images, left and right."""
-    assert cameras is not None
-    assert pair.rotation is not None
-    assert pair.translation is not None
-    left, right = cameras
-    if left.fisheye != right.fisheye:
+    """Return rotations and projections into the rectified images, left and right.
+
+    Args:
+        name: for messages.
+        pair: has cameras, and their places or how they are rectified.
+        size: of the images.
+        fov_deg: horizontal view of the rectified images; 0: the file's own, or by the lenses.
+
+    Raises:
+        InputError: the cameras cannot be rectified.
+    """
+    if pair.rectified is not None and not fov_deg:
+        return pair.rectified
+    assert pair.cameras is not None
+    left, right = pair.cameras
+    rotation, translation = _right_from_left(pair)
+    if left.model != right.model:
         raise InputError(
-            f"{name}: one lens is a fisheye and the other is not: give both the same lens model"
+            f"{name}: the lenses have different models, {left.model} and {right.model}: give both "
+            "the same"
         )
-    if not np.linalg.norm(pair.translation) > 0:
+    if not np.linalg.norm(translation) > 0:
         raise InputError(f"{name}: T is zero, so the baseline is: check the file")
-    _check_direction(name, pair.translation)
-    if pair.translation[0] > 0:
+    _check_direction(name, translation)
+    if translation[0] > 0:
         raise InputError(
             f"{name}: T says that the second camera stands left of the first "
-            f"(T[0] is {pair.translation[0]:g}; OpenCV's T[0] is negative for a right camera). "
+            f"(T[0] is {translation[0]:g}; OpenCV's T[0] is negative for a right camera). "
             "Either the cameras are in the wrong order: exchange both cameras, and the recordings "
             "stay; or R and T are given the other way round, as the right camera's place in the "
             "left one's frame: give R transposed and -R^T T; or only the sign of T is wrong: give "
             "-T. With the right one, motionstereo check finds that rows agree"
         )
+    if left.model != "pinhole" or fov_deg:
+        return _centred(pair.cameras, rotation, translation, size, fov_deg)
     # OpenCV wants them whole in memory, and T as a column.
     whole = np.ascontiguousarray
     lenses = (
         *(whole(left.matrix), whole(left.distortion)),
         *(whole(right.matrix), whole(right.distortion)),
     )
-    rotation = whole(pair.rotation)
-    translation = whole(pair.translation).reshape(3, 1)
     try:
-        if left.fisheye:
-            r1, r2, p1, p2, _ = cv2.fisheye.stereoRectify(
-                *lenses, size, rotation, translation, cv2.CALIB_ZERO_DISPARITY
-            )
-        else:
-            r1, r2, p1, p2, *_ = cv2.stereoRectify(
-                *lenses, size, rotation, translation, flags=cv2.CALIB_ZERO_DISPARITY, alpha=0
-            )
+        r1, r2, p1, p2, *_ = cv2.stereoRectify(
+            *(*lenses, size, whole(rotation), whole(translation).reshape(3, 1)),
+            flags=cv2.CALIB_ZERO_DISPARITY,
+            alpha=0,
+        )
     except cv2.error as error:
         raise InputError(f"{name} cannot be rectified by: {error.err}: check its values") from None
     left_matrices, right_matrices = (
@@ -130,6 +143,48 @@ def transforms_of(
         for turn, projection in ((r1, p1), (r2, p2))
     )
     return left_matrices, right_matrices
+
+
+def _right_from_left(pair: Pair) -> tuple[Matrix, Matrix]:
+    """Return the rotation and translation from the left camera, also of how it is rectified."""
+    if pair.rotation is not None and pair.translation is not None:
+        return pair.rotation, pair.translation
+    assert pair.rectified is not None
+    (left_turn, _), (right_turn, projection) = pair.rectified
+    across = np.array([projection[0, 3] / projection[0, 0], 0.0, 0.0])
+    return right_turn.T @ left_turn, right_turn.T @ across
+
+
+def _centred(
+    cameras: tuple[Camera, Camera],
+    rotation: Matrix,
+    translation: Matrix,
+    size: tuple[int, int],
+    fov_deg: float,
+) -> tuple[Rectified, Rectified]:
+    """Return rotations and projections into images with the principal point in their middle.
+
+    Each camera is turned by half of the rotation between them, and both so that the baseline runs
+    along x (Bouguet). OpenCV's estimate of the focal length fails where a lens sees 150 degrees
+    and more; that of the lens's middle loses no detail there and leaves no empty border.
+    """
+    width, height = size
+    half = np.asarray(cv2.Rodrigues(np.asarray(cv2.Rodrigues(rotation)[0]) / -2)[0], np.float64)
+    along = half @ translation
+    # The shortest turn that brings the baseline to -x.
+    axis = np.cross(along, [-1.0, 0.0, 0.0])
+    length = float(np.linalg.norm(axis))
+    angle = math.atan2(length, -along[0])
+    level = np.asarray(cv2.Rodrigues(axis * (angle / length if length else 0.0))[0], np.float64)
+    least = width / 2 / math.tan(math.radians(fov_deg or _WIDEST_VIEW_DEG) / 2)
+    middle = float(np.mean([middle_focal_px(camera) for camera in cameras]))
+    focal_px = least if fov_deg else max(middle, least)
+    left = np.column_stack(
+        [intrinsic_matrix(focal_px, focal_px, (width - 1) / 2, (height - 1) / 2), np.zeros(3)]
+    )
+    right = left.copy()
+    right[0, 3] = -focal_px * np.linalg.norm(translation)
+    return (level @ half.T, left), (level @ half, right)
 
 
 def _check_direction(name: str, translation: Matrix) -> None:
@@ -160,7 +215,7 @@ def rig_of(
     projections: tuple[Matrix, Matrix],
     size: tuple[int, int],
     unit: str | None,
-    chosen_unit: str | None,
+    length_m: float | None,
 ) -> tuple[Rig, tuple[str, ...]]:
     """Return the rig of two rectified projections (3, 4), and warnings."""
     left, right = projections
@@ -192,7 +247,7 @@ def rig_of(
             "negative: its sign is taken to be the other way round. Should the check find left "
             "and right swapped, the files are in the wrong order instead",
         )
-    baseline_m, warnings = _in_metres(name, abs(float(across)), unit, chosen_unit)
+    baseline_m, warnings = _in_metres(name, abs(float(across)), unit, length_m)
     rig = Rig(
         *size,
         focal_px=float(focal_px),
@@ -206,30 +261,23 @@ def rig_of(
 
 
 def _in_metres(
-    name: str, baseline: float, unit: str | None, chosen: str | None
+    name: str, baseline: float, unit: str | None, length_m: float | None
 ) -> tuple[float, tuple[str, ...]]:
-    if chosen is not None:
-        return baseline * BASELINE_UNITS[chosen], ()
+    if length_m is not None:
+        return baseline * length_m, ()
     likely = unit or "m"
     if likely == "m" and baseline > LONGEST_BASELINE_M:
         likely = "mm"
     elif likely == "mm" and baseline < _SHORTEST_BASELINE_MM:
         likely = "m"
-    elif unit is not None or baseline < LONGEST_BASELINE_M:
-        return baseline * BASELINE_UNITS[likely], ()
+    elif unit is not None or baseline < _USUAL_BASELINE_M:
+        return baseline * LENGTHS_M[likely], ()
     warning = (
-        f"{name}: a baseline of {baseline:g} is taken to be in {likely}: "
-        "if it is not, say --baseline-unit"
+        f"{name}: a baseline of {baseline:g} is taken to be in {likely}: if it is in another unit, "
+        "say --baseline-unit cm (or m, mm); if it is in squares of the calibration board, say the "
+        "side of a square, as --baseline-unit 25mm"
     )
-    return baseline * BASELINE_UNITS[likely], (warning,)
-
-
-def maps_of(camera: Camera, rotation: Matrix, projection: Matrix, size: tuple[int, int]) -> Maps:
-    """Return where each rectified pixel lies in a camera's image: x and y, (height, width)."""
-    # Maps in float: cv2.remap is faster with them than with fixed-point ones since OpenCV 5.
-    make = cv2.fisheye.initUndistortRectifyMap if camera.fisheye else cv2.initUndistortRectifyMap
-    x, y = make(camera.matrix, camera.distortion, rotation, projection[:, :3], size, cv2.CV_32FC1)
-    return np.asarray(x, np.float32), np.asarray(y, np.float32)
+    return baseline * LENGTHS_M[likely], (warning,)
 
 
 def inside(maps: Maps, size: tuple[int, int]) -> NDArray[np.bool_]:

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from motionstereo_cli.errors import InputError
-from motionstereo_cli.rig.cameras import Pair, checked_intrinsics, rectified_pair
-from motionstereo_cli.rig.values import Source, coefficients, flattened, intrinsic_matrix
+from motionstereo_cli.rig.cameras import Pair, checked_intrinsics, intrinsic_matrix, rectified_pair
+from motionstereo_cli.rig.values import Source, coefficients, flattened
 
 if TYPE_CHECKING:
     from motionstereo_cli.rig.cameras import Camera, Matrix
@@ -59,9 +59,9 @@ def read_euroc(files: Files) -> Pair:
     notes: list[str] = []
     for path, values in files:
         source = Source(path, values)
-        source.lenses()  # other models have other intrinsics
-        matrix = source.intrinsics(("intrinsics",), "intrinsics")
-        camera, assumed = source.camera(matrix, _D, "distortion_coefficients")
+        camera, assumed = source.camera_of_list(
+            ("intrinsics",), "intrinsics", _D, "distortion_coefficients"
+        )
         cameras.append(camera)
         notes += assumed
         poses.append(source.transform(("tbs",), "T_BS"))
@@ -83,9 +83,9 @@ def read_kalibr(path: Path, values: Values) -> Pair:
     notes: list[str] = []
     parts = [Source(f"{path}: {name}", values[name]) for name in ("cam0", "cam1")]
     for source in parts:
-        source.lenses()  # other models have other intrinsics
-        matrix = source.intrinsics(("intrinsics",), "intrinsics (fx fy cx cy)")
-        camera, assumed = source.camera(matrix, _D, "distortion_coeffs")
+        camera, assumed = source.camera_of_list(
+            ("intrinsics",), "intrinsics", _D, "distortion_coeffs"
+        )
         cameras.append(camera)
         notes += assumed
         sizes.append(source.size("resolution"))

@@ -1,10 +1,66 @@
-"""Parameters of poses: which frame and time they are in."""
+"""Parameters of a calibration, and of poses: which frame and time they are in."""
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 
+from motionstereo_cli.errors import SettingsError
 from motionstereo_cli.params import checked, param
+
+#: Units of length that a calibration may have, in m.
+LENGTHS_M = {"m": 1.0, "cm": 0.01, "mm": 0.001}
+
+#: No stereo camera has a narrower view.
+_LEAST_FOV_DEG = 5
+
+_SQUARE = re.compile(r"(\d+(?:\.\d*)?|\.\d+) ?(m|cm|mm)")
+
+
+@dataclass(frozen=True, slots=True)
+class RigSettings:
+    """How a calibration is to be understood.
+
+    Raises:
+        SettingsError: a value is out of range.
+    """
+
+    baseline_unit: str = param(
+        "auto",
+        "Unit of length in the calibration: m, cm, mm, or the side of a square of the board, such "
+        "as 25mm, where it was calibrated with squares of size 1. auto: that of the format, or "
+        "guessed with a warning.",
+    )
+    fov: float = param(
+        0.0,
+        "Horizontal view of the rectified images, chosen anew whatever the calibration says. auto "
+        "(0): as the calibration says; otherwise, of wide lenses, what keeps the resolution of "
+        "the lens's middle, at most 120, and of pinhole lenses, what has no empty border.",
+        unit="degrees",
+        low=0.0,
+        high=150.0,
+        words={"auto": 0.0},
+    )
+
+    def __post_init__(self) -> None:
+        checked(self)
+        if self.baseline_unit != "auto" and not self.length_m:
+            raise SettingsError(
+                f"--baseline-unit cannot be {self.baseline_unit!r}: give m, cm, mm, the side of a "
+                "square such as 25mm, or auto"
+            )
+        if 0 < self.fov < _LEAST_FOV_DEG:
+            raise SettingsError(
+                f"--fov cannot be {self.fov:g}: give {_LEAST_FOV_DEG} to 150 degrees"
+            )
+
+    @property
+    def length_m(self) -> float | None:
+        """The calibration's unit of length in m; None for auto."""
+        square = _SQUARE.fullmatch(self.baseline_unit)
+        if square is not None:
+            return float(square[1]) * LENGTHS_M[square[2]] or None
+        return LENGTHS_M.get(self.baseline_unit)
 
 
 @dataclass(frozen=True, slots=True)

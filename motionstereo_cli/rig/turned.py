@@ -51,7 +51,7 @@ def turned(name: object, pair: Pair, size: tuple[int, int], degrees: int) -> Pai
 
     def camera(before: Camera) -> Camera:
         distortion = _turned_distortion(name, before, clockwise=degrees == 90)
-        return Camera(pixels @ before.matrix @ turn.T, distortion, before.fisheye)
+        return Camera(pixels @ before.matrix @ turn.T, distortion, before.model)
 
     def rectified(before: Rectified) -> Rectified:
         rotation, projection = before
@@ -70,8 +70,11 @@ def turned(name: object, pair: Pair, size: tuple[int, int], degrees: int) -> Pai
 
 def _turned_distortion(name: object, camera: Camera, *, clockwise: bool) -> Matrix:
     """Return OpenCV's coefficients of a turned lens: what was along y is now along x."""
-    if camera.fisheye:
+    if camera.model not in ("pinhole", "omni"):
         return camera.distortion  # the same all round
+    if camera.model == "omni":
+        xi, flat = camera.distortion[:1], Camera(camera.matrix, camera.distortion[1:])
+        return np.append(xi, _turned_distortion(name, flat, clockwise=clockwise))
     found, sign = camera.distortion.copy(), 1 if clockwise else -1
     p1, p2 = found[2:4]
     found[2:4] = sign * p2, -sign * p1

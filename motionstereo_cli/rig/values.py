@@ -11,7 +11,13 @@ import cv2
 import numpy as np
 
 from motionstereo_cli.errors import InputError
-from motionstereo_cli.rig.cameras import checked_intrinsics, known_lenses, lens_camera
+from motionstereo_cli.rig.cameras import (
+    SHAPES,
+    checked_intrinsics,
+    intrinsic_matrix,
+    lens_camera,
+    lens_model,
+)
 
 if TYPE_CHECKING:
     from motionstereo_cli.rig.cameras import Camera, Matrix
@@ -139,17 +145,44 @@ class Source:
         names: Sequence[str],
         label: str,
         models: Sequence[str] = _MODELS,
+        shape: Sequence[float] = (),
     ) -> tuple[Camera, tuple[str, ...]]:
-        """Return a camera with the distortion under any of the names, and notes on its lens."""
+        """Return a camera with the distortion under any of the names, and notes on its lens.
+
+        ``shape`` are the further parameters of the lens's model.
+        """
         distortion = self.array(names, label)
-        return lens_camera(self.name, label, matrix, distortion, self.lenses(models))
+        return lens_camera(self.name, label, matrix, distortion, self.lenses(models), shape)
+
+    def camera_of_list(
+        self, names: Sequence[str], label: str, of_distortion: Sequence[str], distortion_label: str
+    ) -> tuple[Camera, tuple[str, ...]]:
+        """Return a camera of a list of intrinsics, as kalibr has them, and notes on its lens.
+
+        The list is fx fy cx cy after what else the lens's model has: xi, or xi and alpha, or alpha
+        and beta. A matrix (3, 3) is taken as well.
+        """
+        model = lens_model(self.name, self.lenses())
+        wanted = SHAPES.get(model, ())
+        numbers = self.array(names, label).ravel()
+        if numbers.size != len(wanted) + 4:
+            if wanted:
+                self.matrix(names, f"{label} ({' '.join(wanted)} fx fy cx cy)", (len(wanted) + 4,))
+            matrix = self.intrinsics(names, label)
+        else:
+            own = intrinsic_matrix(*numbers[len(wanted) :])
+            matrix = checked_intrinsics(self.name, label, own)
+        shape = numbers[: len(wanted)].tolist()
+        if self.find(of_distortion) is None and model in ("ds", "eucm"):
+            return lens_camera(self.name, label, matrix, np.zeros(0), self.lenses(), shape)
+        return self.camera(matrix, of_distortion, distortion_label, shape=shape)
 
     def lenses(self, models: Sequence[str] = _MODELS) -> list[str]:
         """Return the names of lens models that the file gives, which are known ones."""
         said = [self.text(name) for name in models]
         if any(self.text(name) in _TRUE for name in _FISHEYE_FLAGS):
             said.append("fisheye")
-        known_lenses(self.name, said)
+        lens_model(self.name, said)
         return said
 
     def text(self, *names: str) -> str:
@@ -171,11 +204,6 @@ class Source:
         if not whole:
             raise InputError(f"{self.name}: the image size is not two positive whole numbers")
         return int(width), int(height)
-
-
-def intrinsic_matrix(fx: float, fy: float, cx: float, cy: float) -> Matrix:
-    """Return the intrinsic matrix (3, 3) of focal lengths and a principal point in px."""
-    return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]])
 
 
 def coefficients(source: Source, prefixes: Sequence[str]) -> list[float] | None:

@@ -46,7 +46,7 @@ def sample_of(plan: RunPlan) -> Iterator[StereoFrame]:
     """Yield up to five windows of 16 frames, spread over the recordings of a plan."""
     for number in range(MAX_WINDOWS):
         with open_stereo(plan.left, plan.right, plan.input_settings) as source:
-            rectify_source(source, plan.rig, plan.baseline_unit)
+            rectify_source(source, plan.rig, plan.rig_settings)
             places = starts(source.expected_frames) if source.expected_frames else [0]
             if number >= len(places):
                 return

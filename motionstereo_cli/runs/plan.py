@@ -12,7 +12,7 @@ from motionstereo_cli.errors import SettingsError
 from motionstereo_cli.files.targets import is_stream
 from motionstereo_cli.method.settings import Settings
 from motionstereo_cli.params import near_match
-from motionstereo_cli.rig.settings import PoseSettings
+from motionstereo_cli.rig.settings import PoseSettings, RigSettings
 from motionstereo_cli.sinks.outputs import DEFAULT_OUTPUTS, OUTPUTS
 from motionstereo_cli.sinks.settings import OutputSettings
 from motionstereo_cli.sources.settings import InputSettings
@@ -27,6 +27,7 @@ _PARAMETERS = {
     "settings": Settings,
     "input_settings": InputSettings,
     "output_settings": OutputSettings,
+    "rig_settings": RigSettings,
     "pose_settings": PoseSettings,
 }
 
@@ -40,8 +41,7 @@ class RunPlan:
         right: the like; None where ``left`` holds both views.
         out: folder for the results; ``-`` writes only the steering table, to standard output.
         rig: calibration files, in any format that ``--rig`` takes; none: no lengths, no angles.
-        baseline_unit: unit of length in the calibration, ``m``, ``cm`` or ``mm``; None = the
-            format's.
+        rig_settings: how to understand the calibration.
         poses: where the rig was, a file or ``auto``: found from the recording itself; needs a
             calibration, of ``rig`` or in a bag.
         pose_settings: how to understand the poses.
@@ -63,7 +63,7 @@ class RunPlan:
     right: str | None = None
     out: Path = Path("motionstereo_out")
     rig: tuple[Path, ...] = ()
-    baseline_unit: str | None = None
+    rig_settings: RigSettings = field(default_factory=RigSettings)
     poses: Path | None = None
     pose_settings: PoseSettings = field(default_factory=PoseSettings)
     save: tuple[str, ...] = ()
@@ -158,8 +158,7 @@ class RunPlan:
     def options(self) -> list[str]:
         """The options that are neither parameters nor say where results go, as words."""
         words = [word for path in self.rig for word in ("--rig", str(path))]
-        words += ["--poses", str(self.poses)] if self.poses else []
-        return words + (["--baseline-unit", self.baseline_unit] if self.baseline_unit else [])
+        return words + (["--poses", str(self.poses)] if self.poses else [])
 
 
 def _plain(value: Any) -> Any:

@@ -146,6 +146,7 @@ def identity_of(job: Job, inputs: Iterable[Path]) -> dict[str, Any]:
         "rig": None if context.rig is None else rig_values(context.rig),
         "time_base": None if source.time_base is None else str(source.time_base),
         "grey": GREY,
+        **({} if context.rig is None else {"rig_settings": dataclasses.asdict(plan.rig_settings)}),
         **({"pose_settings": dataclasses.asdict(job.poses.settings)} if job.poses else {}),
         **({"poses": AUTO_POSES} if plan.poses and job.with_own_motion else {}),
         **({"motion_offset_px": job.motion_offset_px} if job.with_own_motion else {}),

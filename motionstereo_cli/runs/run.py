@@ -143,7 +143,7 @@ def job_of(plan: RunPlan, source: StereoSource, watcher: Watcher) -> Job:
     """Have the source rectify, and read what is known before the first frame."""
     for line in source.warnings:
         watcher.say("warning", line)
-    calibration = rectify_source(source, plan.rig, plan.baseline_unit)
+    calibration = rectify_source(source, plan.rig, plan.rig_settings)
     for line in calibration.warnings if calibration else ():
         watcher.say("warning", line)
     rig, poses = None, None
