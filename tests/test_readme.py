@@ -284,7 +284,11 @@ def test_the_short_help_of_run_fits_a_screen_and_the_full_one_has_all(capsys):
     assert capsys.readouterr().out == full
 
 
-@pytest.mark.parametrize("name", [name for name in cli.commands if name != "help"])
+#: The commands with a help of their own.
+HELPED = [name for name in cli.commands if name != "help"]
+
+
+@pytest.mark.parametrize("name", HELPED)
 def test_every_command_has_the_full_help(name, capsys):
     assert main([name, "--help-all"]) == 0
     assert f"Usage: motionstereo {name}" in capsys.readouterr().out
@@ -327,3 +331,31 @@ def test_the_help_of_all_says_of_each_command_what_its_own_help_begins_with(caps
     for name, command in cli.commands.items():
         first, _, _ = command.help.partition("\n")
         assert f" {name} {first}" in shown, name
+
+
+@pytest.mark.parametrize("name", HELPED)
+def test_the_help_of_a_command_is_what_it_was(name, renew, monkeypatch, capsys):
+    """Nothing changes in it unseen: ``make renew`` accepts what does."""
+    monkeypatch.setenv("COLUMNS", "80")
+    path = Path(__file__).parent / "help" / f"{name}.txt"
+    shown = ""
+    for option in ("--help", "--help-all"):
+        assert main([name, option]) == 0
+        shown += f"$ motionstereo {name} {option}\n{capsys.readouterr().out}\n"
+    if renew:
+        path.parent.mkdir(exist_ok=True)
+        path.write_text(shown, encoding="utf-8")
+    assert path.read_text(encoding="utf-8") == shown, "renew with: make renew"
+
+
+def test_ranges_are_stated_in_one_way():
+    for name, command in cli.commands.items():
+        context = click.Context(command)
+        for option in command.params:
+            if isinstance(option, click.Option):
+                assert "<=" not in str(option.get_help_record(context)), f"{name} {option.name}"
+
+
+def test_each_command_has_its_help_held():
+    held = {path.stem for path in (Path(__file__).parent / "help").glob("*.txt")}
+    assert held == set(HELPED)

@@ -12,6 +12,7 @@ import click
 
 from motionstereo_cli.commands.grouped import GroupedCommand
 from motionstereo_cli.commands.messages import say
+from motionstereo_cli.commands.options import Count
 from motionstereo_cli.commands.progress import lines, progress_options
 from motionstereo_cli.commands.run import run_options
 from motionstereo_cli.errors import DAMAGED_EXIT_CODE, INTERRUPTED_EXIT_CODE, SettingsError
@@ -58,7 +59,7 @@ def plan_of(arguments: Sequence[str]) -> RunPlan:
 )
 @click.option(
     "--workers",
-    type=click.IntRange(1, 1024),
+    type=Count(1, 1024),
     help="Worker processes on this machine.  [default: number of cores]",
 )
 @click.option("--scheduler", help="Address of a Dask scheduler, such as tcp://HOST:8786.")
@@ -72,7 +73,7 @@ def plan_of(arguments: Sequence[str]) -> RunPlan:
 @click.option("--tls-key", help="Key of this client.")
 @click.option(
     "--pieces",
-    type=click.IntRange(1, 10_000),
+    type=Count(1, 10_000),
     help="Pieces that each recording is cut into, to be shared by several workers; 1 = uncut.  "
     "[default: enough to keep all workers busy]",
 )

@@ -72,8 +72,8 @@ def evaluate(
     OUT and TRUTH are folders that run or simulate wrote, or folders of images, both in the same
     view: KITTI disparity PNG (uint16, 1/256 px), depth PNG (uint16, mm or the unit in run.json),
     PFM or float32 TIFF (px or m). Frames are matched by the number in their names. It prints a
-    table of coverage, bad-pixel shares, D1, errors in px and, with a rig, in m; --csv - or --json -
-    print these instead.
+    table of coverage, bad-pixel shares, D1, errors in px and, with a rig, in m; - as the file of
+    --csv or --json prints those instead.
     """
     if csv_path == json_path == STDOUT:
         raise click.UsageError("--csv - and --json - cannot both go to standard output")

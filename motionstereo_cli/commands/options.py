@@ -181,6 +181,15 @@ _preset_option = click.option(
 )
 
 
+class Count(click.IntRange):
+    """A whole number within a range, which the help states as it does those of parameters."""
+
+    name = "integer"
+
+    def _describe_range(self) -> str:
+        return f"{self.min:,} to {self.max:,}"
+
+
 def _option(item: Param, group: str) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
     # No default here, so that a preset can tell which values were given.
     option = functools.partial(

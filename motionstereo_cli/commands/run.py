@@ -12,6 +12,7 @@ import click
 from motionstereo_cli.commands.grouped import GroupedCommand, GroupedOption
 from motionstereo_cli.commands.messages import say
 from motionstereo_cli.commands.options import (
+    Count,
     config_files,
     input_options,
     output_options,
@@ -73,7 +74,7 @@ _OPTIONS = (
     ),
     click.option(
         "--jobs",
-        type=click.IntRange(1, 256),
+        type=Count(1, 256),
         metavar="INTEGER",
         help="Frames matched in parallel. Results do not depend on it, but each comes this many "
         "frames, less one, later.  [default: number of cores, 1 with a pipe]",
