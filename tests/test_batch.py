@@ -16,14 +16,9 @@ from recordings import encode, remux
 from bench.preloads import killer_of
 from motionstereo_cli.__main__ import main
 from motionstereo_cli.batch.manifest import matched, plans, read_manifest
+from motionstereo_cli.batch.own_folder import read_status, write_status
 from motionstereo_cli.batch.pieces import behind_damage, join_pieces, pieces_of, run_piece
-from motionstereo_cli.batch.status import (
-    COLUMNS,
-    Status,
-    format_statuses,
-    read_status,
-    write_status,
-)
+from motionstereo_cli.batch.status import COLUMNS, Status, format_statuses
 from motionstereo_cli.batch.task import work
 from motionstereo_cli.commands.batch import plan_of
 from motionstereo_cli.errors import InputError, SettingsError
@@ -166,7 +161,7 @@ def test_a_status_is_read_as_it_was_written_and_a_broken_one_is_waiting(tmp_path
     rows = list(csv.DictReader(format_statuses([status]).decode().splitlines()))
     assert list(rows[0]) == list(COLUMNS)
     assert rows[0]["reason"] == status.reason
-    (tmp_path / "day/a.status.json").write_text("{")
+    (tmp_path / ".batch/status/day/a.json").write_text("{")
     assert read_status(tmp_path, "day/a").status == "waiting"
 
 
@@ -205,15 +200,15 @@ def test_good_recordings_are_done_as_run_does_them_and_bad_ones_named(archive, t
     for file in alone.rglob("*"):
         if file.is_file() and file.name != "run.json":
             assert file.read_bytes() == (out / "day/a" / file.relative_to(alone)).read_bytes()
-    assert "failed" in (out / "day/bad.log").read_text()
+    assert "failed" in (out / ".batch/logs/day/bad.log").read_text()
 
     # The same again does nothing; what failed is only tried again where that is asked for.
-    before = {path: path.stat().st_mtime_ns for path in out.rglob("*.status.json")}
+    before = {path: path.stat().st_mtime_ns for path in (out / ".batch/status").rglob("*.json")}
     assert batched(archive / "all.csv", "-o", out) == 1
     assert before == {path: path.stat().st_mtime_ns for path in before}
     assert batched(archive / "all.csv", "-o", out, "--retry-failed") == 1
     changed = [path.name for path in before if before[path] != path.stat().st_mtime_ns]
-    assert changed == ["bad.status.json"]
+    assert changed == ["bad.json"]
 
 
 def piecemeal(given, tmp_path, count):
@@ -227,15 +222,15 @@ def piecemeal(given, tmp_path, count):
     for name in ("whole", "parts"):
         (tmp_path / name).mkdir()
     run(whole)
-    pieces = pieces_of(parts, count)
+    pieces, home = pieces_of(parts, count), tmp_path / "pieces"
     assert len(pieces) == count
     for piece in reversed(pieces):
-        run_piece(parts, piece, Watcher())
-    again = behind_damage(parts, pieces)
+        run_piece(parts, piece, home, Watcher())
+    again = behind_damage(home, pieces)
     for piece in again:
-        run_piece(parts, piece, Watcher(), seek=False)
-    assert behind_damage(parts, pieces) == []
-    join_pieces(parts, pieces, Watcher())
+        run_piece(parts, piece, home, Watcher(), seek=False)
+    assert behind_damage(home, pieces) == []
+    join_pieces(parts, pieces, home, Watcher())
     one, other = (
         {
             str(path.relative_to(tmp_path / name)): path.read_bytes()
@@ -423,7 +418,7 @@ def test_a_scheduler_and_workers_by_hand(archive, tmp_path):
         assert main(["batch", *arguments, "-o", str(out), "--no-check"]) == 0
         assert [row["status"] for row in table(out).values()] == ["done", "done"]
         assert [row["frames"] for row in table(out).values()] == [str(FRAMES)] * 2
-        assert not list(out.glob("*.pieces"))
+        assert not list((out / ".batch/pieces").iterdir())
     finally:
         for process in reversed(started):
             process.terminate()

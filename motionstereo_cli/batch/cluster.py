@@ -15,13 +15,15 @@ from typing import TYPE_CHECKING
 
 from motionstereo_cli.errors import InputError
 from motionstereo_cli.runs.cores import usable_cores
-from motionstereo_cli.runs.record import versions
+from motionstereo_cli.runs.record import builds
 
 if TYPE_CHECKING:
     from distributed import Client
 
 #: How long a scheduler may take to answer, in s.
 _ANSWER_S = 10
+#: How often processes on this machine are tried to be started.
+_STARTS = 3
 #: How long its workers may take to come, in s.
 _WORKERS_S = 60
 
@@ -119,10 +121,25 @@ def _started(cluster: Cluster, tasks: int, say: Callable[[str, str], object]) ->
         say("note", f"{workers} workers share {cores} cores: more than one for each gains nothing")
     # A port of its own for Dask's pages, so that two batches do not want the same.
     options = {"threads_per_worker": 1, "dashboard_address": "127.0.0.1:0"}
-    with _deaf_children():
-        local = LocalCluster(n_workers=workers, **options)
+    for trial in range(_STARTS):
+        try:
+            with _deaf_children():
+                local = LocalCluster(n_workers=workers, **options)
+            break
+        except Exception as error:  # a process was killed before it was ready, for one
+            if trial == _STARTS - 1:
+                raise InputError(
+                    f"the processes to work in cannot be started ({first_line(error)}): give fewer "
+                    "--workers, or the same command again"
+                ) from None
     with local, Client(local) as client:
         yield client
+
+
+def first_line(error: BaseException) -> str:
+    """Return what an error of another program says, in a line."""
+    lines = str(error).splitlines()
+    return lines[0] if lines else type(error).__name__
 
 
 @contextlib.contextmanager
@@ -148,9 +165,9 @@ def _joined(cluster: Cluster) -> Iterator[Client]:
     )
     try:
         joined = Client(**where, timeout=_ANSWER_S, security=security)
-    except (OSError, ValueError, RuntimeError) as error:
+    except Exception as error:  # whatever answers there may be no scheduler at all
         raise InputError(
-            f"there is no scheduler at {address} ({error}): start it, or check the "
+            f"there is no scheduler at {address} ({first_line(error)}): start it, or check the "
             "address; the same command goes on then"
         ) from None
     with joined as client:
@@ -177,17 +194,23 @@ def _check_versions(client: Client) -> None:
     Raises:
         InputError: a version differs.
     """
-    mine = versions()
     try:
-        theirs = client.run(versions)
+        theirs = client.run(builds)
     except Exception as error:
         raise InputError(
-            f"the workers cannot run motionstereo: {error}: install it there"
+            f"the workers cannot run motionstereo: {first_line(error)}: install it there"
         ) from None
     for worker, found in theirs.items():
-        for name, version in mine.items():
-            if found.get(name) != version:
-                raise InputError(
-                    f"{name} is {found.get(name)} on {worker}, but {version} here: install the "
-                    "same versions, so that all give the same results"
-                )
+        if difference := difference_from(found):
+            raise InputError(
+                f"{difference} on {worker}: install the same versions, so that all give the same "
+                "results"
+            )
+
+
+def difference_from(theirs: Mapping[str, str]) -> str:
+    """Return what differs in the builds that a process has, in words; empty if nothing does."""
+    for name, here in builds().items():
+        if (there := theirs.get(name)) != here:
+            return f"{name} is {there}, and not {here} as here,"
+    return ""

@@ -21,34 +21,36 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from motionstereo_cli.batch.cluster import Cluster, client_of, threads_of
-from motionstereo_cli.batch.pieces import Piece, behind_damage, pieces_of
-from motionstereo_cli.batch.status import (
-    DONE,
-    FAILED,
-    Status,
-    format_statuses,
+from motionstereo_cli.batch.cluster import Cluster, client_of, difference_from, threads_of
+from motionstereo_cli.batch.own_folder import (
+    TABLE,
+    claim,
+    pieces_path,
     read_status,
+    stop_path,
     write_status,
 )
+from motionstereo_cli.batch.pieces import Piece, behind_damage, pieces_of
+from motionstereo_cli.batch.status import DONE, FAILED, Status, format_statuses
 from motionstereo_cli.batch.task import work
-from motionstereo_cli.errors import InputError, MotionStereoError
-from motionstereo_cli.files.atomic import write_whole
+from motionstereo_cli.errors import InputError, MotionStereoError, OutputError
+from motionstereo_cli.files.atomic import remove_own, write_whole
 from motionstereo_cli.files.lock import locked
 from motionstereo_cli.runs.cores import usable_cores
 from motionstereo_cli.runs.disparity_range import Say, with_range
 from motionstereo_cli.runs.plan import RunPlan
+from motionstereo_cli.runs.record import builds
 from motionstereo_cli.sinks.outputs import RECORD
 
 if TYPE_CHECKING:
     from distributed import Client, Future
 
-#: The table of all recordings.
-TABLE = "batch.csv"
 #: Topic of the words of workers on how far they are.
 _PROGRESS = "motionstereo-frames"
 #: The table is renewed at most once in this time, in s.
 _RENEW_S = 1.0
+#: Workers with other versions that are left out before the batch is given up.
+_TRIES = 20
 #: The workers are counted at most once in this time, in s.
 _ASK_S = 2.0
 
@@ -74,6 +76,7 @@ def run_batch(
     cluster: Cluster,
     watcher: BatchWatcher,
     *,
+    inputs: Iterable[Path] = (),
     retry_failed: bool = False,
     pieces: int | None = None,
 ) -> list[Status]:
@@ -86,6 +89,7 @@ def run_batch(
         out: folder of the batch.
         cluster: where to work.
         watcher: who hears how it goes.
+        inputs: further files that are read, and must not be written to.
         retry_failed: try those again that failed or were lost.
         pieces: into how many pieces each recording is cut; None: as many as keep all workers busy
             where there are fewer recordings than workers, and the recordings can be cut.
@@ -96,7 +100,9 @@ def run_batch(
         OutputError: the folder of the batch cannot be written.
         KeyboardInterrupt: it was interrupted; the recordings under way have left checkpoints.
     """
+    read = [Path(name) for plan in plans.values() for name in plan.inputs]
     with locked(out):
+        claim(out, (*inputs, *filter(os.path.exists, read)))
         batch = _Batch(plans, out, watcher)
         waiting = [name for name in plans if batch.to_do(name, retry_failed=retry_failed)]
         if waiting:
@@ -165,8 +171,9 @@ class _Batch:
         self._plans = {name: plan.as_json() for name, plan in plans.items()}
         self._hashes = {name: _hash(plan) for name, plan in self._plans.items()}
         self._known = {name: read_status(out, name) for name in plans}
-        self._stop = out / f".stop-{os.getpid()}"
+        self._stop = stop_path(out)
         self._renewed_s = 0.0
+        self._tries = 0
 
     @property
     def statuses(self) -> list[Status]:
@@ -187,7 +194,7 @@ class _Batch:
         left = Counter(item.name for item in waiting)
         self._known |= {name: Status(name) for name in left}
         client.subscribe_topic(_PROGRESS, lambda event: self._watcher.frames(event[1]))
-        self._stop.unlink(missing_ok=True)
+        remove_own(self._stop)
         ended = as_completed()
         under_way: dict[object, Item] = {}
         room = _Room(client)
@@ -208,6 +215,11 @@ class _Batch:
             fill()
             for future in ended:
                 item = under_way.pop(future.key)
+                if self._left_out(client, future):
+                    waiting.appendleft(item)
+                    future.release()
+                    fill()
+                    continue
                 left[item.name] -= 1
                 if item.piece is None or not self._went_well(item, future):
                     self._note(item.name, future)
@@ -218,25 +230,25 @@ class _Batch:
                 future.release()
                 fill()
         except KeyboardInterrupt:
-            self._stop.touch()
+            write_whole(self._stop, b"")
             for future in ended:  # what is under way leaves its checkpoints
                 self._note(under_way[future.key].name, future)
             raise
         finally:
-            self._stop.unlink(missing_ok=True)
-            with contextlib.suppress(OSError):
+            remove_own(self._stop)
+            with contextlib.suppress(OutputError):
                 self.renew(at_once=True)
 
     def _begin(self, name: str) -> None:
         """Say once that a recording in pieces is running: they would contradict each other."""
         if self._known[name].status != "running":
             self._known[name] = Status(name, "running", plan=self._hashes[name])
-            write_status(self._out, self._known[name])
+            self._write(self._known[name])
 
     def _following(self, item: Item) -> list[Item]:
         """Return what is to be done when all pieces of a recording are: some again, or joining."""
         pieces = item.pieces or ()
-        if again := behind_damage(self._given[item.name], pieces):
+        if again := behind_damage(pieces_path(self._out, item.name), pieces):
             self._watcher.say(
                 "note",
                 f"{item.name}: behind damage, {len(again)} of {len(pieces)} pieces are made again "
@@ -244,6 +256,26 @@ class _Batch:
             )
             return [dataclasses.replace(item, piece=piece, seek=False) for piece in again]
         return [dataclasses.replace(item, piece=None)]
+
+    def _left_out(self, client: Client, future: Future) -> bool:
+        """Tell whether a task came to a worker that joined later with other builds; it is closed.
+
+        Raises:
+            InputError: that cannot be helped.
+        """
+        found = future.result() if future.status == "finished" else None
+        if found is None:
+            return False
+        worker, theirs = found
+        self._tries += 1
+        said = f"{difference_from(theirs)} on {worker}, which joined later"
+        if self._tries > _TRIES:
+            raise InputError(
+                f"{said}: install the same versions, so that all give the same results"
+            )
+        self._watcher.say("warning", f"{said}: it is left out")
+        client.retire_workers([worker])
+        return True
 
     def _went_well(self, item: Item, future: Future) -> bool:
         return future.status == "finished" and read_status(self._out, item.name).status == "running"
@@ -261,9 +293,13 @@ class _Batch:
             "piece": item.piece,
             "pieces": item.pieces if item.piece is None else None,
             "seek": item.seek,
+            "builds": builds(),
         }
         # Dask keeps what it knows of each kind of task, which is what the first word says.
-        key = ("motionstereo", f"{item.name}-{item.piece}-{item.seek}-{os.getpid()}")
+        key = (
+            "motionstereo",
+            f"{item.name}-{item.piece}-{item.seek}-{os.getpid()}-{self._tries}",
+        )
         future: Future = client.submit(_work, task, key=key, pure=False)
         return future
 
@@ -292,8 +328,13 @@ class _Batch:
             reason=reason.splitlines()[0] if reason else type(error).__name__,
             plan=self._hashes[name],
         )
-        write_status(self._out, status)
+        self._write(status)
         return status
+
+    def _write(self, status: Status) -> None:
+        """Write what became of a recording; where that cannot be, the table alone says it."""
+        with contextlib.suppress(OutputError):
+            write_status(self._out, status)
 
     def renew(self, *, at_once: bool = False) -> None:
         """Write the table of all recordings again, when it is due."""
@@ -322,11 +363,16 @@ def _hash(plan: Mapping[str, Any]) -> str:
     return hashlib.sha256(json.dumps(said, sort_keys=True).encode()).hexdigest()[:16]
 
 
-def _work(task: Mapping[str, Any]) -> None:
-    """Work on a task in a worker of Dask."""
+def _work(task: Mapping[str, Any]) -> tuple[str, dict[str, str]] | None:
+    """Work on a task in a worker of Dask; where its builds are others, return them and do nothing.
+
+    They may have changed since the batch began: a worker may join at any time.
+    """
     from distributed import get_worker
 
     worker, done = get_worker(), 0
+    if builds() != task["builds"]:
+        return worker.address, builds()
 
     def tell(frames: int) -> None:
         nonlocal done
@@ -334,3 +380,4 @@ def _work(task: Mapping[str, Any]) -> None:
         done = frames
 
     work(task, tell)
+    return None

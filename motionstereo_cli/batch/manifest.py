@@ -12,14 +12,19 @@ from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
+from motionstereo_cli.batch.own_folder import OWN, TABLE
 from motionstereo_cli.errors import InputError, MotionStereoError
-from motionstereo_cli.files.reading import MAX_TABLE_BYTES, read_text
+from motionstereo_cli.files.reading import read_text
 from motionstereo_cli.params import near_match
+from motionstereo_cli.report import PAGE
 from motionstereo_cli.runs.plan import RunPlan
 
 #: Columns that are no options of ``run``.
 _OWN = ("left", "right", "out")
 _NEEDED = ("left", "out")
+#: Names in the folder of a batch that are no recording's.
+_RESERVED = (OWN, TABLE, PAGE)
+_MAX_BYTES = 16_000_000
 #: Between two calibration files in a cell.
 _BETWEEN = ";"
 #: What a cell of an option says that takes no value.
@@ -59,8 +64,12 @@ def read_manifest(path: Path, options: Mapping[str, bool], files: Collection[str
     Raises:
         InputError: the table cannot be used; its notes say all that is wrong, a line each.
     """
-    text = read_text(path, "the manifest", MAX_TABLE_BYTES)
-    rows = list(csv.reader(io.StringIO(text, newline="")))
+    text = read_text(path, "the manifest", _MAX_BYTES)
+    lines = csv.reader(io.StringIO(text, newline=""))
+    try:
+        rows = list(lines)
+    except csv.Error as error:
+        raise InputError(f"{path} line {lines.line_num}: {error}: check the table") from None
     header = [name.strip().replace("_", "-") for name in rows[0]] if rows else []
     head = f"{path} line 1"
     twice = {name for name in header if header.count(name) > 1}
@@ -76,6 +85,9 @@ def read_manifest(path: Path, options: Mapping[str, bool], files: Collection[str
         if not any(cell.strip() for cell in cells):
             continue
         place = f"{path} line {number}"
+        if any("\0" in cell for cell in cells):
+            wrong.append(f"{place}: a cell has a NUL")
+            continue
         if len(cells) != len(header):
             wrong.append(f"{place}: {len(cells)} cells and not {len(header)}")
             continue
@@ -187,8 +199,7 @@ def plans(
         except MotionStereoError as error:
             wrong.append(f"{entry.place}: {error}")
             continue
-        paths = [plan.left, plan.right, *plan.rig, plan.poses_file]
-        missing = [str(path) for path in paths if path and not _there(str(path))]
+        missing = [path for path in plan.inputs if not _there(path)]
         wrong += [f"{entry.place}: there is no {path}" for path in missing]
         found[entry.name] = plan
     _refuse("the batch", wrong)
@@ -211,6 +222,8 @@ class _Names:
         path = PurePosixPath(name)
         if not path.parts or path.is_absolute() or ".." in path.parts:
             return f"out {name!r} does not lie in the folder of the batch"
+        if path.parts[0] in _RESERVED:
+            return f"out {name!r} is a name of the batch itself"
         if path in self._places:
             return f"out {name} is that of {self._places[path]}"
         nested = (self._places[each] for each in path.parents if each in self._places)

@@ -95,19 +95,20 @@ def pieces_of(plan: RunPlan, count: int) -> list[Piece]:
     return [Piece(*both) for both in itertools.zip_longest(starts, starts[1:])]
 
 
-def folder_of(plan: RunPlan, piece: Piece | None = None) -> Path:
-    """Return the folder of a piece, or that of all of them."""
-    assert plan.folder is not None
-    folder = plan.folder.with_name(f"{plan.folder.name}.pieces")
-    return folder if piece is None else folder / f"{piece.first:06d}"
+def folder_of(home: Path, piece: Piece) -> Path:
+    """Return the folder of a piece in that of all of them."""
+    return home / f"{piece.first:06d}"
 
 
-def run_piece(plan: RunPlan, piece: Piece, watcher: Watcher, *, seek: bool = True) -> None:
+def run_piece(
+    plan: RunPlan, piece: Piece, home: Path, watcher: Watcher, *, seek: bool = True
+) -> None:
     """Make all that the frames of a piece decide by themselves; a piece that is done is kept.
 
     Args:
         plan: the run.
         piece: the piece.
+        home: the folder of all pieces of the recording.
         watcher: called while it goes on.
         seek: begin at a seek where the recordings let it; else decode from the start, and make a
             piece again that did seek.
@@ -116,7 +117,7 @@ def run_piece(plan: RunPlan, piece: Piece, watcher: Watcher, *, seek: bool = Tru
         InputError: the recordings cannot be read.
         OutputError: the results cannot be written.
     """
-    folder = folder_of(plan, piece)
+    folder = folder_of(home, piece)
     if not seek and (done := record_of(folder, PIECE)) and done["sought"]:
         discard(folder, PIECE)
     with open_stereo(plan.left, plan.right, plan.input_settings) as source:
@@ -157,9 +158,9 @@ def run_piece(plan: RunPlan, piece: Piece, watcher: Watcher, *, seek: bool = Tru
             sinks.complete({"counts": counts, "outcome": came, "sought": sought})
 
 
-def behind_damage(plan: RunPlan, pieces: Sequence[Piece]) -> list[Piece]:
+def behind_damage(home: Path, pieces: Sequence[Piece]) -> list[Piece]:
     """Return which pieces, of those that are done, have to be made again without a seek."""
-    records = [record_of(folder_of(plan, piece), PIECE) or {} for piece in pieces]
+    records = [record_of(folder_of(home, piece), PIECE) or {} for piece in pieces]
     damaged = [bool(record.get("outcome", {}).get("damage")) for record in records]
     return [
         piece
@@ -227,7 +228,7 @@ class _KeptFile:
         self._file.discard()
 
 
-def join_pieces(plan: RunPlan, pieces: Sequence[Piece], watcher: Watcher) -> RunReport:
+def join_pieces(plan: RunPlan, pieces: Sequence[Piece], home: Path, watcher: Watcher) -> RunReport:
     """Make what follows from frame to frame, put all together, and complete the run.
 
     Raises:
@@ -248,7 +249,7 @@ def join_pieces(plan: RunPlan, pieces: Sequence[Piece], watcher: Watcher) -> Run
         ) as sinks:
             if sinks.finished is not None:
                 return report_of(sinks.finished, plan)
-            folders = [folder_of(plan, piece) for piece in pieces]
+            folders = [folder_of(home, piece) for piece in pieces]
             _follow(job, folders, sinks, watcher)
             for name in job.save:
                 if OUTPUTS[name].takes == "images":
@@ -262,7 +263,7 @@ def join_pieces(plan: RunPlan, pieces: Sequence[Piece], watcher: Watcher) -> Run
             sinks.complete({"options": plan.options} | came | {"counts": counts} | more)
     for folder in folders:
         discard(folder, PIECE)
-    remove_empty(folder_of(plan))
+    remove_empty(home)
     return report
 
 

@@ -5,13 +5,11 @@ from __future__ import annotations
 import csv
 import dataclasses
 import io
-import json
 from collections.abc import Iterable
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
-from motionstereo_cli.files.atomic import write_whole
+from motionstereo_cli.sinks.writers import text_cell
 
 #: Statuses in which a recording is not tried again without being asked to.
 FAILED = ("failed", "lost")
@@ -55,32 +53,6 @@ class Status:
 COLUMNS = tuple(item.name for item in dataclasses.fields(Status) if item.name != "plan")
 
 
-def status_path(out: Path, name: str) -> Path:
-    """Return the file that says what became of a recording of the batch into ``out``."""
-    return out / f"{name}.status.json"
-
-
-def write_status(out: Path, status: Status) -> None:
-    """Write what became of a recording, whole.
-
-    Raises:
-        OutputError: it cannot be written.
-    """
-    path = status_path(out, status.name)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    content = json.dumps(dataclasses.asdict(status)).encode() + b"\n"
-    write_whole(path, content)  # of pieces that fail at the same time, the last one wins
-
-
-def read_status(out: Path, name: str) -> Status:
-    """Return what became of a recording; what cannot be read counts as waiting."""
-    try:
-        found = json.loads(status_path(out, name).read_bytes())
-        return Status(**{**found, "name": name})
-    except (OSError, ValueError, TypeError, RecursionError):
-        return Status(name)
-
-
 def format_statuses(statuses: Iterable[Status]) -> bytes:
     """Return the table of a batch: RFC 4180 but for LF, a row a recording; empty = unknown."""
     text = io.StringIO()
@@ -90,5 +62,5 @@ def format_statuses(statuses: Iterable[Status]) -> bytes:
         row = status.row()
         for name in ("seconds", "charged", "matched"):
             row[name] = "" if row[name] is None else f"{row[name]:.4f}"
-        writer.writerow(row)
+        writer.writerow({name: text_cell(each) for name, each in row.items()})
     return text.getvalue().encode()

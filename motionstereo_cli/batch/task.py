@@ -11,9 +11,11 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from motionstereo_cli.batch.own_folder import open_log_of, pieces_path, write_status
 from motionstereo_cli.batch.pieces import Piece, join_pieces, run_piece
-from motionstereo_cli.batch.status import Status, write_status
+from motionstereo_cli.batch.status import Status
 from motionstereo_cli.errors import BusyError, MotionStereoError
+from motionstereo_cli.files.folders import check_no_links
 from motionstereo_cli.runs.cores import prepare
 from motionstereo_cli.runs.plan import RunPlan
 from motionstereo_cli.runs.record import RunReport
@@ -51,8 +53,7 @@ def work(
     piece, pieces = task["piece"], task["pieces"]
     if piece is None:
         write_status(out, status)
-    log = out / f"{task['name']}.log"
-    with log.open("a", encoding="utf-8") as lines:
+    with open_log_of(out, task["name"]) as lines:
 
         def say(kind: str, text: str) -> None:
             print(f"{kind}: {text}", file=lines, flush=True)
@@ -60,14 +61,17 @@ def work(
         started_s = time.monotonic()
         try:
             plan = RunPlan.of_json(task["plan"])
+            home = pieces_path(out, task["name"])
+            for path in (out / task["name"], home):
+                check_no_links(path, out)
             # The frames that are joined were told when they were made.
             pulse = _Pulse(stop, tell if pieces is None else lambda _: None)
             watcher = Watcher(say, progress=pulse)
             if piece is not None:
-                run_piece(plan, Piece(*piece), watcher, seek=task["seek"])
+                run_piece(plan, Piece(*piece), home, watcher, seek=task["seek"])
                 return
             joined = None if pieces is None else [Piece(*each) for each in pieces]
-            report = _run(plan, joined, watcher)
+            report = _run(plan, joined, home, watcher)
             status = _ended(status, report)
             for line in report.damage:
                 say("warning", line)
@@ -85,11 +89,13 @@ def work(
     write_status(out, status)
 
 
-def _run(plan: RunPlan, pieces: Sequence[Piece] | None, watcher: Watcher) -> RunReport:
+def _run(plan: RunPlan, pieces: Sequence[Piece] | None, home: Path, watcher: Watcher) -> RunReport:
     until_s = time.monotonic() + _BUSY_S
     while True:
         try:
-            return run(plan, watcher) if pieces is None else join_pieces(plan, pieces, watcher)
+            if pieces is None:
+                return run(plan, watcher)
+            return join_pieces(plan, pieces, home, watcher)
         except BusyError:
             if time.monotonic() > until_s:
                 raise

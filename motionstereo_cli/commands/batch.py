@@ -121,7 +121,10 @@ def batch(
         watcher = BatchWatcher(say, lambda frames: bar.set_postfix_str(bar.more(frames)), ended)
         try:
             statuses = run_batch(
-                *(found, out, where, watcher), retry_failed=retry_failed, pieces=pieces
+                *(found, out, where, watcher),
+                inputs=[Path(name) for name in inputs if Path(name).is_file()],
+                retry_failed=retry_failed,
+                pieces=pieces,
             )
         except KeyboardInterrupt:
             again = "run the same command again to continue"

@@ -8,9 +8,11 @@ has a name that ends in ``.part``, in a folder of results whose names are this p
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 import re
 import secrets
+import stat
 from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO
@@ -147,6 +149,21 @@ def open_new(path: Path) -> int:
     """
     path.unlink(missing_ok=True)
     return _made(path)
+
+
+def open_log(path: Path) -> int:
+    """Return the descriptor of a file to append to, new where there is none.
+
+    Raises:
+        OSError: it cannot be opened, is no regular file, or has a further name elsewhere.
+    """
+    how = os.O_WRONLY | os.O_APPEND | os.O_CREAT | _NO_LINK | _NO_WAIT | _BINARY
+    descriptor = os.open(path, how, 0o666)
+    status = os.fstat(descriptor)
+    if not stat.S_ISREG(status.st_mode) or status.st_nlink > 1:
+        os.close(descriptor)
+        raise OSError(errno.EINVAL, "it is no file of this program", str(path))
+    return descriptor
 
 
 def open_again(path: Path) -> int:

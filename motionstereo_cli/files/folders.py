@@ -30,21 +30,27 @@ def make_folder(path: Path, root: Path | None = None) -> None:
         with reported(root):
             root.mkdir(parents=True, exist_ok=True)
     above = path.parent if root is None else root
+    check_no_links(path, above)
     for name in path.relative_to(above).parts:
         above = above / name
         with reported(above):
-            check_no_link(above)
             above.mkdir(exist_ok=True)
 
 
-def check_no_link(path: Path) -> None:
-    """Make sure that a name is no link.
+def check_no_links(path: Path, root: Path) -> None:
+    """Make sure that neither a name nor one above it, below ``root``, is a link.
 
     Raises:
-        OutputError: it is one.
+        OutputError: one is.
     """
-    if path.is_symlink():
-        raise OutputError(f"{path} is a link to elsewhere: remove it, or give another folder")
+    above = root
+    for name in path.relative_to(root).parts:
+        above = above / name
+        with reported(above):
+            if above.is_symlink():
+                raise OutputError(
+                    f"{above} is a link to elsewhere: remove it, or give another folder"
+                )
 
 
 def remove(root: Path, paths: Iterable[Path]) -> None:

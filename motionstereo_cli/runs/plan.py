@@ -155,6 +155,13 @@ class RunPlan:
         )
 
     @property
+    def inputs(self) -> tuple[str, ...]:
+        """What is read besides the plan itself, as it was given."""
+        poses = self.poses_file and str(self.poses_file)
+        named = (self.left, self.right, *map(str, self.rig), poses)
+        return tuple(name for name in named if name)
+
+    @property
     def options(self) -> list[str]:
         """The options that are neither parameters nor say where results go, as words."""
         words = [word for path in self.rig for word in ("--rig", str(path))]

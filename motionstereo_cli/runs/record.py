@@ -3,8 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
+import hashlib
+import importlib.metadata
+import json
 import os
 import platform
+import re
 import time
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -14,6 +19,7 @@ import av
 import cv2
 import numpy as np
 
+import motionstereo_cli
 from motionstereo_cli import __version__
 from motionstereo_cli.errors import OutputError
 from motionstereo_cli.files.reading import sha256_of
@@ -162,6 +168,28 @@ def versions() -> dict[str, str]:
         "cv2": cv2.__version__,
         "av": av.__version__,
     }
+
+
+@functools.cache
+def builds() -> dict[str, str]:
+    """Return what the bytes of results depend on: versions, and how libraries were built.
+
+    Of this package it is a hash of its own files: two states of one version may differ.
+    """
+    home = Path(motionstereo_cli.__file__).parent
+    own = {str(path.relative_to(home)): sha256_of(path) for path in home.rglob("*.py")}
+    files = importlib.metadata.distribution("av").read_text("RECORD") or ""
+    libraries = [line for line in files.splitlines() if re.search(r"\.(so|dll|dylib|pyd)\b", line)]
+    return {
+        **versions(),
+        "this package": _short_hash(own),
+        "FFmpeg": _short_hash([av.library_versions, sorted(libraries)]),
+        "OpenCV": _short_hash(cv2.getBuildInformation()),
+    }
+
+
+def _short_hash(value: Any) -> str:
+    return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()[:16]
 
 
 def report_on(job: Job, totals: Totals, resumed: int, started_s: float) -> RunReport:

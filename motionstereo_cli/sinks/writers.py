@@ -33,6 +33,21 @@ def cell(value: float | None, decimals: int) -> str:
     return f"{value:z.{decimals}f}"  # z: no -0.0000
 
 
+#: What a spreadsheet takes for the beginning of a formula.
+_FORMULA = ("=", "+", "-", "@", "\t", "\r")
+
+
+def text_cell(text: object) -> str:
+    """Return a text as a cell that no spreadsheet takes for a formula: it then begins with '."""
+    shown = str(text)
+    return f"'{shown}" if shown.startswith(_FORMULA) else shown
+
+
+def cell_text(shown: str) -> str:
+    """Return the text of which :func:`text_cell` made a cell."""
+    return shown[1:] if shown.startswith("'") and shown[1:].startswith(_FORMULA) else shown
+
+
 #: What is left of a table: its size in bytes, and the SHA-256 of these.
 TableMark = tuple[int, str]
 #: What is left of numbered files: how many, and a SHA-256 that follows from all of them.

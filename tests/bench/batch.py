@@ -147,7 +147,7 @@ def _manifest(path: Path, rows: Sequence[tuple[Path, Path, Path, str]]) -> Path:
 
 
 def _statuses(out: Path) -> Iterator[dict[str, str]]:
-    for path in sorted(out.glob("*.status.json")):
+    for path in sorted((out / ".batch/status").glob("*.json")):
         with contextlib.suppress(ValueError, OSError):
             yield json.loads(path.read_text())
 
@@ -286,9 +286,10 @@ def joining(clip: Clip, size: Size, folder: Path) -> Iterator[Row]:
     plan = RunPlan(left, right, folder / "joined", (clip.rig_file,), resume=True, jobs=1)
     pieces = [Piece(0, None)]
     begin_s = time.perf_counter()
-    run_piece(plan, pieces[0], Watcher())
+    home = folder / "pieces"
+    run_piece(plan, pieces[0], home, Watcher())
     made_s = time.perf_counter()
-    join_pieces(plan, pieces, Watcher())
+    join_pieces(plan, pieces, home, Watcher())
     join_ms, piece_ms = (
         1000 * seconds / size.join_frames
         for seconds in (time.perf_counter() - made_s, made_s - begin_s)

@@ -1,0 +1,126 @@
+"""What a batch keeps for itself beside the folders of its recordings: one folder, made by it."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+from collections.abc import Iterable
+from pathlib import Path
+from typing import TextIO
+
+from motionstereo_cli import __version__
+from motionstereo_cli.batch.status import COLUMNS, Status
+from motionstereo_cli.errors import InputError, OutputError
+from motionstereo_cli.files.atomic import is_left_over, open_log, reported, write_whole
+from motionstereo_cli.files.folders import check_no_links, make_folder
+from motionstereo_cli.files.reading import read_bytes
+from motionstereo_cli.files.targets import check_targets
+
+#: The table of all recordings.
+TABLE = "batch.csv"
+#: The folder, and the file in it that says whose it is.
+OWN = ".batch"
+_MARK, _PROGRAM = "batch.json", "motionstereo batch"
+
+_MAX_MARK_BYTES, _MAX_STATUS_BYTES, _MAX_TABLE_BYTES = 10_000, 1_000_000, 256_000_000
+
+
+def status_path(out: Path, name: str) -> Path:
+    """Return the file that says what became of a recording of the batch into ``out``."""
+    return out / OWN / "status" / f"{name}.json"
+
+
+def log_path(out: Path, name: str) -> Path:
+    """Return the log of a recording."""
+    return out / OWN / "logs" / f"{name}.log"
+
+
+def pieces_path(out: Path, name: str) -> Path:
+    """Return the folder of a recording's pieces."""
+    return out / OWN / "pieces" / name
+
+
+def stop_path(out: Path) -> Path:
+    """Return the file whose presence asks the workers of this process to end."""
+    return out / OWN / f"stop-{os.getpid()}"
+
+
+def write_status(out: Path, status: Status) -> None:
+    """Write what became of a recording, whole; of those who do at a time, the last one wins.
+
+    Raises:
+        OutputError: it cannot be written.
+    """
+    path = status_path(out, status.name)
+    make_folder(path.parent, out)
+    write_whole(path, json.dumps(dataclasses.asdict(status)).encode() + b"\n")
+
+
+def read_status(out: Path, name: str) -> Status:
+    """Return what became of a recording; what cannot be read counts as waiting."""
+    try:
+        found = json.loads(read_bytes(status_path(out, name), "the status", _MAX_STATUS_BYTES))
+        return Status(**{**found, "name": name})
+    except (InputError, ValueError, TypeError, RecursionError):
+        return Status(name)
+
+
+def open_log_of(out: Path, name: str) -> TextIO:
+    """Open the log of a recording, to append to.
+
+    Raises:
+        OutputError: it cannot be written.
+    """
+    path = log_path(out, name)
+    make_folder(path.parent, out)
+    with reported(path):
+        return os.fdopen(open_log(path), "a", encoding="utf-8")
+
+
+def claim(out: Path, inputs: Iterable[Path]) -> None:
+    """Make the folder of a batch its own, or find that it is.
+
+    Args:
+        out: the folder, which is there.
+        inputs: files and folders that are read.
+
+    Raises:
+        OutputError: an input or a file of others has a name that the batch needs.
+    """
+    own, table = out / OWN, out / TABLE
+    taken = tuple(inputs)
+    check_targets((table, own), taken)
+    place = own.resolve()
+    for path in taken:
+        if path.resolve().is_relative_to(place):
+            raise OutputError(f"{path}, an input, lies in {own}: give another folder")
+    check_no_links(own / _MARK, out)
+    check_no_links(table, out)
+    with reported(own):
+        begun = os.path.lexists(own)
+        fresh = not begun or all(is_left_over(path) for path in own.iterdir())
+    if not fresh and not _is_marked(own / _MARK):
+        raise OutputError(f"{own} is not from an earlier batch: move it, or give another folder")
+    if os.path.lexists(table) and (fresh or not _is_table(table)):
+        raise OutputError(f"{table} is not from an earlier batch: move it, or give another folder")
+    if fresh:
+        make_folder(own)
+        mark = {"program": _PROGRAM, "version": __version__}
+        write_whole(own / _MARK, json.dumps(mark).encode() + b"\n", durable=True)
+
+
+def _is_marked(path: Path) -> bool:
+    try:
+        found = json.loads(read_bytes(path, "the mark of a batch", _MAX_MARK_BYTES))
+        return isinstance(found, dict) and found.get("program") == _PROGRAM
+    except (InputError, ValueError, RecursionError):
+        return False
+
+
+def _is_table(path: Path) -> bool:
+    try:
+        content = read_bytes(path, "the table of a batch", _MAX_TABLE_BYTES)
+    except InputError:
+        return False
+    return content.partition(b"\n")[0] == ",".join(COLUMNS).encode()
