@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import dataclasses
 import importlib.util
+import json
 import signal
 import sys
 import warnings
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from motionstereo_cli.errors import InputError
+from motionstereo_cli.files.reading import read_bytes
 from motionstereo_cli.runs.cores import usable_cores
 from motionstereo_cli.runs.record import builds
 
@@ -22,6 +25,8 @@ if TYPE_CHECKING:
 
 #: How long a scheduler may take to answer, in s.
 _ANSWER_S = 10
+#: A scheduler's file has a few hundred bytes.
+_MAX_FILE_BYTES = 1_000_000
 #: How often processes on this machine are tried to be started.
 _STARTS = 3
 #: How long its workers may take to come, in s.
@@ -148,7 +153,7 @@ def _joined(cluster: Cluster) -> Iterator[Client]:
     from distributed import Client
     from distributed.security import Security
 
-    address = cluster.scheduler or str(cluster.scheduler_file)
+    address = cluster.scheduler or _address_in(cluster.scheduler_file)
     security = None
     if cluster.tls:
         files = {
@@ -156,15 +161,9 @@ def _joined(cluster: Cluster) -> Iterator[Client]:
             for key, value in cluster.tls.items()
         }
         security = Security(**files, require_encryption=True)
-    if not (cluster.scheduler or (cluster.scheduler_file and cluster.scheduler_file.is_file())):
-        raise InputError(f"there is no file {address}: a scheduler writes it when it is started")
-    where = (
-        {"address": cluster.scheduler}
-        if cluster.scheduler
-        else {"scheduler_file": str(cluster.scheduler_file)}
-    )
     try:
-        joined = Client(**where, timeout=_ANSWER_S, security=security)
+        asyncio.run(_shake_hands(address, security))
+        joined = Client(address, timeout=_ANSWER_S, security=security)
     except Exception as error:  # whatever answers there may be no scheduler at all
         raise InputError(
             f"there is no scheduler at {address} ({first_line(error)}): start it, or check the "
@@ -176,6 +175,27 @@ def _joined(cluster: Cluster) -> Iterator[Client]:
         except TimeoutError:
             raise InputError(f"the scheduler at {address} has no workers: start some") from None
         yield client
+
+
+def _address_in(path: Path | None) -> str:
+    """Return the address that a scheduler has left in a file."""
+    assert path is not None
+    if not path.is_file():
+        raise InputError(f"there is no file {path}: a scheduler writes it when it is started")
+    try:
+        found = json.loads(read_bytes(path, "the scheduler file", _MAX_FILE_BYTES))
+        return str(found["address"])
+    except (ValueError, LookupError, TypeError, RecursionError):
+        raise InputError(f"{path} has no address of a scheduler: start it again") from None
+
+
+async def _shake_hands(address: str, security: Any) -> None:
+    """Make sure that what listens at an address answers: Dask itself would wait for ever."""
+    from distributed.comm import connect
+
+    arguments = security.get_connection_args("client") if security else {}
+    comm = await asyncio.wait_for(connect(address, timeout=_ANSWER_S, **arguments), 2 * _ANSWER_S)
+    await comm.close()
 
 
 @contextlib.contextmanager
