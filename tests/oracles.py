@@ -152,8 +152,21 @@ def match_trails(right, left, max_disparity, block_px, max_ratio, min_votes):
     return disparity, agreement
 
 
-def semi_global(right, left, right_slope, left_slope, where, proposed_px, weight, max_disparity):
-    """Disparity and margin of each right pixel by semi-global matching, path by path."""
+def semi_global(  # noqa: PLR0912
+    right,
+    left,
+    right_slope,
+    left_slope,
+    where,
+    proposed_px,
+    weight,
+    max_disparity,
+    looked_at=lambda y, x, d: True,
+):
+    """Disparity and margin of each right pixel by semi-global matching, path by path.
+
+    Only disparities that are looked at have costs.
+    """
     rows, width = right.shape
     reach = range(max_disparity + 1)
 
@@ -179,38 +192,39 @@ def semi_global(right, left, right_slope, left_slope, where, proposed_px, weight
         return total + w - (int(w * (1 - abs(d - proposed_px[y, x]) / 2)) if near else 0)
 
     costs = {
-        (y, x): [cost(y, x, d) for d in reach]
+        (y, x): {d: cost(y, x, d) for d in reach if looked_at(y, x, d)}
         for y in range(rows)
         for x in range(width)
         if where[y, x]
     }
-    totals = {place: np.zeros(len(reach), int) for place in costs}
+    totals = {place: dict.fromkeys(costs[place], 0) for place in costs}
     for down, across in ((0, 1), (0, -1), (1, 0), (-1, 0)):
         path = {}
         for y, x in sorted(costs, reverse=across < 0 or down < 0):
             before = path.get((y - down, x - across))
             if before is None:
-                path[y, x] = list(costs[y, x])
+                path[y, x] = dict(costs[y, x])
             else:
                 change = abs(int(right[y, x]) - int(right[y - down, x - across]))
                 leap = max(120, 300 - 3 * change)
-                path[y, x] = [
-                    costs[y, x][d]
-                    - min(before)
+                path[y, x] = {
+                    d: costs[y, x][d]
+                    - min(before.values())
                     + min(
                         before[e] + (0 if d == e else 100 if abs(d - e) == 1 else leap)
-                        for e in reach
+                        for e in before
                     )
-                    for d in reach
-                ]
-            totals[y, x] += path[y, x]
+                    for d in costs[y, x]
+                }
+            for d in costs[y, x]:
+                totals[y, x][d] += path[y, x][d]
     disparity, margin = np.full((2, rows, width), np.nan, np.float32)
     for y in range(rows):
         partner = {}  # of each left place: cost and disparity
         for x in range(width):
             if where[y, x]:
-                d = int(np.argmin(totals[y, x]))
-                found = int(totals[y, x][d]), d
+                d = min(totals[y, x], key=totals[y, x].get)
+                found = totals[y, x][d], d
                 if x + d not in partner or found[0] < partner[x + d][0]:
                     partner[x + d] = found
         before = -2  # the last pixel's whole disparity
@@ -219,16 +233,19 @@ def semi_global(right, left, right_slope, left_slope, where, proposed_px, weight
             if not where[y, x]:
                 continue
             total = totals[y, x]
-            d = int(np.argmin(total))
-            second = min((int(total[e]) for e in reach if abs(d - e) > 1), default=32767)
-            excess = second - int(total[d])
+            d = min(total, key=total.get)
+            second = min((total[e] for e in total if abs(d - e) > 1), default=32767)
+            excess = second - total[d]
             seen = x + d < width or abs(last - d) <= 1
             if not seen or excess < max(80, 0.05 * second) or abs(partner[x + d][1] - d) > 1:
                 continue
             before = d
             margin[y, x], disparity[y, x] = excess, d
             if 0 < d < max_disparity:
-                below, above = (int(total[d + i] - total[d]) for i in (-1, 1))
+                # Of a neighbour that was not looked at, the other one's cost.
+                below, above = (
+                    total.get(d + i, total.get(d - i, total[d])) - total[d] for i in (-1, 1)
+                )
                 disparity[y, x] += (below - above) / (2 * max(below, above, 1))
     return disparity, margin
 

@@ -113,6 +113,19 @@ small = arrays(np.int16, (3, 9), elements=st.integers(0, 40), fill=st.nothing())
 needs_vectors = pytest.mark.skipif(dense.vectors is None, reason="has no vectors")
 
 
+def random_frame(seed, rows, width, reach, grain_px, share):
+    """What is matched: views that agree in part, random slopes and proposals, pixels wanted."""
+    rng = np.random.default_rng(seed)
+    wall = textured(rows, width + reach, grain_px, seed)[:, : width + reach]
+    shift = rng.integers(0, reach + 1)
+    left = wall[:, reach - shift :][:, :width] + rng.integers(0, 4, (rows, width), np.uint8)
+    slopes = rng.integers(-20, 20, (2, rows, width), np.int8)
+    proposed = (rng.random((rows, width)) * reach).astype(np.float32)
+    weight = rng.choice(np.array([0, 5, 15], np.int16), (rows, width))
+    where = rng.random((rows, width)) < share
+    return wall[:, reach:], left, *slopes, where, proposed, weight
+
+
 class TestDense:
     @settings(max_examples=60)
     @given(small, small, small, small, st.integers(0, 2**27 - 1), st.integers(1, 7), st.data())
@@ -133,22 +146,54 @@ class TestDense:
     @needs_vectors
     @settings(max_examples=150, deadline=None)
     @given(
-        st.integers(0, 2**32), st.integers(1, 8), st.integers(1, 70), st.integers(0, 100), st.data()
+        st.integers(0, 2**32),
+        st.integers(1, 20),
+        st.integers(1, 70),
+        st.integers(0, 100),
+        st.data(),
     )
     def test_vectors_give_the_bytes_of_loops(self, seed, rows, width, reach, data):
-        rng = np.random.default_rng(seed)
         grain, share = data.draw(st.sampled_from([(0.01, 1), (1.5, 0.9), (1.5, 0.3)]))
-        wall = textured(rows, width + reach, grain, seed)[:, : width + reach]
-        right = wall[:, reach:]
-        shift = data.draw(st.integers(0, reach))
-        left = wall[:, reach - shift :][:, :width] + rng.integers(0, 4, (rows, width), np.uint8)
-        slopes = rng.integers(-128, 128, (2, rows, width), np.int8)
-        proposed = (rng.random((rows, width)) * reach).astype(np.float32)
-        weight = rng.choice(np.array([0, 5, 15], np.int16), (rows, width))
-        given_ = right, left, *slopes, rng.random((rows, width)) < share, proposed, weight, reach
-        strip_bytes = data.draw(st.sampled_from([1 << 26, 1 << 13, 1]))
-        found = semi_global(*given_, with_vectors=True, strip_bytes=strip_bytes)
+        given_ = *random_frame(seed, rows, width, reach, grain, share), reach
+        tiles = -(-rows // 8), -(-width // 16)
+        every = np.full(tiles, 2 ** (reach // 16 + 1) - 1, np.uint64)
+        found = semi_global(
+            *given_,
+            sets=data.draw(st.sampled_from([None, every])),
+            strip_bytes=data.draw(st.sampled_from([1 << 26, 1 << 13, 1])),
+        )
         np.testing.assert_array_equal(found, semi_global(*given_, with_vectors=False))
+
+    @needs_vectors
+    @settings(max_examples=25, deadline=None)
+    @given(st.integers(0, 2**32), st.integers(15, 40))
+    def test_tiles_of_sets_give_what_the_oracle_does(self, seed, reach):
+        rows, width = 9, 40
+        given_ = *random_frame(seed, rows, width, reach, 1.5, 0.9), reach
+        chunks = reach // 16 + 1
+        sets = np.random.default_rng(seed).integers(1, 2**chunks, (2, 3), np.uint64)
+        found = semi_global(*given_, sets=sets)
+        wanted = oracles.semi_global(
+            *given_, lambda y, x, d: int(sets[y // 8, x // 16]) >> d // 16 & 1
+        )
+        np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-4)
+
+    @needs_vectors
+    @given(arrays(np.float32, (2, 5, 7), elements=st.sampled_from([np.nan, np.nan, 0, 3.5, 9, 12])))
+    def test_sets_have_all_candidates_around_or_those_beside(self, candidates):
+        found, sets = np.zeros((3, 4), np.uint64), np.zeros((3, 4), np.uint64)
+        dense.vectors.fill_sets(candidates, 4, 6, 2, 2, 50, found, sets)
+        own = np.full((3, 4), 0, object)
+        for _, y, x in np.argwhere(~np.isnan(candidates)):
+            for c in candidates[:, y, x][~np.isnan(candidates[:, y, x])]:
+                for d in range(max(int(4 * c - 6), 0), min(int(4 * c + 6), 49) + 1):
+                    own[max(y // 2 - 1, 0) : y // 2 + 2, max(x // 2 - 1, 0) : x // 2 + 2] |= (
+                        1 << d // 16
+                    )
+        for y, x in np.ndindex(3, 4):
+            before, after = ([o for o in side if o] for side in (own[y, :x], own[y, x:]))
+            beside = (before[-1] if before else 0) | (after[0] if after else 0)
+            assert sets[y, x] == (own[y, x] or beside or 15)
 
     @pytest.mark.parametrize("strip_rows", [2, 6, 16])
     def test_strips_of_any_height_give_the_same_bytes(self, strip_rows):

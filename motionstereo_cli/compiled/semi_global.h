@@ -25,6 +25,9 @@
 #define PADDING 7000
 #define MAX_COST 32767
 
+/* The second best disparity is a rival where it costs less than this share more than the best. */
+#define RIVAL_SHARE 0.1f
+
 #define ALIGNMENT 64  /* of arrays, in bytes */
 
 /* Or'ed to a cost it is about OUTSIDE, and a step more fits. */
@@ -79,7 +82,7 @@ typedef struct {
     int16_t *cost, *total;        /* of a strip, only what is in the sets; total: of the paths */
     int strip_rows;
     uint8_t *brought;             /* paths from below, as they come to each strip */
-    float *margin;
+    float *margin, *rival;        /* of the row */
 } Matching;
 
 /* A tile's part of a row, and its set as a list of vectors. */
@@ -434,7 +437,17 @@ INLINE void choose(const Matching *m, const Stretch *s, int vectors, int x, cons
         Words near = (away >= -1) & (away <= 1);
         others = least(others, total[i] | (near & MAX_COST));
     }
-    int cost = minimum[0], d = found[0], second = least_of_all(others)[0];
+    others = least_of_all(others);
+    int cost = minimum[0], d = found[0], second = others[0];
+    if (m->rival && second < PADDING && (float)(second - cost) < RIVAL_SHARE * second) {
+        Words rival = all_of(MAX_COST);
+        for (int i = 0; i < vectors; i++) {
+            Words here = counted() + (int16_t)s->at[i], away = here - found;
+            Words other = (total[i] == others) & ((away < -1) | (away > 1));
+            rival = least(rival, (here | ~other) & MAX_COST);
+        }
+        m->rival[x] = least_of_all(rival)[0];
+    }
     second = second < PADDING ? second : MAX_COST;
     /* Of equal costs that of the pixel farthest on the left: it comes last. */
     if (m->partner[x + d] == -2 || cost <= m->partner_cost[x + d]) {
@@ -701,9 +714,10 @@ static size_t workspace_bytes(View view, Tiles tiles)
     return (size_t)((uintptr_t)lay_out(&m, (uint8_t *)ALIGNMENT) - ALIGNMENT) + ALIGNMENT;
 }
 
-/* Fill in disparity and margin, NaN = unknown, (rows, width) each. */
+/* Fill in disparity and margin, NaN = unknown, (rows, width) each; and, unless it is NULL,
+   rivals. */
 static void semi_global_vectors(View view, Penalties penalties, Tiles tiles, uint8_t *memory,
-                                float *disparity, float *margin)
+                                float *disparity, float *margin, float *rival)
 {
     Matching matching = matching_of(view, penalties, tiles), *m = &matching;
     lay_out(m, memory + -(uintptr_t)memory % ALIGNMENT);
@@ -726,6 +740,7 @@ static void semi_global_vectors(View view, Penalties penalties, Tiles tiles, uin
         strip_up(m, first, end);
         for (int y = first; y < end; y++) {
             m->margin = margin + (ptrdiff_t)y * view.width;
+            m->rival = rival ? rival + (ptrdiff_t)y * view.width : NULL;
             row_down(m, y, offset);
             paint(m, disparity + (ptrdiff_t)y * view.width, m->margin);
             offset += words_of_rows(m, y, y + 1);

@@ -32,4 +32,5 @@ cdef extern from "semi_global.h" nogil:
 
     size_t workspace_bytes(View view, Tiles tiles)
     void semi_global_vectors(View view, Penalties penalties, Tiles tiles,
-                             unsigned char *memory, float *disparity, float *margin)
+                             unsigned char *memory,
+                             float *disparity, float *margin, float *rival)

@@ -15,9 +15,9 @@ from cython.cimports.motionstereo_cli.compiled.semi_global import (
     workspace_bytes,
 )
 
-#: Disparities of a chunk, and the most that there may be.
-CHUNK = 16
-MAX_COUNT = 64 * CHUNK
+#: Disparities in a chunk, and the most that there may be.
+CHUNK = cython.declare(cython.int, 16)
+MAX_COUNT = 1024
 
 
 @cython.cclass
@@ -63,6 +63,7 @@ def semi_global(
     work: Workspace,
     disparity: cython.float[:, ::1],
     margin: cython.float[:, ::1],
+    rival: cython.float[:, ::1],
 ) -> None:
     """Fill in disparity and margin, (rows, width) float32, NaN = unknown.
 
@@ -77,6 +78,8 @@ def semi_global(
             an image of several strips takes half as long again.
         work: used again for the next frame.
         disparity, margin: get the result.
+        rival: gets the second best disparity where it costs hardly more, of NaN; of no rows = not
+            asked for.
     """
     view: View = View(
         cython.address(frame.right[0, 0]),
@@ -105,6 +108,9 @@ def semi_global(
     size: cython.Py_ssize_t = workspace_bytes(view, tiles)
     if work.memory.shape[0] < size:
         work.memory = np.empty(size, np.uint8)
+    rivals: cython.p_float = cython.NULL
+    if rival.shape[0] > 0:
+        rivals = cython.address(rival[0, 0])
     with cython.nogil:
         semi_global_vectors(
             view,
@@ -113,4 +119,69 @@ def semi_global(
             cython.address(work.memory[0]),
             cython.address(disparity[0, 0]),
             cython.address(margin[0, 0]),
+            rivals,
         )
+
+
+def fill_sets(
+    candidates: cython.const[cython.float][:, :, ::1],
+    per_px: cython.float,
+    reach: cython.float,
+    rows: cython.int,
+    width: cython.int,
+    count: cython.int,
+    found: cython.ulonglong[:, ::1],
+    sets: cython.ulonglong[:, ::1],
+) -> None:
+    """Fill in which chunks may hold the disparities of each tile, by what a small image shows.
+
+    A tile gets what is within reach of any candidate in it or in a tile beside it. Where there is
+    none, it gets what the nearest tiles on its left and on its right have; else all.
+
+    Args:
+        candidates: disparities in the small image, (n, rows, width) float32, NaN = none.
+        per_px: px of the image in a px of the small one.
+        reach: how far candidates may be off, px of the image.
+        rows, width: of the small image that a tile takes.
+        count: number of disparities, at most :data:`MAX_COUNT`.
+        found: gets the sets before they are joined, of the same size as ``sets``.
+        sets: gets the result, (tiles down, tiles across) uint64.
+    """
+    i: cython.Py_ssize_t
+    y: cython.Py_ssize_t
+    x: cython.Py_ssize_t
+    row: cython.Py_ssize_t
+    column: cython.Py_ssize_t
+    one: cython.ulonglong = 1
+    last: cython.int = count - 1
+    every: cython.ulonglong = (one << (last // CHUNK) << 1) - 1
+    down: cython.Py_ssize_t = sets.shape[0]
+    across: cython.Py_ssize_t = sets.shape[1]
+    with cython.nogil:
+        found[:, :] = 0
+        for i in range(candidates.shape[0]):
+            for y in range(candidates.shape[1]):
+                for x in range(candidates.shape[2]):
+                    place: cython.float = candidates[i, y, x] * per_px
+                    if place == place:  # noqa: PLR0124
+                        low: cython.int = cython.cast(cython.int, max(place - reach, 0))
+                        high: cython.int = cython.cast(cython.int, place + reach)
+                        low, high = min(low, last) // CHUNK, min(high, last) // CHUNK
+                        found[y // rows, x // width] |= (one << high << 1) - (one << low)
+        for y in range(down):
+            for x in range(across):
+                sets[y, x] = 0
+                for row in range(max(y - 1, 0), min(y + 2, down)):
+                    for column in range(max(x - 1, 0), min(x + 2, across)):
+                        sets[y, x] |= found[row, column]
+        found[:, :] = sets
+        for y in range(down):
+            before: cython.ulonglong = 0
+            for x in range(across):
+                before = found[y, x] if found[y, x] else before
+                sets[y, x] |= 0 if found[y, x] else before
+            before = 0
+            for x in range(across - 1, -1, -1):
+                before = found[y, x] if found[y, x] else before
+                sets[y, x] |= 0 if found[y, x] else before
+                sets[y, x] = sets[y, x] if sets[y, x] else every

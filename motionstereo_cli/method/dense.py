@@ -44,15 +44,25 @@ _MIN_MARGIN, _MIN_SHARE = 80, 0.05
 #: they tell what lies around.
 _AROUND_ROWS, _AROUND_COLUMNS = 8, 32
 
+#: From this range and width in px on, each tile of an image has a set of disparities of its own. It
+#: is found in views of a quarter of the width, or of an eighth from the third on.
+_TILED_PX, _TILED_WIDTH, _WIDE = 48, 320, 1000
+
+#: Size of a tile, in rows of half height and in columns; disparities in a chunk, of which it has a
+#: set; and how far off small views may be, in px.
+_TILE, _CHUNK, _REACH_PX = (8, 16), 16, 6
+
+#: Margin and share where a tile has a set: fewer rivals are seen than there are.
+_TILED_MARGIN, _TILED_SHARE = 86, 0.055
+
 #: What the costs of a frame and those of its paths may take, in each thread.
 _STRIP_BYTES = 48 << 20
 
-#: Penalties and margins for the loops.
-_PENALTIES = (
-    *(_MAX_GREY, _MAX_SLOPE, _STEP, _LEAP, _MIN_LEAP, _PER_GREY_LEVEL),
-    *(_MIN_MARGIN, _MIN_SHARE),
+#: The same for the loops.
+_PENALTIES = _MAX_GREY, _MAX_SLOPE, _STEP, _LEAP, _MIN_LEAP, _PER_GREY_LEVEL
+WEIGHTS = loops.Weights(  # type: ignore[call-arg]  # mypy does not know its dataclasses
+    *(*_PENALTIES, _MIN_MARGIN, _MIN_SHARE)
 )
-WEIGHTS = loops.Weights(*_PENALTIES)  # type: ignore[call-arg]  # mypy does not know its dataclasses
 
 
 def smoothed(view: NDArray[np.uint8]) -> NDArray[np.uint8]:
@@ -97,7 +107,8 @@ def match_dense(
         weights: how much to prefer them, see :func:`weights_of`, (rows, width).
         max_disparity: largest x in the left view minus x in the right one, px.
     """
-    return semi_global(
+    sets = _sets(right, left, where, max_disparity)
+    disparity, margin = semi_global(
         right,
         left,
         _slopes(right),
@@ -106,7 +117,10 @@ def match_dense(
         proposed_px,
         weights,
         max_disparity,
+        sets=sets,
+        margins=(_MIN_MARGIN, _MIN_SHARE) if sets is None else (_TILED_MARGIN, _TILED_SHARE),
     )
+    return disparity, margin
 
 
 def _slopes(grey: NDArray[np.uint8]) -> NDArray[np.int8]:
@@ -120,6 +134,48 @@ def _around(where: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return np.asarray(cv2.dilate(where.view(np.uint8), box), np.uint8).view(np.bool_)
 
 
+def _sets(
+    right: NDArray[np.uint8], left: NDArray[np.uint8], where: NDArray[np.bool_], max_disparity: int
+) -> NDArray[np.uint64] | None:
+    """Return which disparities to look at in each tile, None = all, by matching small views.
+
+    Args:
+        right, left: views of half the height, (rows, width) uint8.
+        where: right pixels wanted, (rows, width) bool.
+        max_disparity: px.
+    """
+    rows, width = right.shape
+    scale = 4 if width < _WIDE else 8
+    small = width // scale, 2 * rows // scale
+    reach = -(-max_disparity // scale)
+    if vectors is None or max_disparity < _TILED_PX or width < max(_TILED_WIDTH, 2 * max_disparity):
+        return None
+    small_right, small_left, small_where = (
+        np.asarray(cv2.resize(view, small, interpolation=cv2.INTER_AREA), np.uint8)
+        for view in (right, left, 255 * where.view(np.uint8))
+    )
+    nothing = np.zeros(small_right.shape, np.int16)
+    found = semi_global(
+        *(small_right, small_left, _slopes(small_right), _slopes(small_left), small_where > 0),
+        *(nothing.astype(np.float32), nothing, reach),
+        margins=(0, 0),
+        with_rivals=True,
+    )
+    tiles = -(-rows // _TILE[0]), -(-width // _TILE[1])
+    own, sets = np.zeros(tiles, np.uint64), np.zeros(tiles, np.uint64)
+    vectors.fill_sets(
+        *(
+            np.ascontiguousarray(found[::2]),
+            scale,
+            _REACH_PX,
+            2 * _TILE[0] // scale,
+            _TILE[1] // scale,
+        ),
+        *(max_disparity + 1, own, sets),
+    )
+    return sets
+
+
 def semi_global(
     right: NDArray[np.uint8],
     left: NDArray[np.uint8],
@@ -130,10 +186,13 @@ def semi_global(
     weight: NDArray[np.int16],
     max_disparity: int,
     *,
+    sets: NDArray[np.uint64] | None = None,
+    margins: tuple[float, float] = (_MIN_MARGIN, _MIN_SHARE),
+    with_rivals: bool = False,
     with_vectors: bool = vectors is not None,
     strip_bytes: int = _STRIP_BYTES,
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return disparity and margin, (rows, width) float32 each, NaN = unknown.
+) -> NDArray[np.float32]:
+    """Return disparity and margin, (2, rows, width) float32, NaN = unknown.
 
     Args:
         right, left, right_slope, left_slope: grey and its slope in both views, (rows, width).
@@ -141,12 +200,17 @@ def semi_global(
         proposed_px: disparities to prefer, (rows, width) float32.
         weight: what speaks against all others, 0 where none is proposed, (rows, width).
         max_disparity: px.
-        with_vectors: by vectors of the processor, where the range lets them; the loops take longer
-            and give the same bytes.
+        sets: chunks of 16 disparities to look at in each tile of 8 x 16 pixels, a bit for each,
+            (tiles down, tiles across) uint64; None = all.
+        margins: nothing is known where the second best disparity costs less than this more than
+            the best, or less than this share more.
+        with_rivals: return a third image: the second best disparity where it costs hardly more.
+        with_vectors: by vectors of the processor, where the range lets them; the loops know
+            neither sets nor rivals, take longer, and give the same bytes.
         strip_bytes: memory that the vectors may take.
     """
     right = checked_array(right, np.uint8)
-    rows, width = shape = right.shape
+    shape = right.shape
     count = 1 + checked_number("max_disparity", max_disparity, 0)
     left = checked_array(left, np.uint8, shape)
     right_slope, left_slope = (
@@ -155,20 +219,29 @@ def semi_global(
     wanted = checked_array(where, np.bool_, shape).view(np.uint8)
     proposed_px = checked_array(proposed_px, np.float32, shape)
     weight = checked_array(weight, np.int16, shape)
-    disparity, margin = np.empty((2, *shape), np.float32)
+    found = np.full((2 + with_rivals, *shape), np.nan, np.float32)
     if with_vectors and count <= vectors.MAX_COUNT:
-        every = np.full((1, 1), (1 << -(-count // vectors.CHUNK)) - 1, np.uint64)
+        tile = _TILE
+        if sets is None:
+            tile, sets = shape, np.full((1, 1), (1 << -(-count // _CHUNK)) - 1, np.uint64)
         frame = vectors.Frame(  # type: ignore[call-arg]
             *(right, left, right_slope, left_slope, wanted, proposed_px, weight)
         )
         vectors.semi_global(
-            *(frame, count, np.array(_PENALTIES, np.float32), every, rows, width, strip_bytes),
-            *(reused(vectors.Workspace), disparity, margin),
+            *(
+                frame,
+                count,
+                np.array((*_PENALTIES, *margins), np.float32),
+                sets,
+                *tile,
+                strip_bytes,
+            ),
+            *(reused(vectors.Workspace), found[0], found[1], found[-1][: shape[0] * with_rivals]),
         )
     else:
         slow = loops.Frame(  # type: ignore[call-arg]
             *(each.astype(np.int16) for each in (right, left, right_slope, left_slope)),
             *(wanted, proposed_px, weight),
         )
-        loops.semi_global(slow, WEIGHTS, reused(loops.Workspace, *shape, count), disparity, margin)
-    return disparity, margin
+        loops.semi_global(slow, WEIGHTS, reused(loops.Workspace, *shape, count), *found)
+    return found
