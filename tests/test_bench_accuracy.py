@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from bench import accuracy
-from bench.peers import stereo_bm, stereo_sgbm
+from motionstereo_cli.method.block_matching import stereo_bm, stereo_sgbm
 
 WIDTH = 200
 HEIGHT = 90

@@ -12,6 +12,7 @@ import numpy as np
 
 from motionstereo_cli.errors import InputError, SettingsError
 from motionstereo_cli.method.balance import balanced
+from motionstereo_cli.method.block_matching import stereo_bm, stereo_sgbm
 from motionstereo_cli.method.borders import hidden_filled, trimmed
 from motionstereo_cli.method.cleaning import filled, without_speckles
 from motionstereo_cli.method.confidence import confidence, confidence_by_margin
@@ -101,6 +102,19 @@ def _regions(right: Memory, left: Memory, settings: Settings) -> Found:
     return disparity, lambda: np.full_like(disparity, np.nan)
 
 
+def _of_opencv(function: Callable[..., Real]) -> Callable[[Memory, Memory, Settings], Found]:
+    """Return a matcher that gives OpenCV's disparity, filtered, to charged pixels."""
+
+    def match(right: Memory, left: Memory, settings: Settings) -> Found:
+        disparity = function(right.grey, left.grey, settings.max_disparity + 1, filtered=True)
+        disparity[(right.charge == settings.charge_min) | (disparity > settings.max_disparity)] = (
+            np.nan
+        )
+        return disparity, lambda: np.full_like(disparity, np.nan)
+
+    return match
+
+
 #: By the name that users give, as :data:`~motionstereo_cli.method.settings.MATCHERS` describes
 #: them. Each takes the right and the left memory and the settings; it returns the disparity in px
 #: of each charged right pixel and what makes its confidence 0..1, both (height, width) float32,
@@ -109,6 +123,8 @@ MATCH: dict[str, Callable[[Memory, Memory, Settings], Found]] = {
     "trails": _trails,
     "dense": _dense,
     "regions": _regions,
+    "sgbm": _of_opencv(stereo_sgbm),
+    "bm": _of_opencv(stereo_bm),
 }
 
 #: The matchers of the package itself, which cannot be replaced.

@@ -46,6 +46,8 @@ MATCHERS = {
     "regions": Matcher(
         "largest connected region of equal charge at each displacement", knows_confidence=False
     ),
+    "sgbm": Matcher("OpenCV's StereoSGBM, for comparison", knows_confidence=False),
+    "bm": Matcher("OpenCV's StereoBM, for comparison", knows_confidence=False),
 }
 
 #: Installed packages offer matchers by entry points of this group.

@@ -20,9 +20,9 @@ import numpy as np
 from tqdm import tqdm
 
 from bench.markdown import table
-from bench.peers import stereo_bm, stereo_sgbm
 from motionstereo_cli.evaluation.evaluate import FramePair, Score, Tally, tally
 from motionstereo_cli.files.video import VideoWriter
+from motionstereo_cli.method.block_matching import stereo_bm, stereo_sgbm
 from motionstereo_cli.method.memory import Memory, mirrored, see
 from motionstereo_cli.method.settings import Settings
 from motionstereo_cli.pipeline import match

@@ -17,7 +17,7 @@ import numpy as np
 from tqdm import tqdm
 
 from bench.markdown import table
-from bench.peers import stereo_bm, stereo_sgbm
+from motionstereo_cli.method.block_matching import stereo_bm, stereo_sgbm
 from motionstereo_cli.method.settings import Settings
 from motionstereo_cli.robot.guide import MapGuide
 from motionstereo_cli.simulate.drive import driven

@@ -29,12 +29,12 @@ from tqdm import tqdm
 from bench import decode, script
 from bench.accuracy import RUN_IN
 from bench.clips import Clip, first_frames, rendered, repeated
-from bench.peers import bm_matcher, sgbm_matcher
 from bench.speed_report import format_markdown, goals
 from bench.timing import Cost, Samples, core_count, installed_mb, on_cores, python
 from motionstereo_cli import pipeline
 from motionstereo_cli.errors import MotionStereoError
 from motionstereo_cli.method import matching, memory
+from motionstereo_cli.method.block_matching import bm_matcher, sgbm_matcher
 from motionstereo_cli.method.settings import Settings
 from motionstereo_cli.robot.guide import ImageGuide
 from motionstereo_cli.robot.tracker import Tracker
