@@ -17,7 +17,7 @@ from click.shell_completion import shell_complete
 from motionstereo_cli.commands import cli
 from motionstereo_cli.commands.messages import Tolerant, say
 from motionstereo_cli.commands.progress import end_lines
-from motionstereo_cli.errors import INTERRUPTED_EXIT_CODE, MotionStereoError
+from motionstereo_cli.errors import INTERRUPTED_EXIT_CODE, MotionStereoError, shortage
 
 
 def main(args: Sequence[str] | None = None) -> int:
@@ -86,6 +86,8 @@ def _fail(error: BaseException) -> int:
             message, exit_code = error.format_message(), error.exit_code
         case MotionStereoError():
             message, exit_code = str(error), error.exit_code
+        case _ if short_of := shortage(error):
+            message, exit_code = short_of, 1
         case OSError():
             message, exit_code = str(error), 1
         case _:

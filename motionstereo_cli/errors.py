@@ -4,6 +4,11 @@ Each message is one line: what is wrong, where, and what to do. The command line
 exits with ``exit_code``.
 """
 
+from __future__ import annotations
+
+import errno
+import re
+
 #: Exit codes beside 0 (done) and those of the errors below.
 DAMAGED_EXIT_CODE = 3
 DIFFERENT_EXIT_CODE = 4
@@ -35,3 +40,23 @@ class OutputError(MotionStereoError):
 
 class BusyError(OutputError):
     """Another run is writing to the folder."""
+
+
+#: How libraries say that the system gives no more memory.
+_NO_MEMORY = re.compile("failed to map segment|cannot allocate memory|insufficient memory", re.I)
+
+
+def shortage(error: BaseException) -> str | None:
+    """Return what the machine has too little of and what to do, None if an error is another."""
+    if "start new thread" in str(error):
+        return (
+            "the system starts no more threads, as its memory or the number of processes is "
+            "limited: close other programs, or give --jobs 1"
+        )
+    if (
+        isinstance(error, MemoryError)
+        or getattr(error, "errno", None) == errno.ENOMEM
+        or _NO_MEMORY.search(str(error))
+    ):
+        return "out of memory: close other programs, or give --jobs 1, --scale or --crop"
+    return None

@@ -14,7 +14,7 @@ from typing import Any
 from motionstereo_cli.batch.own_folder import open_log_of, pieces_path, write_status
 from motionstereo_cli.batch.pieces import Piece, join_pieces, run_piece
 from motionstereo_cli.batch.status import Status
-from motionstereo_cli.errors import BusyError, MotionStereoError
+from motionstereo_cli.errors import BusyError, MotionStereoError, shortage
 from motionstereo_cli.files.folders import check_no_links
 from motionstereo_cli.runs.cores import prepare
 from motionstereo_cli.runs.plan import RunPlan
@@ -81,7 +81,7 @@ def work(
             status = dataclasses.replace(status, status="failed", reason=str(error))
         except Exception as error:
             say("error", traceback.format_exc())
-            reason = f"internal: {type(error).__name__}: {error}"
+            reason = shortage(error) or f"internal: {type(error).__name__}: {error}"
             status = dataclasses.replace(status, status="failed", reason=reason)
         seconds = status.seconds or time.monotonic() - started_s
         status = dataclasses.replace(status, seconds=seconds)

@@ -89,7 +89,7 @@ def evaluate(
     from motionstereo_cli.sinks.read_back import Maps
 
     comparison = Comparison(
-        Maps(result, out_kind),
+        Maps(result, out_kind, within=result),
         Maps(truth, truth_kind),
         rig=None if rig is None else read_rig(rig),
         mask=mask,

@@ -289,6 +289,12 @@ def _read_config(ctx: click.Context, path: Path) -> None:
             raise click.UsageError(f"{path}: {key} cannot be {shown}: give {wanted}", ctx)
         # Where an option may be repeated, click takes a single text for a list of letters.
         default = [value] if option.multiple and isinstance(value, str) else value
+        if option.is_flag and not isinstance(value, str):
+            if value not in (True, False):  # 1 and 0 are
+                raise click.UsageError(
+                    f"{path}: {key} cannot be {value!r}: give true or false", ctx
+                )
+            default = bool(value)
         defaults[option.name] = default
         try:
             option.type_cast_value(ctx, default)
@@ -296,6 +302,6 @@ def _read_config(ctx: click.Context, path: Path) -> None:
             raise click.UsageError(f"{path}: {error.format_message()}", ctx) from None
         except SettingsError as error:
             raise SettingsError(f"{path}: {error}") from None
-        except TypeError:
+        except (TypeError, ValueError, AttributeError):
             raise click.UsageError(f"{path}: {key} cannot be {value!r}: give text", ctx) from None
     ctx.default_map = defaults

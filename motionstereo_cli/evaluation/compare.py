@@ -7,6 +7,7 @@ compared whole. A file of GOLDEN that ACTUAL lacks, or that cannot be read, is a
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -16,6 +17,7 @@ import numpy as np
 
 from motionstereo_cli.errors import InputError, SettingsError
 from motionstereo_cli.evaluation.settings import COLUMN_TOLERANCE, CompareSettings
+from motionstereo_cli.files.reading import check_regular
 from motionstereo_cli.sinks.outputs import OUTPUTS, RECORD
 from motionstereo_cli.sinks.read_back import Maps, read_record, read_table, shortened
 
@@ -142,6 +144,7 @@ def compare(
             they are the same folder.
         SettingsError: no table of ``golden`` has the column of a tolerance.
     """
+    check_regular(actual / RECORD, actual)
     if not (actual / RECORD).is_file():
         raise InputError(
             f"{actual} has no {RECORD}, so no run was completed there: check the path, or run again"
@@ -186,6 +189,7 @@ class _Comparison:
 
     def report(self) -> Report:
         outputs = {}
+        self._check_regular(RECORD)
         self._frames = _frames_of(self._golden)
         for save in OUTPUTS.values():
             path = self._golden / save.path
@@ -193,16 +197,22 @@ class _Comparison:
                 if path.parent.is_dir() and save.shown not in outputs:
                     outputs[save.shown] = self._maps(save.shown)
             elif save.kind == "table":
-                if path.exists():
+                if os.path.lexists(path):
                     outputs[save.path] = self._table(save.path)
             elif files := sorted(self._golden.glob(save.path.replace("{:06d}", "*"))):
                 outputs[save.shown] = self._presence(save.shown, files)
-        if (self._golden / RECORD).exists():
+        if os.path.lexists(self._golden / RECORD):
             outputs[RECORD] = self._record()
         return Report(tuple(outputs.values()), tuple(self._notes), self._worst)
 
+    def _check_regular(self, name: str) -> None:
+        """Make sure that an output is no FIFO, folder or link to elsewhere, which ends it all."""
+        for folder in (self._golden, self._actual):
+            check_regular(folder / name, folder)
+
     def _table(self, name: str) -> Compared:
         output = Compared(name, "rows")
+        self._check_regular(name)
         try:
             golden = read_table(self._golden / name)
             self.columns.update(golden.columns)
@@ -250,8 +260,8 @@ class _Comparison:
     def _maps(self, name: str) -> Compared:
         output = Compared(name, "images")
         try:
-            golden = Maps(self._golden / name)
-            actual = Maps(self._actual / name)
+            golden = Maps(self._golden / name, within=self._golden)
+            actual = Maps(self._actual / name, within=self._actual)
         except InputError as error:
             output.differ("files", str(error))
             return output

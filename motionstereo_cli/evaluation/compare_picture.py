@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import contextlib
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from motionstereo_cli.errors import SettingsError
+from motionstereo_cli.errors import InputError, SettingsError
 from motionstereo_cli.evaluation.compare import WorstImage, differing
 from motionstereo_cli.files.lettering import DARK, colour_key, titled
 from motionstereo_cli.sinks.drawing import depth_colours
 from motionstereo_cli.sinks.legend import strip
 from motionstereo_cli.sinks.outputs import RECORD
+from motionstereo_cli.sinks.read_back import read_record
 from motionstereo_cli.sinks.scale import DepthScale
 
 if TYPE_CHECKING:
@@ -78,8 +78,8 @@ def draw_worst(worst: WorstImage, golden: Path | None = None) -> NDArray[np.uint
 def _recorded(golden: Path | None, is_depth: bool) -> DepthScale | None:
     """Return the scale in a run's record, None without one."""
     if golden is not None:
-        with contextlib.suppress(OSError, ValueError, TypeError, LookupError, SettingsError):
-            scale = DepthScale.recorded(json.loads((golden / RECORD).read_bytes()))
+        with contextlib.suppress(InputError, ValueError, TypeError, LookupError, SettingsError):
+            scale = DepthScale.recorded(read_record(golden / RECORD))
             if scale.px_m or not is_depth:
                 return scale
     return None

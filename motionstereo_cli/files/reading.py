@@ -20,16 +20,28 @@ PILLOW_MAX_PIXELS = 178_000_000
 MAX_CALIBRATION_BYTES = 16_000_000
 MAX_TABLE_BYTES = 256_000_000
 
+#: Neither the table of a run nor its record is as large: rows of 1,000,000 frames, and some.
+MAX_RESULT_BYTES = 100_000_000
 
-def open_regular(path: str | Path) -> BufferedReader:
+
+def open_regular(path: str | Path, within: Path | None = None) -> BufferedReader:
     """Open a regular file for reading bytes; links are followed.
 
     A FIFO, a socket or a device would make the program wait, or do something when it is opened.
 
+    Args:
+        path: the file.
+        within: a folder that no link may lead out of; None: links may lead anywhere.
+
     Raises:
-        OSError: it cannot be opened, or is no regular file.
+        OSError: it cannot be opened, is no regular file, or lies elsewhere.
     """
-    _check_regular(os.stat(path), path)
+    try:
+        if within is not None and not Path(path).resolve().is_relative_to(within.resolve()):
+            raise OSError(errno.EPERM, f"it is a link that leads out of {within}", str(path))
+        _check_regular(os.stat(path), path)
+    except (ValueError, RuntimeError) as error:  # a NUL; a circle of links
+        raise OSError(errno.EINVAL, str(error), str(path)) from None
     # Without waiting: it may have been exchanged for a FIFO since.
     flags = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
     file = os.fdopen(os.open(path, flags), "rb")
@@ -48,19 +60,20 @@ def _check_regular(status: os.stat_result, path: str | Path) -> None:
         raise OSError(errno.EINVAL, "it is a FIFO, a socket or a device, not a file", str(path))
 
 
-def read_bytes(path: str | Path, what: str, max_bytes: int) -> bytes:
+def read_bytes(path: str | Path, what: str, max_bytes: int, within: Path | None = None) -> bytes:
     """Return the content of a file.
 
     Args:
         path: the file.
         what: what to call it in messages.
         max_bytes: the largest that makes sense.
+        within: see :func:`open_regular`.
 
     Raises:
         InputError: the file cannot be read or is larger.
     """
     try:
-        with open_regular(path) as file:
+        with open_regular(path, within) as file:
             content = file.read(max_bytes + 1)
     except OSError as error:
         raise InputError(f"cannot read {what} {path}: {error.strerror}") from error
@@ -69,9 +82,22 @@ def read_bytes(path: str | Path, what: str, max_bytes: int) -> bytes:
     return content
 
 
-def read_text(path: str | Path, what: str, max_bytes: int) -> str:
+def read_text(path: str | Path, what: str, max_bytes: int, within: Path | None = None) -> str:
     """Return the text of a file, as :func:`read_bytes` reads it."""
-    return as_text(read_bytes(path, what, max_bytes))
+    return as_text(read_bytes(path, what, max_bytes, within))
+
+
+def check_regular(path: Path, within: Path) -> None:
+    """Make sure that what has a name, if anything does, is a regular file.
+
+    Raises:
+        InputError: it is something else, or a link that leads out of ``within``.
+    """
+    if os.path.lexists(path):
+        try:
+            open_regular(path, within).close()
+        except OSError as error:
+            raise InputError(f"cannot read {path}: {error.strerror}") from None
 
 
 def as_text(content: bytes) -> str:

@@ -113,7 +113,7 @@ def shown(files: Iterable[Path], suffixes: Collection[str]) -> list[Path]:
     ]
 
 
-def read_still(path: Path, max_pixels: int = MAX_PIXELS) -> Still:
+def read_still(path: Path, max_pixels: int = MAX_PIXELS, within: Path | None = None) -> Still:
     """Read an image from a regular file: PNG, JPEG, TIFF, BMP, PPM, WebP, or PFM by its name.
 
     Raises:
@@ -122,7 +122,7 @@ def read_still(path: Path, max_pixels: int = MAX_PIXELS) -> Still:
     """
     max_bytes = _MAX_BYTES_PER_PIXEL * max_pixels + _NOTES_BYTES
     try:
-        with open_regular(path) as file:
+        with open_regular(path, within) as file:
             content = file.read(max_bytes + 1)
     except OSError as error:
         raise DamagedImageError(error.strerror or str(error)) from error

@@ -16,6 +16,7 @@ import numpy as np
 
 from motionstereo_cli.compiled.pictures import planes as fill
 from motionstereo_cli.files.atomic import Temporary, open_new, remove_own, reported
+from motionstereo_cli.files.reading import open_regular
 from motionstereo_cli.files.segments import Segments
 
 if TYPE_CHECKING:
@@ -327,6 +328,26 @@ class SegmentedVideo:
             self._segments.remove()
 
 
+@contextlib.contextmanager
+def opened_result(path: Path, within: Path) -> Iterator[av.container.InputContainer]:
+    """Open a video that this program wrote, as what its name says; nothing besides is opened.
+
+    Args:
+        path: the video, or a segment of it.
+        within: a folder that no link may lead out of.
+
+    Raises:
+        OSError: it cannot be opened, or is no regular file.
+        av.FFmpegError: it is no such video.
+    """
+    kinds = {".mkv": "matroska", ".mp4": "mp4"}
+    kind = next((kinds[suffix] for suffix in path.suffixes if suffix in kinds), None)
+    with open_regular(path, within) as file:  # FFmpeg duplicates it
+        options = {"fd": str(file.fileno()), "protocol_whitelist": "fd"}
+        with av.open("fd:", format=kind, options=options, metadata_errors="replace") as opened:
+            yield opened
+
+
 def join(segments: Sequence[Path], path: Path) -> None:
     """Write the pictures of several videos of one kind, one after the other, as one video.
 
@@ -340,7 +361,7 @@ def join(segments: Sequence[Path], path: Path) -> None:
             with av.open(str(file.path), "w", **kind) as joined:
                 stream: Any = None
                 for segment in segments:
-                    with av.open(str(segment), format=kind["format"]) as source:
+                    with opened_result(segment, segment.parent) as source:
                         if stream is None:
                             stream = joined.add_stream_from_template(source.streams.video[0])
                         for packet in source.demux(source.streams.video[0]):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from motionstereo_cli.errors import OutputError
-from motionstereo_cli.files.atomic import reported
+from motionstereo_cli.files.reading import open_regular
 from motionstereo_cli.files.targets import is_stream, write_output
 
 #: File name of the page.
@@ -28,7 +28,10 @@ def write_report(path: Path, html: str) -> None:
 
 def is_report(path: Path) -> bool:
     """Return whether a file is a page that this program wrote."""
-    if not path.is_file() or path.is_symlink():
+    if path.is_symlink():
         return False
-    with reported(path), path.open("rb") as file:
-        return GENERATOR.encode() in file.read(1000)
+    try:
+        with open_regular(path) as file:
+            return GENERATOR.encode() in file.read(1000)
+    except OSError:
+        return False

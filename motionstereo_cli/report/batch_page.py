@@ -13,11 +13,13 @@ from pathlib import Path
 import numpy as np
 
 from motionstereo_cli.errors import InputError
+from motionstereo_cli.files.reading import read_text
 from motionstereo_cli.report import PAGE
 from motionstereo_cli.report.pictures import Picture, address_of, poster
 from motionstereo_cli.report.render import render
 from motionstereo_cli.report.run_folder import Results, Steering, read_results
 from motionstereo_cli.report.series import kept_rows
+from motionstereo_cli.sinks.writers import cell_text
 
 #: The table of a batch, in its output folder.
 TABLE = "batch.csv"
@@ -88,12 +90,11 @@ def batch_page(out: Path, page: Path) -> str:
 
 def _rows(path: Path) -> list[dict[str, str]]:
     try:
-        with path.open(encoding="utf-8-sig", errors="replace", newline="") as file:
-            text = file.read(_MAX_BYTES)
+        text = read_text(path, "the table", _MAX_BYTES, within=path.parent)
         table = csv.DictReader(io.StringIO(text, newline=""), restval="")
         if not {"name", "status"} <= set(table.fieldnames or ()):
             raise InputError(f"{path} has no columns name and status: give a folder of batch")
-        return [{name: row[name] for name in row if name} for row in table]
+        return [{name: cell_text(row[name]) for name in row if name} for row in table]
     except (OSError, csv.Error) as error:
         raise InputError(f"cannot read {path}: {error}") from error
 
@@ -106,13 +107,21 @@ def _recording(out: Path, row: Mapping[str, str], page: Path, *, with_picture: b
     name = row["name"]
     folder = out / name
     address, picture, plot = None, None, ""
-    if name and folder.resolve().is_relative_to(out.resolve()) and folder.is_dir():
+    if name and _is_folder_in(out, folder):
         own = folder / PAGE
         address = address_of(own if own.is_file() else folder, page)
         if with_picture:
             with contextlib.suppress(InputError):  # a run that failed early has no results
                 picture, plot = _shown(read_results(folder))
     return Recording(row, _rank(row["status"]), address, picture, plot)
+
+
+def _is_folder_in(out: Path, folder: Path) -> bool:
+    """Return whether there is a folder, which no link leads out of ``out`` to."""
+    try:
+        return folder.resolve().is_relative_to(out.resolve()) and folder.is_dir()
+    except (OSError, ValueError, RuntimeError):  # too long, a NUL, a circle of links
+        return False
 
 
 def _shown(run: Results) -> tuple[Picture | None, str]:
@@ -122,8 +131,9 @@ def _shown(run: Results) -> tuple[Picture | None, str]:
         return None, ""
     when_s = float(steering.places[steering.best]) - steering.video_begin
     view, _ = run.view()
-    picture = poster(view, when_s, max_width=_POSTER_PX) if view else None
-    return picture, _polyline(steering)
+    videos = [view, run.video("depth-video"), run.video("charge")]
+    pictures = (poster(each, run.path, when_s, max_width=_POSTER_PX) for each in videos if each)
+    return next(filter(None, pictures), None), _polyline(steering)
 
 
 def _polyline(steering: Steering) -> str:

@@ -9,9 +9,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 from urllib.parse import quote
 
-import av
 import cv2
 import numpy as np
+
+from motionstereo_cli.files.reading import MAX_PIXELS
+from motionstereo_cli.files.video import opened_result
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -39,19 +41,22 @@ class Picture(NamedTuple):
 
 
 def poster(
-    video: Path, time_s: float, *, max_width: int, rows: int | None = None
+    video: Path, within: Path, time_s: float, *, max_width: int, rows: int | None = None
 ) -> Picture | None:
     """Return the frame of a video at a time, None if it cannot be decoded.
 
     Args:
         video: the file.
+        within: a folder that it has to lie in.
         time_s: the time; beyond the end the last frame is taken.
         max_width: maximum width in px; wider images are scaled down.
         rows: number of pixel rows to show, from the top; None = all.
     """
     try:
-        image = _frame_at(video, time_s)
-    except (av.FFmpegError, OSError, ValueError, IndexError):
+        image = _frame_at(video, within, time_s)
+    except MemoryError:
+        raise
+    except Exception:  # whatever FFmpeg and PyAV make of a damaged one
         return None
     return None if image is None else encoded(image[:rows], max_width)
 
@@ -85,9 +90,12 @@ def encoded(image: NDArray[np.uint8], max_width: int, suffix: str = ".jpg") -> P
     return Picture(f"data:image/{kind};base64,{text}", image.shape[1], image.shape[0])
 
 
-def _frame_at(video: Path, time_s: float) -> NDArray[np.uint8] | None:
-    with av.open(str(video)) as container:
+def _frame_at(video: Path, within: Path, time_s: float) -> NDArray[np.uint8] | None:
+    with opened_result(video, within) as container:
         stream = container.streams.video[0]
+        if stream.width * stream.height > MAX_PIXELS:
+            return None
+        stream.codec_context.thread_count = 1
         base = stream.time_base or Fraction(1, 1)
         wanted = round(Fraction(time_s) / base)
         container.seek(max(wanted, 0), stream=stream)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +13,7 @@ import numpy as np
 
 from motionstereo_cli.errors import InputError
 from motionstereo_cli.files.atomic import part_of
+from motionstereo_cli.files.reading import MAX_RESULT_BYTES, read_bytes
 from motionstereo_cli.sinks.outputs import OUTPUTS, RECORD
 from motionstereo_cli.sinks.read_back import read_record, read_table
 from motionstereo_cli.sinks.videos import EPOCH_S
@@ -83,11 +85,19 @@ class Results:
         path: its folder.
         record: the content of ``run.json`` or, before the run is complete, its future content.
         complete: whether the run is complete.
+        trusted: whether the record is that of a run of this process. Otherwise nothing outside the
+            folder is opened, whatever the record names: the page may be passed on.
     """
 
     path: Path
     record: Mapping[str, Any]
     complete: bool
+    trusted: bool = False
+
+    @property
+    def within(self) -> Path:
+        """A folder that every file lies in that may be opened."""
+        return Path(self.path.resolve().anchor) if self.trusted else self.path
 
     def has(self, output: str) -> bool:
         """Return whether the run was asked for an output."""
@@ -149,14 +159,15 @@ class Results:
     def _rows(self, output: str) -> Rows | None:
         path = self._file(output)
         part = path.suffix == ".part"
-        return list(read_table(path, part=part).rows.values()) if path.is_file() else None
+        return list(read_table(path, part=part).rows.values()) if os.path.lexists(path) else None
 
     def _lines(self, output: str) -> Rows | None:
         path = self._file(output)
-        if not path.is_file():
+        if not os.path.lexists(path):
             return None
         try:
-            lines = path.read_text(encoding="utf-8").split("\n")[:-1]
+            content = read_bytes(path, "the table", MAX_RESULT_BYTES, within=self.path)
+            lines = content.decode().split("\n")[:-1]
             rows = [json.loads(line) for line in lines]
             return [{k: "" if v is None else str(v) for k, v in row.items()} for row in rows]
         except (OSError, ValueError, AttributeError, RecursionError) as error:
@@ -165,7 +176,7 @@ class Results:
     def _file(self, output: str) -> Path:
         """Return an output's file or, if it is not complete, its partial file."""
         path = self.path / OUTPUTS[output].path
-        return path if path.exists() else part_of(path)
+        return path if os.path.lexists(path) else part_of(path)
 
 
 def read_results(path: Path) -> Results:
@@ -175,7 +186,7 @@ def read_results(path: Path) -> Results:
         InputError: the folder is not the output of a run.
     """
     for place in (path / RECORD, part_of(path / RECORD)):
-        if place.is_file():
+        if os.path.lexists(place):
             record = read_record(place)
             sound = all(isinstance(record.get(name, {}), dict) for name in _PARTS)
             if sound and record.get("program") == "motionstereo":

@@ -8,10 +8,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import cv2
 import numpy as np
 
 from motionstereo_cli.errors import InputError, SettingsError
+from motionstereo_cli.files.stills import DamagedImageError, grey_of, read_still
 from motionstereo_cli.report import write_report
 from motionstereo_cli.report.pictures import Picture, address_of, encoded, histogram, poster
 from motionstereo_cli.report.render import render
@@ -37,7 +37,7 @@ def run_page(out: Path, page: Path, record: Mapping[str, Any] | None = None) -> 
     Raises:
         InputError: the folder is not the output of a run, or a table in it is damaged.
     """
-    run = Results(out, record, complete=True) if record else read_results(out)
+    run = Results(out, record, complete=True, trusted=True) if record else read_results(out)
     said = run.record
     steering = run.steering()
     try:
@@ -159,7 +159,8 @@ def _panels(run: Results, page: Path, steering: Steering | None) -> list[dict[st
         ("depth", "Depth", "black is unknown", run.video("depth-video"), True),
     ]
     for key, title, what, video, played in panels:
-        source = next((each for each in _parts(video) if each.is_file()), None)
+        parts = _parts(video, run.path)
+        source = next((each for each in parts if each.is_file()), None)
         address = address_of(source, page) if source and played and source == video else None
         shown.append(
             {
@@ -167,17 +168,20 @@ def _panels(run: Results, page: Path, steering: Steering | None) -> list[dict[st
                 "title": title,
                 "what": what,
                 "src": address,
-                "poster": source and poster(source, when_s, max_width=_POSTER_PX, rows=run.height),
+                "poster": source
+                and poster(source, run.within, when_s, max_width=_POSTER_PX, rows=run.height),
                 "alt": f"{title} of frame {number}: {what}",
             }
         )
     return shown
 
 
-def _parts(video: Path | None) -> list[Path]:
-    """Return a video, and the first segment that an interrupted run leaves."""
+def _parts(video: Path | None, folder: Path) -> list[Path]:
+    """Return a video, and the first segment that an interrupted run leaves in its folder."""
     if video is None:
         return []
+    if video.parent != folder:
+        return [video]
     segments = sorted(video.parent.glob(f"{video.stem}.[0-9]*{video.suffix}.part"))
     return [video, *segments[:1]]
 
@@ -199,7 +203,7 @@ def _objects(run: Results, steering: Steering) -> dict[str, Any] | None:
 def _histogram(run: Results, scale: DepthScale) -> dict[str, Any] | None:
     """Return the histogram of depth for the page, None without images."""
     try:
-        found = histogram(Maps(run.path), scale)
+        found = histogram(Maps(run.path, within=run.path), scale)
     except InputError:
         return None
     if not found:
@@ -226,11 +230,12 @@ def _map(run: Results) -> dict[str, Any] | None:
     path = run.path / "map.png"
     if not (run.has("map") and path.is_file()):
         return None
-    image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
     cell_m = run.record.get("output_settings", {}).get("map_cell_m", 0.05)
-    if image is None:
+    try:
+        image = grey_of(read_still(path, within=run.path).pixels, path)
+    except (DamagedImageError, InputError):
         return None
-    picture: Picture = encoded(np.asarray(image, np.uint8), _MAP_PX, ".png")
+    picture: Picture = encoded(image, _MAP_PX, ".png")
     width_m, height_m = image.shape[1] * cell_m, image.shape[0] * cell_m
     bar_m = 10 ** math.floor(math.log10(width_m / 3))
     bar_m *= next(each for each in (5, 2, 1) if each * bar_m <= width_m / 2)

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from motionstereo_cli.errors import InputError
+from motionstereo_cli.files.reading import MAX_RESULT_BYTES, read_bytes, read_text
 from motionstereo_cli.files.stills import DamagedImageError, read_still, shown
 from motionstereo_cli.rig import read_rig
 from motionstereo_cli.sinks.images import DISPARITY_PER_PX
@@ -59,6 +60,7 @@ class Maps:
     Args:
         folder: what ``run`` or ``simulate`` wrote, with folders of disparity (preferred) or depth
             in it; or a folder of images.
+        within: a folder that no link to an image may lead out of; None: links may lead anywhere.
         kind: ``disparity`` or ``depth``; if None, as the folder's name begins (disp, depth).
 
     Attributes:
@@ -72,12 +74,13 @@ class Maps:
             cannot be told.
     """
 
-    def __init__(self, folder: Path, kind: str | None = None) -> None:
-        within = [
+    def __init__(self, folder: Path, kind: str | None = None, within: Path | None = None) -> None:
+        self._within = within
+        inside = [
             name for name in _FOLDERS if name.startswith(kind or "") and (folder / name).is_dir()
         ]
-        if within:
-            images, home = folder / within[0], folder
+        if inside:
+            images, home = folder / inside[0], folder
             kind = _kind_by_name(images)
         else:
             named = _kind_by_name(folder)
@@ -100,7 +103,7 @@ class Maps:
             InputError: the file cannot be read, or its pixels are of another kind.
         """
         path = self.files[number]
-        image = _read(path)
+        image = _read(path, self._within)
         wanted = np.uint16 if path.suffix.lower() == ".png" else np.float32
         if image.ndim != 2 or image.dtype != wanted:
             raise InputError(
@@ -161,9 +164,9 @@ def _said_in(folder: Path) -> tuple[Rig | None, str | None, int]:
         raise InputError(f"{path}: its rig cannot be read: give --rig, or run again") from error
 
 
-def _read(path: Path) -> NDArray[Any]:
+def _read(path: Path, within: Path | None = None) -> NDArray[Any]:
     try:
-        return read_still(path).pixels
+        return read_still(path, within=within).pixels
     except DamagedImageError as error:
         raise InputError(f"{path} cannot be read as an image ({error}): write it again") from error
 
@@ -203,13 +206,11 @@ def read_table(path: Path, *, part: bool = False) -> Table:
             row of another length, or two rows for the same frame and id.
     """
     try:
-        with path.open(newline="", encoding="utf-8-sig", errors="replace") as file:
-            text = file.read()
+        text = read_text(path, "the table", MAX_RESULT_BYTES, within=path.parent)
         whole = text[: text.rfind("\n") + 1] if part else text
         lines = list(csv.reader(io.StringIO(whole, newline=""), strict=True))
-    except (OSError, csv.Error) as error:
-        reason = error.strerror if isinstance(error, OSError) else error
-        raise InputError(f"cannot read the table {path}: {reason}") from error
+    except csv.Error as error:
+        raise InputError(f"cannot read the table {path}: {error}") from error
     header = lines[0] if lines else []
     if "frame" not in header or len(set(header)) < len(header):
         raise InputError(f"{path} is no table of a run: its first line has to name each column")
@@ -239,8 +240,9 @@ def read_record(path: Path) -> dict[str, Any]:
         InputError: the file cannot be read, or is no such record.
     """
     try:
-        record = json.loads(path.read_bytes())
-    except (OSError, ValueError, RecursionError) as error:
+        content = read_bytes(path, "the record", MAX_RESULT_BYTES, within=path.parent)
+        record = json.loads(content)
+    except (ValueError, RecursionError) as error:
         raise InputError(f"{path} cannot be read: write it again") from error
     if not isinstance(record, dict):
         raise InputError(f"{path} is not the record of a run: write it again")
