@@ -55,6 +55,7 @@ torture: $(READY)  ## damage input, kill runs, fill disks, run for long: half an
 LOOP_TESTS = $(filter-out tests/test_bench_%,$(shell grep -lP "motionstereo_cli\.(compiled|robot|method\.(?!settings))" tests/test_*.py))
 SANITIZER = $(foreach name,asan ubsan stdc++,$(shell gcc -print-file-name=lib$(name).so))
 sanitize: $(READY)  ## run the tests of the loops on loops that check each access to memory; Linux, gcc
+	mkdir -p out
 	$(BIN)/python -m motionstereo_cli.building.sanitize out/sanitize > out/sanitize.log 2>&1 \
 		|| { cat out/sanitize.log; exit 1; }
 	MOTIONSTEREO_LOOPS=$(CURDIR)/out/sanitize/motionstereo_cli/compiled LD_PRELOAD="$(SANITIZER)" \
