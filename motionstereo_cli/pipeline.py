@@ -11,7 +11,7 @@ In permanency mode the memories forget ceil((Chmax - Chmin) / D) frames later.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Collection, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
@@ -22,8 +22,9 @@ from motionstereo_cli.compiled import checked_array
 from motionstereo_cli.errors import InputError, SettingsError
 from motionstereo_cli.method.depth import depth
 from motionstereo_cli.method.matching import matcher_of
-from motionstereo_cli.method.memory import Memory, age_of, in_mirror, mirrored, see
-from motionstereo_cli.method.settings import AUTO, FOREVER, Settings
+from motionstereo_cli.method.memory import Memory, Sighting, age_of, in_mirror, mirrored, see
+from motionstereo_cli.method.settings import AUTO, FOREVER, MATCHERS, Settings
+from motionstereo_cli.method.steady import averaged
 from motionstereo_cli.robot.guide import Guide, guide_of
 from motionstereo_cli.robot.mapper import camera_points
 from motionstereo_cli.robot.odometer import Odometer
@@ -76,12 +77,14 @@ class State:
         right, left: the permanency memories; None before the first frame.
         odometry: what own motion is found from; None where it is not asked for.
         tracking: heading, objects and path.
+        recent: what the last frames showed, the oldest first.
     """
 
     right: Memory | None = None
     left: Memory | None = None
     odometry: Odometry | None = None
     tracking: TrackingState = field(default_factory=TrackingState)
+    recent: tuple[Sighting, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,7 +109,7 @@ class FrameSummary:
 
 
 class FrameAnalysis(NamedTuple):
-    """What one moment of the memories decides by itself: images, and what later frames need."""
+    """What a frame shows: images, and what later frames need."""
 
     images: FrameImages
     summary: FrameSummary
@@ -306,16 +309,48 @@ def analysed(
     frames: Iterable[StereoFrame], context: StreamContext, state: State, jobs: int
 ) -> Iterator[tuple[StereoFrame, State, FrameAnalysis]]:
     """Yield each frame, what is known after it except the tracking, and what it shows."""
+    recent = deque[Future[Sighting]](maxlen=recent_frames(context.settings))
+    recent.extend(done(sighting) for sighting in state.recent)
     with ThreadPoolExecutor(jobs, "match") as threads:
-        waiting: deque[tuple[StereoFrame, State, Future[FrameAnalysis]]] = deque()
+        waiting: deque[_Waiting] = deque()
         for frame in frames:
             state, motion = remembered(state, frame, context)
-            waiting.append((frame, state, threads.submit(analyse, frame, state, motion, context)))
+            now, before = Future[Sighting](), tuple(recent)
+            recent.append(now)
+            found = threads.submit(analyse, frame, state, motion, context, now, before)
+            waiting.append(_Waiting(frame, state, tuple(recent), found))
             if len(waiting) >= jobs:
-                first, after, found = waiting.popleft()
-                yield first, after, found.result()
-        for first, after, found in waiting:
-            yield first, after, found.result()
+                yield waiting.popleft().result()
+        for each in waiting:
+            yield each.result()
+
+
+class _Waiting(NamedTuple):
+    """A frame that is being analysed, the memories after it, and what is recent then."""
+
+    frame: StereoFrame
+    state: State
+    recent: tuple[Future[Sighting], ...]
+    found: Future[FrameAnalysis]
+
+    def result(self) -> tuple[StereoFrame, State, FrameAnalysis]:
+        """Wait for what was found."""
+        found = self.found.result()
+        recent = tuple(sighting.result() for sighting in self.recent)
+        return self.frame, replace(self.state, recent=recent), found
+
+
+def done(sighting: Sighting) -> Future[Sighting]:
+    """Return a future that has its result."""
+    future = Future[Sighting]()
+    future.set_result(sighting)
+    return future
+
+
+def recent_frames(settings: Settings) -> int:
+    """Return how many frames before a frame its disparity is averaged with, at most."""
+    matcher = MATCHERS.get(settings.matcher)
+    return settings.average_frames - 1 if matcher is not None and matcher.is_averaged else 0
 
 
 def remembered(
@@ -365,24 +400,41 @@ def checked_views(frame: StereoFrame, before: Memory | None, rig: Rig | None) ->
 
 
 def analyse(
-    frame: StereoFrame, state: State, motion: Motion | None, context: StreamContext
+    frame: StereoFrame,
+    state: State,
+    motion: Motion | None,
+    context: StreamContext,
+    now: Future[Sighting],
+    before: Sequence[Future[Sighting]],
 ) -> FrameAnalysis:
-    """Return what one moment of the memories decides by itself, in the reference view.
+    """Return what a frame shows, in the reference view.
 
     Args:
         frame: the frame.
         state: the memories after it.
         motion: the rig's own.
         context: what is the same for all frames.
+        now: gets what was found in this frame alone, as soon as it is known.
+        before: the same of the frames before, whose analysis began earlier.
     """
-    assert state.right is not None
-    assert state.left is not None
-    disparity_px, confidence = match(
-        *(state.right, state.left, context.settings),
-        with_confidence="confidence" in context.extras,
-    )
-    shown = state.right if context.settings.reference == "right" else state.left
-    return described(frame, shown, disparity_px, confidence, motion, context)
+    s, (right, left) = context.settings, (state.right, state.left)
+    assert right is not None
+    assert left is not None
+    shown = right if s.reference == "right" else left
+    try:
+        disparity_px, confidence = match(
+            right, left, s, with_confidence="confidence" in context.extras
+        )
+        sighting = Sighting.of(disparity_px, shown.grey)
+    except BaseException as error:
+        now.set_exception(error)
+        raise
+    now.set_result(sighting)
+    if before:
+        earlier = [(each.result().disparity_px, each.result().grey) for each in before]
+        disparity_px = averaged(disparity_px, sighting.grey, age_of(shown, s), earlier)
+    images, summary = described(frame, shown, disparity_px, confidence, motion, context)
+    return FrameAnalysis(images, summary)
 
 
 def described(
@@ -392,7 +444,7 @@ def described(
     confidence: Real | None,
     motion: Motion | None,
     context: StreamContext,
-) -> FrameAnalysis:
+) -> tuple[FrameImages, FrameSummary]:
     """Return all that follows from one frame's disparity.
 
     Args:
@@ -429,7 +481,7 @@ def described(
         matched=float(np.count_nonzero(~np.isnan(disparity_px))) / disparity_px.size,
         points=points,
     )
-    return FrameAnalysis(images, summary)
+    return images, summary
 
 
 def depth_of(disparity_px: Real, rig: Rig | None) -> Real | None:

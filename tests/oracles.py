@@ -356,3 +356,17 @@ def whole_rows(disparity, half_grey, grey):
             here = there
         result[y, x] = here
     return result
+
+
+def averaged(disparity, grey, age, before):
+    """Disparity averaged with what earlier frames say of the same thing, pixel by pixel."""
+    result = disparity.copy()
+    for place in np.ndindex(result.shape):
+        agreeing = [disparity[place]]
+        for frames, (earlier, its_grey) in enumerate(reversed(before), 1):
+            change = abs(earlier[place] - disparity[place])
+            step = abs(int(its_grey[place]) - int(grey[place]))
+            if change <= 0.6 and step <= 4 and age[place] >= frames:
+                agreeing.append(earlier[place])
+        result[place] = np.mean(agreeing)
+    return result

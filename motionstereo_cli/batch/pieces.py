@@ -2,7 +2,7 @@
 
 What each frame decides by itself (images, videos and its
 :class:`~motionstereo_cli.pipeline.FrameSummary`) is made in pieces, each in a folder of its own. A
-piece begins as many frames early as the memories last. What follows from frame to frame (heading,
+piece begins as many frames early as results reach back. What follows from frame to frame (heading,
 objects, map) is then made in order, from the summaries that the pieces keep.
 
 Pieces begin at multiples of ``checkpoint_frames``, where videos have key frames. They seek where
@@ -37,6 +37,7 @@ from motionstereo_cli.pipeline import (
     analysed,
     depth_of,
     follow,
+    recent_frames,
 )
 from motionstereo_cli.robot.free_space import FreeSpace
 from motionstereo_cli.robot.guide import ImageProfile, MapProfile
@@ -170,9 +171,10 @@ def behind_damage(home: Path, pieces: Sequence[Piece]) -> list[Piece]:
 
 
 def _run_in(plan: RunPlan) -> int:
-    """Return for how many frames the memories last, and what own motion is found from."""
+    """Return for how many frames the memories last, averages too, and what motion is found from."""
     s = plan.settings
-    return max(math.ceil((s.charge_max - s.charge_min) / s.charge_leak), BLOCK_FRAMES + 1)
+    memory = math.ceil((s.charge_max - s.charge_min) / s.charge_leak)
+    return max(memory + recent_frames(s), BLOCK_FRAMES + 1)
 
 
 def _analyses(

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from functools import cache
 from typing import TYPE_CHECKING, TypeVar
 
+import cv2
 import numpy as np
 
 from motionstereo_cli.compiled import memory as loops
@@ -19,7 +20,7 @@ from motionstereo_cli.method.settings import Settings
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from motionstereo_cli.types import Grey, MatchKeys
+    from motionstereo_cli.types import Grey, MatchKeys, Real
 
 _T = TypeVar("_T", bound=np.generic)
 
@@ -43,6 +44,24 @@ class Memory:
     bands: NDArray[np.uint8 | np.uint16]
     moved: NDArray[np.bool_]
     charge: Grey
+
+
+@dataclass(frozen=True, slots=True)
+class Sighting:
+    """What later frames need of what a frame shows.
+
+    Attributes:
+        disparity_px: found in this frame alone, (height, width) float32, NaN = unknown.
+        grey: mean of 3 x 3 pixels of the reference view, (height, width) uint8.
+    """
+
+    disparity_px: Real
+    grey: Grey
+
+    @classmethod
+    def of(cls, disparity_px: Real, view: Grey) -> Sighting:
+        """Return that of a disparity and the view that it is of."""
+        return cls(disparity_px, np.asarray(cv2.blur(view, (3, 3)), np.uint8))
 
 
 def see(memory: Memory | None, image: Grey, settings: Settings) -> Memory:

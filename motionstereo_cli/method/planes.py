@@ -37,11 +37,11 @@ _WEIGHT = 0.5
 
 #: Samples of one surface are not independent: a plane's error is as large as if there were fewer of
 #: them by this factor.
-_DEPENDENT = 25.0
+_DEPENDENT = 11.0
 
 #: Largest error in px of the planes through textured pixels: where things move; far away, and there
 #: up to which disparity in px; and beyond the left view's border.
-_MAX_ERROR_PX, _MAX_FAR_ERROR_PX, _FAR_PX, _MAX_UNSEEN_ERROR_PX = 0.3, 0.25, 6.0, 0.15
+_MAX_ERROR_PX, _MAX_FAR_ERROR_PX, _FAR_PX, _MAX_UNSEEN_ERROR_PX = 0.3, 0.17, 6.0, 0.15
 
 #: A part rests if this share of the textured pixels around has not moved for so many frames, and
 #: there are enough of them.
@@ -50,9 +50,9 @@ _RESTING, _REST_FRAMES, _REST_WINDOW, _REST_PIXELS = 0.5, 2, (161, 65), 20
 _NEARBY, _AFAR, _FAR = (
     loops.Window(*values)  # type: ignore[call-arg]  # mypy does not know its dataclasses
     for values in (
-        (32, 16, 4, 4, 4, 2, 6.0, 2.0, 3, 0.6, 0.6),
-        (240, 60, 8, 4, 8, 4, 14.0, 1.0, 5, 0.8, 1.0),
-        (24, 12, 2, 2, 4, 2, 12.0, 1.0, 5, 0.8, 1.0),
+        (32, 16, 4, 4, 8, 4, 6.0, 2.0, 3, 0.6, 0.6),
+        (240, 60, 12, 6, 16, 8, 14.0, 1.5, 5, 0.8, 1.0),
+        (24, 12, 3, 3, 8, 4, 12.0, 1.0, 5, 0.8, 1.0),
     )
 )
 

@@ -32,16 +32,19 @@ class Matcher(NamedTuple):
     Attributes:
         what: what it does, in a few words.
         knows_confidence: whether it gives a confidence; without, all of it is NaN.
+        is_averaged: whether its disparity is averaged in time.
     """
 
     what: str
     knows_confidence: bool = True
+    is_averaged: bool = False
 
 
 MATCHERS = {
     "trails": Matcher("pair runs of equal charge by their ends"),
     "dense": Matcher(
-        "semi-global matching of what both views show now, trails where grey does not tell"
+        "semi-global matching of what both views show now, trails where grey does not tell",
+        is_averaged=True,
     ),
     "regions": Matcher(
         "largest connected region of equal charge at each displacement", knows_confidence=False
@@ -201,6 +204,14 @@ class Settings:
         unit="px",
         low=0,
         high=1024,
+    )
+    average_frames: int = param(
+        8,
+        "Maximum number of frames whose disparity is averaged where nothing moves, so that it does "
+        "not flicker (1 = none is). Only with --matcher dense.",
+        unit="frames",
+        low=1,
+        high=16,
     )
     # Which of the disparities to give.
     max_age: int = param(

@@ -20,7 +20,7 @@ import numpy as np
 from motionstereo_cli.errors import OutputError
 from motionstereo_cli.files.atomic import write_whole
 from motionstereo_cli.files.reading import open_regular
-from motionstereo_cli.method.memory import Memory
+from motionstereo_cli.method.memory import Memory, Sighting
 from motionstereo_cli.method.settings import Settings
 from motionstereo_cli.pipeline import State, TrackingState
 from motionstereo_cli.robot.alignment import Keyframe
@@ -54,12 +54,13 @@ STATE_TYPES: tuple[type, ...] = (
         Odometry,
         Keyframe,
         TravelledPath,
+        Sighting,
     ),
     *(Surroundings, Grid, Voxels, Pose, Totals),
 )
 _NAMED = {each.__qualname__: each for each in STATE_TYPES}
 _OF_NUMPY = {"ndarray", "dtype", "scalar", "_reconstruct", "_frombuffer"}
-_HEAD = b"motionstereo checkpoint 4"
+_HEAD = b"motionstereo checkpoint 5"
 
 #: Arrays by what annotations call them; all others may be of any kind of number.
 _ARRAYS = {"Grey": "uint8", "Real": "float32"}
@@ -230,6 +231,10 @@ def check_state(state: State, settings: Settings, width: int, height: int) -> No
                 raise ValueError(f"its {name} is {values.shape} large, not {(height, width)}")
             if values.min() < low or values.max() > high:
                 raise ValueError(f"its {name} is not in {low}..{high}")
+    for sighting in state.recent:
+        for values in (sighting.disparity_px, sighting.grey):
+            if values.shape != (height, width):
+                raise ValueError(f"an earlier frame is {values.shape} large")
 
 
 def check_same(out: Path, identity: Mapping[str, Any], found: Mapping[str, Any]) -> None:

@@ -1,0 +1,47 @@
+"""Disparity that does not flicker: an average over the last frames, of what rests.
+
+Only results that were found apart from one another are averaged, and only where nothing has moved
+since; so an average never holds on to what is gone, and knows nothing older than its frames.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from motionstereo_cli.compiled import checked_array
+from motionstereo_cli.compiled import steady as loops
+
+Reals = NDArray[np.float32]
+Greys = NDArray[np.uint8]
+
+#: A result is averaged where it differs by at most so many px, and grey by so many levels.
+_TOLERANCE_PX, _MAX_GREY = 0.6, 4
+
+
+def averaged(
+    disparity_px: Reals, grey: Greys, age: Greys, before: Sequence[tuple[Reals, Greys]]
+) -> Reals:
+    """Return disparity averaged with that of the frames before, (height, width) float32.
+
+    Args:
+        disparity_px: found in this frame alone, (height, width) float32, NaN = unknown.
+        grey: of the reference view, with little noise, (height, width) uint8.
+        age: frames since something moved there, (height, width) uint8.
+        before: disparity and grey of the frames before, each found alone, the oldest first.
+    """
+    now = checked_array(disparity_px, np.float32)
+    shape = now.shape
+    grey, age = checked_array(grey, np.uint8, shape), checked_array(age, np.uint8, shape)
+    total, count = now.copy(), np.ones(shape, np.float32)
+    for frames, (earlier_px, earlier_grey) in enumerate(reversed(before), 1):
+        loops.add(
+            *(now, grey, age),
+            checked_array(earlier_px, np.float32, shape),
+            checked_array(earlier_grey, np.uint8, shape),
+            *(frames, _MAX_GREY, _TOLERANCE_PX, total, count),
+        )
+    total /= count
+    return total
