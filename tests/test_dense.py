@@ -13,7 +13,7 @@ from motionstereo_cli.method import dense
 from motionstereo_cli.method.balance import balanced
 from motionstereo_cli.method.borders import hidden_filled, trimmed
 from motionstereo_cli.method.contrast import contrast, noise_of
-from motionstereo_cli.method.dense import WEIGHTS, match_dense, semi_global, weights_of
+from motionstereo_cli.method.dense import WEIGHTS, match_dense, semi_global, smoothed, weights_of
 from motionstereo_cli.method.rows import halved, halved_mask
 
 everywhere = np.ones((48, 96), np.bool_)
@@ -73,6 +73,23 @@ class TestContrast:
     @pytest.mark.parametrize("size", [(1, 1), (1, 30), (7, 3)])
     def test_tiny_images_have_one_too(self, size):
         assert contrast(np.full(size, 9, np.uint8), 15, 12).shape == size
+
+
+class TestSmoothing:
+    @given(
+        st.tuples(st.integers(1, 9), st.integers(1, 40)).flatmap(
+            lambda size: arrays(np.uint8, size, elements=st.integers(0, 255))
+        )
+    )
+    def test_pixels_are_the_oracles(self, view):
+        np.testing.assert_array_equal(smoothed(view), oracles.smoothed(view))
+
+    def test_it_is_about_a_gaussian_bilateral_filter(self):
+        noise = np.rint(3 * np.random.default_rng(0).standard_normal((60, 80)))
+        view = (textured(60, 80, 4)[:, :80] + noise).clip(0, 255).astype(np.uint8)
+        gaussian = cv2.bilateralFilter(view, 5, 10, 1.5)
+        assert np.abs(smoothed(view).astype(int) - gaussian).max() <= 4
+        assert np.abs(smoothed(view) - gaussian.astype(float)).mean() < 0.3
 
 
 class TestBalance:

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from motionstereo_cli.compiled import checked_array, checked_number, reused
+from motionstereo_cli.compiled import bilateral, checked_array, checked_number, reused
 from motionstereo_cli.compiled import dense as loops
 
 try:
@@ -32,9 +32,6 @@ _FRESH, _OLD = 15, 5
 
 #: A trail proposes within so many px of its ends: what lies between them is interpolated.
 _END_PX = 6
-
-#: Diameter in px, sigma in grey levels and in px of the filter that takes out noise, not edges.
-_SMOOTHING = 5, 10, 1.5
 
 #: Nothing is known where the second best disparity costs less than this more than the best, or
 #: less than this share more.
@@ -67,7 +64,10 @@ WEIGHTS = loops.Weights(  # type: ignore[call-arg]  # mypy does not know its dat
 
 def smoothed(view: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Return a view with less noise and sharp edges, (height, width) uint8: a bilateral filter."""
-    return np.asarray(cv2.bilateralFilter(view, *_SMOOTHING), np.uint8)
+    view = checked_array(view, np.uint8)
+    result = np.empty_like(view)
+    bilateral.smooth(view, reused(bilateral.Workspace, view.shape[1]), result)
+    return result
 
 
 def weights_of(
