@@ -131,6 +131,45 @@ def test_only_commands_and_the_entry_point_know_click():
     assert strangers == {"__main__.py"}
 
 
+#: What opens, makes, names or removes files: methods by their name, functions with their module.
+METHODS = {
+    *("open", "read_bytes", "read_text", "write_bytes", "write_text", "unlink", "touch", "mkdir"),
+    *("rmdir", "rename", "hardlink_to", "symlink_to", "rmtree", "copyfile", "copytree"),
+    *("imread", "imwrite", "VideoCapture", "FileStorage", "memmap", "fromfile", "tofile"),
+    *("NamedTemporaryFile", "TemporaryDirectory", "mkdtemp", "mkstemp"),
+}
+FUNCTIONS = {
+    *("os.replace", "os.remove", "os.makedirs", "os.link", "os.symlink", "os.truncate"),
+    *("np.load", "np.save", "np.savez", "np.loadtxt", "np.savetxt", "zipfile.ZipFile"),
+    *("shutil.copy", "shutil.move"),
+}
+#: The gate; and what is no file, or is read before anything else can be.
+GATE = {"files", "compiled", "building"}
+NO_FILES = {
+    ("sources/container.py", "av.open"),  # the gate of media
+    ("sources/bag_topics.py", "reader.open"),
+    ("runs/run.py", "OUTPUTS[name].open"),
+    ("commands/grouped.py", "formatter.write_text"),
+    ("rig/structure.py", "np.load"),  # both of bytes in memory
+    ("rig/structure.py", "zipfile.ZipFile"),
+    ("__main__.py", "os.open"),  # os.devnull
+    ("commands/messages.py", "os.open"),
+}
+
+
+def test_files_are_opened_made_and_removed_by_one_room():
+    found = set()
+    for path in MODULES:
+        if room(path) in GATE:
+            continue
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            name = ast.unparse(node) if isinstance(node, ast.Attribute | ast.Name) else ""
+            bare = isinstance(node, ast.Name) and name == "open"
+            if bare or name in FUNCTIONS or (name.rpartition(".")[2] in METHODS and "." in name):
+                found.add((path.relative_to(PACKAGE).as_posix(), name))
+    assert found == NO_FILES
+
+
 def test_nothing_heavy_loads_before_it_is_used():
     heavy = ("numpy", "cv2", "av", "imageio", "tqdm")
     loaded = subprocess.run(

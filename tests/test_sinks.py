@@ -24,7 +24,7 @@ from taken import step_of, taken
 from motionstereo_cli.errors import OutputError, SettingsError
 from motionstereo_cli.files.atomic import part_of, reported, segment_of, write_whole
 from motionstereo_cli.files.encode import encode_pfm, encode_png
-from motionstereo_cli.files.video import Indexed, SegmentedVideo, VideoWriter, table_of
+from motionstereo_cli.files.video import Indexed, SegmentedVideo, VideoWriter, join, table_of
 from motionstereo_cli.method.settings import Settings
 from motionstereo_cli.params import params
 from motionstereo_cli.runs.folder import complete, prepare, tidy
@@ -635,3 +635,26 @@ def test_a_video_of_indexed_colours_is_that_of_its_rgb(tmp_path):
             shown.append(next(file.decode(video=0)).to_ndarray(format="rgb24"))
     assert shown[0].shape == (64, 24, 3)
     assert np.array_equal(shown[0], shown[1])
+
+
+@pytest.mark.parametrize("joints", [[(0, 20), (20, 30)], [(0, 10), (10, 30)]])
+def test_videos_joined_of_joined_videos_have_the_bytes_of_one(tmp_path, joints):
+    """Also what a head says of the rate, which differs from segment to segment."""
+    rng = np.random.default_rng(0)
+    images = [(rng.integers(0, 256, (64, 96)) * (n % 7) / 7).astype(np.uint8) for n in range(30)]
+
+    def made(path, first, stop):
+        last = first - 1 if first else None
+        path.parent.mkdir()
+        video = SegmentedVideo(path, Fraction(1, 25), ((), last))
+        for number in range(first, stop):
+            if number in (10, 20):
+                video.checkpoint()
+            video.write(images[number], number)
+        video.close()
+        return path
+
+    whole = made(tmp_path / "whole/a.mp4", 0, 30)
+    parts = [made(tmp_path / f"{first}/a.mp4", first, stop) for first, stop in joints]
+    join(parts, tmp_path / "joined.mp4")
+    assert (tmp_path / "joined.mp4").read_bytes() == whole.read_bytes()

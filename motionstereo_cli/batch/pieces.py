@@ -257,7 +257,10 @@ def join_pieces(plan: RunPlan, pieces: Sequence[Piece], home: Path, watcher: Wat
                 if OUTPUTS[name].takes == "images":
                     _put_together(OUTPUTS[name].path, folders, plan.folder)
             sinks.close()
-            came = PIECE.parse((folders[-1] / PIECE.record).read_bytes())["outcome"]
+            last = record_of(folders[-1], PIECE)
+            if last is None:
+                raise OutputError(f"{folders[-1]} has no record: give the same command again")
+            came = last["outcome"]
             report = report_on(job, sinks.totals, 0, started_s)
             mine = outcome(source, report)
             counts = {**came["counts"], "written": report.frames}

@@ -12,9 +12,11 @@ from importlib import resources
 import click
 
 from motionstereo_cli.commands.grouped import FULL
+from motionstereo_cli.files.reading import read_text
 
 # Comments mark the generated parts of a page.
 _COMMENT = re.compile(r"<!--.*?-->\n")
+_MAX_PAGE_BYTES = 1_000_000
 _TABLE = re.compile(r"(?:^\|.*\n)+", re.MULTILINE)
 
 
@@ -23,7 +25,9 @@ def pages() -> dict[str, str]:
     folder = resources.files("motionstereo_cli") / "docs"
     found = sorted(folder.iterdir(), key=lambda page: page.name)
     return {
-        page.name.removesuffix(".md"): _COMMENT.sub("", page.read_text(encoding="utf-8"))
+        page.name.removesuffix(".md"): _COMMENT.sub(
+            "", read_text(str(page), "a page", _MAX_PAGE_BYTES)
+        )
         for page in found
         if page.name.endswith(".md")
     }

@@ -257,6 +257,16 @@ def config_files() -> tuple[Path, ...]:
     return found
 
 
+def _default(ctx: click.Context, path: Path, key: str, option: click.Option, value: Any) -> Any:
+    """Return a value of a configuration as the option's default."""
+    if option.is_flag and not isinstance(value, str):
+        if value not in (True, False):  # 1 and 0 are
+            raise click.UsageError(f"{path}: {key} cannot be {value!r}: give true or false", ctx)
+        return bool(value)
+    # Where an option may be repeated, click takes a single text for a list of letters.
+    return [value] if option.multiple and isinstance(value, str) else value
+
+
 def _read_config(ctx: click.Context, path: Path) -> None:
     """Make the values of a configuration file the defaults of the command's options."""
     ctx.meta[_CONFIG] = (path,)
@@ -287,14 +297,7 @@ def _read_config(ctx: click.Context, path: Path) -> None:
             wanted = "text, a finite number, true or false" + ", or a list" * option.multiple
             shown = f"{value!r:.60}" if not isinstance(value, int) else "so large a number"
             raise click.UsageError(f"{path}: {key} cannot be {shown}: give {wanted}", ctx)
-        # Where an option may be repeated, click takes a single text for a list of letters.
-        default = [value] if option.multiple and isinstance(value, str) else value
-        if option.is_flag and not isinstance(value, str):
-            if value not in (True, False):  # 1 and 0 are
-                raise click.UsageError(
-                    f"{path}: {key} cannot be {value!r}: give true or false", ctx
-                )
-            default = bool(value)
+        default = _default(ctx, path, key, option, value)
         defaults[option.name] = default
         try:
             option.type_cast_value(ctx, default)

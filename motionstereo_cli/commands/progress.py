@@ -18,7 +18,7 @@ import click
 from motionstereo_cli.commands.grouped import GroupedOption
 from motionstereo_cli.commands.messages import listener, say
 from motionstereo_cli.errors import DAMAGED_EXIT_CODE, INTERRUPTED_EXIT_CODE, OutputError
-from motionstereo_cli.files.targets import is_stream, open_stream
+from motionstereo_cli.files.targets import is_stream, open_replacing, open_stream
 
 if TYPE_CHECKING:
     from types import TracebackType
@@ -208,13 +208,10 @@ def _opened(path: Path | None) -> JsonLines:
     try:
         if is_stream(path):
             return JsonLines(io.TextIOWrapper(open_stream(path), "utf-8"), aside=True)
-        if path.exists():
-            with path.open("rb") as file:
-                if file.read(len(_BEGINNING)) not in (b"", _BEGINNING):
-                    raise OutputError(
-                        f"{path} was not written by --progress jsonl: give another name"
-                    )
-        return JsonLines(path.open("w", encoding="utf-8"), aside=True)
+        file = open_replacing(path, _BEGINNING)
+        if file is None:
+            raise OutputError(f"{path} was not written by --progress jsonl: give another name")
+        return JsonLines(io.TextIOWrapper(file, "utf-8"), aside=True)
     except OSError as error:
         raise OutputError(f"cannot write {path}: {error.strerror or error}") from error
 

@@ -88,7 +88,7 @@ class Temporary:
     def __init__(self, final: Path) -> None:
         self._final = final
         self.path = final.with_name(f"{_MARK}{secrets.token_hex(8)}{_PART}")
-        self.content: BinaryIO = os.fdopen(_made(self.path), "wb")
+        self.content: BinaryIO = os.fdopen(make_new(self.path), "wb")
         self._status = os.fstat(self.content.fileno())
 
     def place(self, *, durable: bool = False) -> None:
@@ -115,7 +115,7 @@ class Temporary:
         except FileExistsError:
             raise
         except OSError:  # a disk without hard links
-            os.close(_made(self._final))
+            os.close(make_new(self._final))
             os.replace(self.path, self._final)
         else:
             self.discard()
@@ -135,7 +135,13 @@ class Temporary:
         self.content.close()
 
 
-def _made(path: Path) -> int:
+def make_new(path: Path) -> int:
+    """Return the descriptor of a new, empty file.
+
+    Raises:
+        FileExistsError: something has the name.
+        OSError: the file cannot be made.
+    """
     return os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | _NO_LINK | _BINARY, 0o666)
 
 
@@ -148,7 +154,7 @@ def open_new(path: Path) -> int:
         OSError: the file cannot be made.
     """
     path.unlink(missing_ok=True)
-    return _made(path)
+    return make_new(path)
 
 
 def open_log(path: Path) -> int:

@@ -87,6 +87,15 @@ def read_text(path: str | Path, what: str, max_bytes: int, within: Path | None =
     return as_text(read_bytes(path, what, max_bytes, within))
 
 
+def open_fifo(path: Path) -> int:
+    """Return the descriptor of a FIFO or device for reading, without waiting for a writer.
+
+    Raises:
+        OSError: it cannot be opened.
+    """
+    return os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0))
+
+
 def check_regular(path: Path, within: Path) -> None:
     """Make sure that what has a name, if anything does, is a regular file.
 

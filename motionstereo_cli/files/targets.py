@@ -17,7 +17,14 @@ from pathlib import Path
 from typing import BinaryIO
 
 from motionstereo_cli.errors import OutputError
-from motionstereo_cli.files.atomic import Temporary, part_of, reported, write_whole
+from motionstereo_cli.files.atomic import (
+    Temporary,
+    make_new,
+    open_again,
+    part_of,
+    reported,
+    write_whole,
+)
 from motionstereo_cli.files.reading import open_regular, sha256_of
 
 #: How long to wait for a reader of a FIFO, in s, and how often to look.
@@ -85,6 +92,37 @@ def is_stream(path: Path) -> bool:
     return not (stat.S_ISREG(status.st_mode) or stat.S_ISDIR(status.st_mode)) or (
         path.is_symlink() and _is_stdout(status)
     )
+
+
+def open_replacing(path: Path, beginning: bytes) -> BinaryIO | None:
+    """Open a new file, or an older one of this program, which is emptied, for writing.
+
+    Args:
+        path: the file.
+        beginning: how a file of this program begins; an empty one is taken for one.
+
+    Returns:
+        the file; None where another one, or a link, has the name.
+
+    Raises:
+        OSError: it cannot be opened.
+    """
+    try:
+        return os.fdopen(make_new(path), "wb")
+    except FileExistsError:
+        pass
+    if path.is_symlink():
+        return None
+    file = os.fdopen(open_again(path), "r+b")
+    if not stat.S_ISREG(os.fstat(file.fileno()).st_mode) or file.read(len(beginning)) not in (
+        b"",
+        beginning,
+    ):
+        file.close()
+        return None
+    file.seek(0)
+    file.truncate()
+    return file
 
 
 def open_stream(path: Path) -> BinaryIO:

@@ -364,6 +364,8 @@ def join(segments: Sequence[Path], path: Path) -> None:
                     with opened_result(segment, segment.parent) as source:
                         if stream is None:
                             stream = joined.add_stream_from_template(source.streams.video[0])
+                            # That of the first segment, which no other way of joining has.
+                            stream.codec_context.bit_rate = 0
                         for packet in source.demux(source.streams.video[0]):
                             if packet.dts is not None:  # the last one is empty
                                 packet.stream = stream

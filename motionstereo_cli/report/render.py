@@ -12,8 +12,10 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
 from motionstereo_cli import __version__
+from motionstereo_cli.files.reading import read_text
 
 _HOME = Path(__file__).parent
+_MAX_PART_BYTES = 1_000_000
 
 
 def render(template: str, scripts: Sequence[str], **values: Any) -> str:
@@ -45,7 +47,7 @@ def render(template: str, scripts: Sequence[str], **values: Any) -> str:
 
 
 def _read(name: str) -> str:
-    return (_HOME / name).read_text(encoding="utf-8")
+    return read_text(_HOME / name, "a part of the page", _MAX_PART_BYTES)
 
 
 def _hash(script: str) -> str:

@@ -7,7 +7,9 @@ import ctypes
 import math
 import os
 import sys
-from pathlib import Path
+
+from motionstereo_cli.errors import InputError
+from motionstereo_cli.files.reading import read_text
 
 #: Processor time and the time that it is for, in us, of the group of processes that a container
 #: is: version 2 in one file, version 1 in two.
@@ -27,9 +29,9 @@ def usable_cores() -> int:
     except AttributeError:  # not on this system
         cores = os.cpu_count() or 1
     for paths in _QUOTAS:
-        with contextlib.suppress(OSError, ValueError):  # none, which is "max" or -1
+        with contextlib.suppress(InputError, ValueError):  # none, which is "max" or -1
             quota, period = (
-                int(word) for path in paths for word in Path(path).read_text("ascii").split()
+                int(word) for path in paths for word in read_text(path, "a quota", 1000).split()
             )
             if quota > 0:
                 return max(1, min(cores, math.ceil(quota / period)))

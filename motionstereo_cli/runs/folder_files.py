@@ -12,9 +12,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from motionstereo_cli.errors import InputError
 from motionstereo_cli.files.atomic import is_left_over, is_segment, part_of
 from motionstereo_cli.files.folders import remove_empty
-from motionstereo_cli.files.reading import open_regular
+from motionstereo_cli.files.reading import MAX_RESULT_BYTES, open_regular, read_bytes
 from motionstereo_cli.report import PAGE, is_report
 from motionstereo_cli.runs.checkpoint import frames_of
 from motionstereo_cli.sinks.outputs import OUTPUTS, RECORD
@@ -95,11 +96,11 @@ def written(out: Path, kind: FolderKind) -> set[Path]:
 def read_record(path: Path, kind: FolderKind) -> dict[str, Any] | None:
     """Return what a record says, None where there is none of this kind."""
     try:
-        if not path.is_file() or path.is_symlink():
+        if path.is_symlink():
             return None
-        record = kind.parse(path.read_bytes())
+        record = kind.parse(read_bytes(path, "the record", MAX_RESULT_BYTES))
         return record if record["program"] == kind.program else None
-    except (OSError, ValueError, LookupError, TypeError, RecursionError):
+    except (InputError, ValueError, LookupError, TypeError, RecursionError):
         return None  # not a record of ours
 
 

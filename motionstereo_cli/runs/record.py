@@ -170,6 +170,9 @@ def versions() -> dict[str, str]:
     }
 
 
+_LIBRARY = re.compile(r"\.(so|dll|dylib|pyd)\b")
+
+
 @functools.cache
 def builds() -> dict[str, str]:
     """Return what the bytes of results depend on: versions, and how libraries were built.
@@ -178,8 +181,10 @@ def builds() -> dict[str, str]:
     """
     home = Path(motionstereo_cli.__file__).parent
     own = {str(path.relative_to(home)): sha256_of(path) for path in home.rglob("*.py")}
-    files = importlib.metadata.distribution("av").read_text("RECORD") or ""
-    libraries = [line for line in files.splitlines() if re.search(r"\.(so|dll|dylib|pyd)\b", line)]
+    files = importlib.metadata.files("av") or ()
+    libraries = [
+        f"{file} {file.hash.value}" for file in files if file.hash and _LIBRARY.search(str(file))
+    ]
     return {
         **versions(),
         "this package": _short_hash(own),

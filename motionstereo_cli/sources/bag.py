@@ -19,7 +19,7 @@ import cv2
 import numpy as np
 
 from motionstereo_cli.errors import InputError
-from motionstereo_cli.files.reading import MAX_PIXELS
+from motionstereo_cli.files.reading import MAX_PIXELS, open_regular
 from motionstereo_cli.files.stills import DamagedImageError, decode, grey_of
 from motionstereo_cli.sources.bag_topics import (
     bag_damage,
@@ -195,7 +195,7 @@ class BagRecording(Recording):
             for each in (sorted(path.iterdir()) if path.is_dir() else [path])
         ):
             if file.is_file():
-                with file.open("rb") as opened:
+                with open_regular(file) as opened:
                     while block := opened.read(1 << 20):
                         sums.update(block)
                         size += len(block)

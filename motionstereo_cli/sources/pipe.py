@@ -11,6 +11,7 @@ import time
 from pathlib import Path
 
 from motionstereo_cli.errors import InputError
+from motionstereo_cli.files.reading import open_fifo
 
 #: How often a wait for data looks whether it should end, in s.
 _GLANCE_S = 0.2
@@ -102,8 +103,7 @@ def _standard_input() -> int:
 
 def _opened(fifo: Path) -> int:
     try:
-        # Otherwise it would wait here for ever, until something is written.
-        descriptor = os.open(fifo, os.O_RDONLY | os.O_NONBLOCK)
+        descriptor = open_fifo(fifo)
     except OSError as error:
         raise InputError(f"cannot read {fifo}: {error.strerror}") from error
     os.set_blocking(descriptor, True)
