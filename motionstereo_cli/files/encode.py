@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import struct
-import zlib
 from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
+from zlib_ng import zlib_ng
 
 from motionstereo_cli.compiled.pictures import sub_filtered_8, sub_filtered_16
 from motionstereo_cli.errors import OutputError
@@ -20,9 +20,9 @@ if TYPE_CHECKING:
 
 _SUB = cv2.IMWRITE_PNG_FILTER, cv2.IMWRITE_PNG_FILTER_SUB
 
-#: Of zlib. ISA-L (isal) is six times as fast, but on a busy machine it gives now and then other
-#: bytes for the same rows, which decode to the same.
-_LEVEL = 1
+#: Of zlib-ng, whose bytes are the same with all instruction sets of a processor: half the time of
+#: zlib and smaller files. ISA-L (isal) takes a third of it, but without SSE4 it gives other bytes.
+_LEVEL = 2
 
 
 def encode_png(image: NDArray[np.uint8] | NDArray[np.uint16]) -> bytes:
@@ -41,13 +41,13 @@ def encode_png(image: NDArray[np.uint8] | NDArray[np.uint16]) -> bytes:
     filtered = sub_filtered_8 if image.dtype == np.uint8 else sub_filtered_16
     filtered(np.ascontiguousarray(image), rows)
     header = struct.pack(">IIBBBBB", width, height, 8 * image.itemsize, 0, 0, 0, 0)
-    content = zlib.compress(rows.data, _LEVEL)
+    content = zlib_ng.compress(rows.data, _LEVEL)
     chunks = (b"IHDR", header), (b"IDAT", content), (b"IEND", b"")
     return b"\x89PNG\r\n\x1a\n" + b"".join(_chunk(kind, each) for kind, each in chunks)
 
 
 def _chunk(kind: bytes, content: bytes) -> bytes:
-    check = zlib.crc32(content, zlib.crc32(kind))
+    check = zlib_ng.crc32(content, zlib_ng.crc32(kind))
     return struct.pack(">I", len(content)) + kind + content + struct.pack(">I", check)
 
 
