@@ -352,7 +352,7 @@ def test_spoilt_value_is_named(tmp_path: Path, changes: dict, complaint: str) ->
         ("M1: [1, 2\nK: 3", "not a calibration file that can be read"),
         ("M1: !!python/object/apply:os.system ['exit']\n", "M1 .* is not 3x3 numbers"),
         ("<?xml version='1.0'?><opencv_storage><M1>", "not a calibration file"),
-        ("people: [anna, bert]\n", "M1 .* is missing"),
+        ("people: [anna, bert]\n", r"no calibration of a form .*first names are people"),
         ("P0: 1 2 3\nP1: 4\n", "P0 is not 3x4 numbers"),
         (MIDDLEBURY.replace("doffs=131.111", "doffs=5"), "doffs is 5 but"),
         (MIDDLEBURY.replace("baseline", "base"), "baseline is missing"),
@@ -380,8 +380,10 @@ def test_pairs_of_files(tmp_path: Path) -> None:
     right.write_text(right.read_text().replace("projection_matrix", "pm"))
     with pytest.raises(InputError, match="projection_matrix is missing"):
         read_calibration([left, right])
-    with pytest.raises(InputError, match="3 calibration files are too many"):
+    with pytest.raises(InputError, match=r"of 2 files at most: leave .*right\.yaml out"):
         read_calibration([left, left, right])
+    with pytest.raises(InputError, match="4 calibration files are too many"):
+        read_calibration([left, left, right, right])
 
 
 def test_size_is_asked_for(tmp_path: Path) -> None:

@@ -61,10 +61,11 @@ def rig(
 ) -> None:
     """Convert a calibration to rig.yaml and show how it was read.
 
-    FILE is an OpenCV (YAML, XML, JSON, npz), KITTI, Middlebury, kalibr, ORB-SLAM, DepthAI or ZED
-    file, or rig.yaml; two files, the left camera's first, are a ROS camera_info or EuRoC
-    sensor.yaml pair, or OpenCV's intrinsics and extrinsics. A rig.yaml describes rectified images:
-    if yours are not rectified, give FILE itself to run --rig.
+    FILE is an OpenCV (YAML, XML, JSON, npz), KITTI, Middlebury, kalibr, OpenVINS, ORB-SLAM,
+    stella_vslam, OKVIS, maplab, SVO, Basalt, T265, DepthAI or ZED file, ROS' ost.txt, or rig.yaml;
+    two files, the left camera's first, are a ROS camera_info, EuRoC sensor.yaml or mrcal pair, or
+    OpenCV's intrinsics and extrinsics; three are VINS-Fusion's configuration and cameras. A
+    rig.yaml describes rectified images: if yours are not rectified, give FILE itself to run --rig.
     """
     from motionstereo_cli.files.targets import write_output
     from motionstereo_cli.rig import format_rig

@@ -11,30 +11,31 @@ import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
-
-import numpy as np
+from typing import TYPE_CHECKING
 
 from motionstereo_cli.errors import InputError
 from motionstereo_cli.files.reading import MAX_CALIBRATION_BYTES, as_text, read_bytes
-from motionstereo_cli.rig.cameras import Pair, rectified_pair
+from motionstereo_cli.rig import placed, plain
+from motionstereo_cli.rig.cameras import Pair
 from motionstereo_cli.rig.devices import read_depthai, read_zed
-from motionstereo_cli.rig.opencv import read_opencv
+from motionstereo_cli.rig.foreign import (
+    refuse_foreign_bytes,
+    refuse_foreign_text,
+    refuse_foreign_values,
+)
+from motionstereo_cli.rig.opencv import has_numbered_cameras, read_opencv
 from motionstereo_cli.rig.rig_file import parse_rig
-from motionstereo_cli.rig.ros_and_orbslam import read_euroc, read_kalibr, read_orb_slam, read_ros
-from motionstereo_cli.rig.values import Source
+from motionstereo_cli.rig.ros_and_orbslam import (
+    read_euroc,
+    read_kalibr,
+    read_orb_slam,
+    read_ros,
+    read_stella,
+)
 from motionstereo_cli.types import Rig
 
 if TYPE_CHECKING:
     from motionstereo_cli.rig.structure import Values
-
-#: Beginnings of files that hold calibrations elsewhere and are not read, and what to do.
-_FOREIGN = {
-    b"\x80": "is a Python pickle, which could run programs: save the arrays with numpy.savez",
-    b"\x93NUMPY": "is one array: save all of them with numpy.savez",
-    b"MATLAB": "is a MATLAB file: save the matrices as JSON, as M1 D1 M2 D2 R T",
-    b"\x89HDF": "is an HDF5 file: save the matrices as JSON, as M1 D1 M2 D2 R T",
-}
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +43,7 @@ class _Given:
     """Calibration files, and what else is known.
 
     Attributes:
-        paths: one, or two that belong together.
+        paths: one, or several that belong together.
         texts: their content, empty for .npz.
         values: of each; empty where it is a text of its own format.
         size: width and height of the recorded images in px, None if unknown.
@@ -72,13 +73,13 @@ class Format:
 
     Attributes:
         name: what messages call it.
-        files: of how many files a calibration consists, left first; 0 = one or two.
+        counts: of how many files a calibration consists, left first.
         knows: whether the first file is of this format.
         read: returns what the files say.
     """
 
     name: str
-    files: int
+    counts: tuple[int, ...]
     knows: Callable[[str, Values], bool]
     read: Callable[[_Given], Rig | Pair]
 
@@ -88,176 +89,224 @@ def read_files(
     size: tuple[int, int] | None = None,
     pair: tuple[int, int] | None = None,
 ) -> Rig | Pair:
-    """Read one calibration file, or two that belong together, the left camera's first.
+    """Read one calibration file, or several that belong together, the left camera's first.
 
     Args:
         paths: files of one of the :data:`FORMATS`.
         size: width and height of the recorded images in px, for files that have a calibration
             for each of several sizes; None if unknown.
-        pair: numbers of the left and right camera where a file has more than two (KITTI); 0 and
-            1 if None, or 2 and 3 where only those are there.
+        pair: numbers of the left and right camera where a file has more than two (KITTI, and files
+            of SLAM); 0 and 1 if None, or 2 and 3 where only those are there.
 
     Raises:
         InputError: a file cannot be read, has another format, or lacks or spoils a value.
     """
-    if not 1 <= len(paths) <= 2:
+    if not 1 <= len(paths) <= _MOST_FILES:
         raise InputError(f"{len(paths)} calibration files are too many: give one, or a pair")
     contents = [read_bytes(path, "the rig", MAX_CALIBRATION_BYTES) for path in paths]
-    for path, content in zip(paths, contents, strict=True):
-        for start, advice in _FOREIGN.items():
-            if content.startswith(start):
-                raise InputError(f"{path} {advice}")
     read = [_read(path, content) for path, content in zip(paths, contents, strict=True)]
     texts, values = [text for text, _ in read], [values for _, values in read]
-    found = next(each for each in FORMATS if each.knows(texts[0], values[0]))
-    if found.files == 1 and len(paths) > 1:
-        raise InputError(f"{paths[0]} is a {found.name} file, which says all: leave {paths[1]} out")
-    if found.files == 2 and len(paths) < 2:
+    given = _Given(paths, texts, values, size, pair)
+    known = [each for each in FORMATS if each.knows(texts[0], values[0])]
+    found = known[0]
+    if len(paths) not in found.counts:
+        if len(paths) > max(found.counts):
+            others = " and ".join(str(path) for path in paths[max(found.counts) :])
+            if found.counts == (1,):
+                others = f"which says all: leave {others} out"
+            else:
+                others = f"of {max(found.counts)} files at most: leave {others} out"
+            raise InputError(f"{paths[0]} is a {found.name} file, {others}")
         raise InputError(
             f"{paths[0]} is the {found.name} of one camera: give both, the left camera's first"
         )
-    return found.read(_Given(paths, texts, values, size, pair))
+    if "ORB-SLAM" in found.name and has_numbered_cameras(values[0]):
+        raise InputError(
+            f"{paths[0]} holds two calibrations: {found.name}'s Camera, and OpenCV's K1 (or M1) "
+            "to T of other images, as recorded ones are: delete the one that is not of these "
+            "images (Camera is of rectified images where Camera.bf or Stereo.b stands with it)"
+        )
+    return found.read(given)
+
+
+#: More files than these never belong together.
+_MOST_FILES = 3
 
 
 def _read(path: Path, content: bytes) -> tuple[str, Values]:
+    refuse_foreign_bytes(path, content)
     if content.startswith(b"PK\3\4"):
         from motionstereo_cli.rig.structure import read_npz
 
-        return "", read_npz(path, content)
+        values = read_npz(path, content)
+        refuse_foreign_values(path, values)
+        return "", values
     text = as_text(content)
-    if any(pattern.search(text) for pattern in (_MIDDLEBURY, _KITTI, _RIG)) or not _structured(
-        text
-    ):
+    refuse_foreign_text(path, text)
+    if _is_plain(text):
         return text, {}
     from motionstereo_cli.rig.structure import read_structure
 
-    return text, read_structure(path, text)
+    values = read_structure(path, _as_yaml(text))
+    refuse_foreign_values(path, values)
+    return text, values
 
 
-# Formats that are plain lines of text.
-
-_MIDDLEBURY = re.compile(r"^\s*cam0\s*=", re.MULTILINE)
-_KITTI = re.compile(r"^P(_rect_)?\d+[ \t]*:[ \t]*[-+.\d]", re.MULTILINE)
 _RIG = re.compile(r"^(focal_px|baseline_m)\b", re.MULTILINE)
 
-
-def _structured(text: str) -> bool:
-    """Return whether there is anything but plain ``key: number`` lines, as in a rig file."""
-    return bool(re.search(r"[\[{<]|^\s+\S|^\s*-\s|^Camera[\d]*[._]", text, re.MULTILINE))
+#: A camera model of mrcal: literals of Python.
+_MRCAL = re.compile(r"^[{\s]*'lensmodel'\s*:", re.MULTILINE)
 
 
-def _kitti(given: _Given) -> Pair:
-    path, pair = given.paths[0], given.pair
-    values: dict[str, Any] = {}
-    for line in given.texts[0].splitlines():
-        key, colon, numbers = line.partition(":")
-        if colon:
-            values[key.strip()] = _floats(numbers)
-    prefix = "P_rect_" if any(key.startswith("P_rect_") for key in values) else "P"
-    digits = "02d" if prefix == "P_rect_" else "d"
-    labels = {number: f"{prefix}{number:{digits}}" for number in range(4)}
-    notes: tuple[str, ...] = ()
-    if pair is None:
-        pair = (2, 3) if labels[0] not in values or labels[1] not in values else (0, 1)
-        if all(label in values for label in labels.values()):
-            notes = (f"the file has four cameras: {pair[0]} and {pair[1]} are taken",)
-    source = Source(path, values)
-    left, right = (
-        source.matrix((labels.get(n, f"{prefix}{n}"),), labels.get(n, f"{prefix}{n}"), (3, 4))
-        for n in pair
-    )
-    size = source.size(f"S_rect_{pair[0]:02d}")
-    return rectified_pair("KITTI", (left, right), size, "m", notes)
+def _as_yaml(text: str) -> str:
+    """Return a cameramodel of mrcal as YAML, and any other text as it is."""
+    if not _MRCAL.search(text):
+        return text
+    # What it was computed from, in letters, is left out.
+    return "# mrcal\n" + re.sub(r"^\s*'optimization_inputs'\s*:.*$", "", text, flags=re.MULTILINE)
 
 
-def _middlebury(given: _Given) -> Pair:
-    path = given.paths[0]
-    values: dict[str, Any] = {}
-    for line in given.texts[0].splitlines():
-        key, equals, numbers = line.partition("=")
-        if equals:
-            values[key.strip()] = _floats(numbers)
-    source = Source(path, values)
-    first, second = (source.intrinsics((name,), name) for name in ("cam0", "cam1"))
-    baseline = source.number(("baseline",), "baseline")
-    doffs = second[0, 2] - first[0, 2]
-    if "doffs" in values:
-        stated = source.number(("doffs",), "doffs")
-        if abs(stated - doffs) > 0.01:
+def _is_plain(text: str) -> bool:
+    """Return whether a text is of a format of its own, or plain ``key: number`` lines."""
+    patterns = (plain.MIDDLEBURY, plain.KITTI, plain.OST, _RIG)
+    if any(pattern.search(text) for pattern in patterns):
+        return True
+    return not re.search(r"[\[{<]|^\s+\S|^\s*-\s|^Camera[\d]*[._]|:\s*[^\d\s#]", text, re.MULTILINE)
+
+
+def _rig_or_rows(given: _Given) -> Rig | Pair:
+    path, text = given.paths[0], given.texts[0]
+    if ":" not in text:
+        if (found := plain.read_rows(path, text)) is not None:
+            return found
+        if text.strip():
             raise InputError(
-                f"{path}: doffs is {stated:g} but cam1 and cam0 differ by {doffs:g} px: "
-                "check the file"
+                f"{path} is no calibration of a form that is read: give one of those that "
+                "'motionstereo rig --help' lists, or rig.yaml"
             )
-    right = np.column_stack([second, [-second[0, 0] * baseline, 0, 0]])
-    left = np.column_stack([first, np.zeros(3)])
-    return rectified_pair("Middlebury", (left, right), source.size("width", "height"), "mm")
+    return parse_rig(path, text)
 
 
-def _floats(text: str) -> list[float] | None:
-    try:
-        return [float(part) for part in re.split(r"[\s,;\[\]]+", text.strip()) if part]
-    except ValueError:
-        return None  # dates and names
+def _ost(given: _Given) -> Pair:
+    cameras = [
+        camera
+        for path, text in zip(given.paths, given.texts, strict=True)
+        for camera in plain.ost_cameras(path, text)
+    ]
+    if len(cameras) != 2:
+        raise InputError(
+            f"{given.name} is a calibration of ROS with {len(cameras)} "
+            f"camera{'' if len(cameras) == 1 else 's'}: give both, the left camera's first"
+        )
+    return read_ros(cameras)
+
+
+def _has(*names: str) -> Callable[[str, Values], bool]:
+    return lambda _, values: all(name in values for name in names)
+
+
+def _has_cameras(*names: str) -> Callable[[str, Values], bool]:
+    """Return what knows files with a list of cameras, the first of which has one of the names."""
+
+    def knows(_: str, values: Values) -> bool:
+        cameras = placed.cameras_in(values)
+        return bool(cameras) and not cameras[0].keys().isdisjoint(names)
+
+    return knows
+
+
+def _is_kalibr(_: str, values: Values) -> bool:
+    cameras = [values.get(name) for name in ("cam0", "cam1")]
+    return all(isinstance(each, dict) and "intrinsics" in each for each in cameras) and not values[
+        "cam1"
+    ].keys().isdisjoint({"tcncnm1", "tcamimu", "timucam"})
+
+
+def _is_stella(_: str, values: Values) -> bool:
+    names = placed.joined({"camera": values.get("camera")} | dict(values))
+    return "camerasetup" in names or "camerafocalxbaseline" in names
 
 
 #: All formats; the first that knows a file reads it.
 FORMATS: tuple[Format, ...] = (
-    Format("Middlebury calib.txt", 1, lambda text, _: bool(_MIDDLEBURY.search(text)), _middlebury),
-    Format("KITTI calib.txt", 1, lambda text, _: bool(_KITTI.search(text)), _kitti),
     Format(
-        "rig.yaml",
-        1,
-        lambda _, values: not values,
-        lambda given: parse_rig(given.paths[0], given.texts[0]),
+        "Middlebury calib.txt",
+        (1,),
+        lambda text, _: bool(plain.MIDDLEBURY.search(text)),
+        lambda g: plain.read_middlebury(g.paths[0], g.texts[0]),
     ),
     Format(
+        "KITTI calib.txt",
+        (1,),
+        lambda text, _: bool(plain.KITTI.search(text)),
+        lambda g: plain.read_kitti(g.paths[0], g.texts[0], g.pair),
+    ),
+    Format("ROS ost.txt", (1, 2), lambda text, _: bool(plain.OST.search(text)), _ost),
+    Format("rig.yaml", (1,), lambda _, values: not values, _rig_or_rows),
+    Format("stella_vslam", (1,), _is_stella, lambda g: read_stella(*g.files[0])),
+    Format("OV2SLAM", (1,), _has("camerafxl"), lambda g: placed.read_ov2slam(*g.files[0], g.pair)),
+    Format(
         "ORB-SLAM",
-        1,
+        (1,),
         lambda _, values: not values.keys().isdisjoint({"camerafx", "camera1fx"}),
-        lambda given: read_orb_slam(*given.files[0]),
+        lambda g: read_orb_slam(*g.files[0]),
+    ),
+    Format(
+        "VINS-Fusion",
+        (1, 2, 3),
+        lambda _, values: placed.is_camodocal(values) or "bodytcam0" in values,
+        lambda g: placed.read_vins(g.files, g.pair),
     ),
     Format(
         "ROS camera_info",
-        2,
+        (2,),
         lambda _, values: "projectionmatrix" in values or values.keys() >= {"d", "k", "r", "p"},
-        lambda given: read_ros(given.files),
+        lambda g: read_ros(g.files),
+    ),
+    Format("EuRoC sensor.yaml", (2,), _has("tbs"), lambda g: read_euroc(g.files)),
+    Format("kalibr camchain", (1,), _is_kalibr, lambda g: read_kalibr(*g.files[0])),
+    Format("OKVIS", (1,), _has_cameras("tsc"), lambda g: placed.read_okvis(*g.files[0], g.pair)),
+    Format(
+        "ncamera",
+        (1,),
+        _has_cameras("tbc", "tcb"),
+        lambda g: placed.read_ncamera(*g.files[0], g.pair),
     ),
     Format(
-        "EuRoC sensor.yaml", 2, lambda _, values: "tbs" in values, lambda g: read_euroc(g.files)
+        "RealSense T265",
+        (1,),
+        _has_cameras("focallengthpx"),
+        lambda g: placed.read_t265(*g.files[0], g.pair),
     ),
     Format(
-        "kalibr camchain",
-        1,
-        lambda _, values: (
-            all(
-                isinstance(values.get(cam), dict) and "intrinsics" in values[cam]
-                for cam in ("cam0", "cam1")
-            )
-            and not values["cam1"].keys().isdisjoint({"tcncnm1", "tcamimu"})
-        ),
-        lambda given: read_kalibr(*given.files[0]),
+        "Basalt",
+        (1,),
+        lambda _, values: isinstance(values.get("value0"), dict) and "timucam" in values["value0"],
+        lambda g: placed.read_basalt(*g.files[0], g.pair),
     ),
+    Format("mrcal cameramodel", (2,), _has("lensmodel"), lambda g: placed.read_mrcal(g.files)),
     Format(
-        "DepthAI",
-        1,
-        lambda _, values: "cameradata" in values,
-        lambda given: read_depthai(*given.files[0], given.size),
+        "stereodemo",
+        (1,),
+        _has("fx", "cx0", "cx1"),
+        lambda g: plain.read_stereodemo(*g.files[0]),
     ),
+    Format("DepthAI", (1,), _has("cameradata"), lambda g: read_depthai(*g.files[0], g.size)),
     Format(
         "ZED",
-        1,
+        (1,),
         lambda _, values: (
             isinstance(values.get("stereo"), dict)
             and any(name.startswith("leftcam") for name in values)
         ),
-        lambda given: read_zed(*given.files[0], given.size),
+        lambda g: read_zed(*g.files[0], g.size),
     ),
     Format(
         "OpenCV",
-        0,
+        (1, 2),
         lambda _, __: True,
-        lambda given: read_opencv(
-            given.name, {key: value for each in given.values for key, value in each.items()}
+        lambda g: read_opencv(
+            g.name, {key: value for each in g.values for key, value in each.items()}
         ),
     ),
 )

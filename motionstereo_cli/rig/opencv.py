@@ -47,7 +47,15 @@ def read_opencv(name: str, values: Values) -> Pair:
     size = size or source.size("width", "height") or source.size("leftwidth", "leftheight")
     size = size or next(filter(None, (source.size(f"left{each}") for each in _SIZE)), None)
     projections = _projections(source, sides)
-    if not any(source.find([*_names(_K, side), *_names(("fx",), side)]) for side in sides):
+    has_cameras = any(source.find([*_names(_K, side), *_names(("fx",), side)]) for side in sides)
+    names = [*_R, *_T, "q", "p1", *(name for side in sides for name in _names(_D, side))]
+    if not has_cameras and not source.find(names):
+        found = ", ".join(list(values)[:6]) or "none"
+        raise InputError(
+            f"{name} is no calibration of a form that is read (its first names are {found[:80]}): "
+            "give one of those that 'motionstereo rig --help' lists, or rig.yaml"
+        )
+    if not has_cameras:
         if projections is not None:
             return rectified_pair("OpenCV P1, P2", projections, size)
         if source.find(("q",)):
@@ -59,7 +67,9 @@ def read_opencv(name: str, values: Values) -> Pair:
         rotations = [source.rotation(_names(_R_RECT, side), f"R{side[0]}") for side in sides]
         first, second = zip(rotations, projections, strict=True)
         rectified: tuple[Rectified, Rectified] = first, second
-        return Pair("OpenCV", cameras, rectified=rectified, size=size, notes=notes)
+        between = _right_from_left(source, sides) if source.find(_R) and source.find(_T) else None
+        rotation, translation = between or (None, None)
+        return Pair("OpenCV", cameras, rotation, translation, rectified, size, notes=notes)
     if source.find(("baseline", "baselinem")) and not source.find([*_R, *_T]):
         tx = -source.number(("baseline", "baselinem"), "baseline")
         notes += (f"{name} has a baseline and no R: the cameras are taken to be parallel",)
@@ -67,6 +77,17 @@ def read_opencv(name: str, values: Values) -> Pair:
         return Pair("OpenCV", cameras, *parallel, size=size, notes=notes)
     rotation, translation = _right_from_left(source, sides)
     return Pair("OpenCV", cameras, rotation, translation, size=size, notes=notes)
+
+
+def has_numbered_cameras(values: Values) -> bool:
+    """Return whether there are matrices of two cameras under OpenCV's numbered names."""
+    return all(
+        any(
+            np.asarray(values.get(f"{name}{number}"), object).size == 9
+            for name in ("m", "k", "cameramatrix")
+        )
+        for number in (1, 2)
+    )
 
 
 def _right_from_left(source: Source, sides: Sequence[Sequence[str]]) -> tuple[Matrix, Matrix]:

@@ -22,10 +22,11 @@ if TYPE_CHECKING:
     from motionstereo_cli.rig.lenses import Maps
 
 #: Baselines beyond these are hardly in the unit that a file has or seems to have, and few of files
-#: without a unit are beyond the third.
+#: without a unit are beyond the third. In formats whose unit is m, lengths up to the fourth may be.
 LONGEST_BASELINE_M = 2.0
 _SHORTEST_BASELINE_MM = 2.0
 _USUAL_BASELINE_M = 0.8
+_LONGEST_IN_M = 10.0
 
 #: Rectified images of wide lenses have no wider view unless the user says so: beyond it, most of
 #: an image shows little of the scene.
@@ -100,11 +101,13 @@ def transforms_of(
     Raises:
         InputError: the cameras cannot be rectified.
     """
-    if pair.rectified is not None and not fov_deg:
-        return pair.rectified
     assert pair.cameras is not None
     left, right = pair.cameras
     rotation, translation = _right_from_left(pair)
+    if pair.rectified is not None and not fov_deg:
+        if pair.translation is not None and is_reversed(pair):
+            raise _second_on_the_left(name, translation)
+        return pair.rectified
     if left.model != right.model:
         raise InputError(
             f"{name}: the lenses have different models, {left.model} and {right.model}: give both "
@@ -114,14 +117,7 @@ def transforms_of(
         raise InputError(f"{name}: T is zero, so the baseline is: check the file")
     _check_direction(name, translation)
     if translation[0] > 0:
-        raise InputError(
-            f"{name}: T says that the second camera stands left of the first "
-            f"(T[0] is {translation[0]:g}; OpenCV's T[0] is negative for a right camera). "
-            "Either the cameras are in the wrong order: exchange both cameras, and the recordings "
-            "stay; or R and T are given the other way round, as the right camera's place in the "
-            "left one's frame: give R transposed and -R^T T; or only the sign of T is wrong: give "
-            "-T. With the right one, motionstereo check finds that rows agree"
-        )
+        raise _second_on_the_left(name, translation)
     if left.model != "pinhole" or fov_deg:
         return _centred(pair.cameras, rotation, translation, size, fov_deg)
     # OpenCV wants them whole in memory, and T as a column.
@@ -143,6 +139,26 @@ def transforms_of(
         for turn, projection in ((r1, p1), (r2, p2))
     )
     return left_matrices, right_matrices
+
+
+def is_reversed(pair: Pair) -> bool:
+    """Return whether both T and the projections say that the second camera is on the left."""
+    if pair.rectified is None or pair.translation is None:
+        return False
+    (_, left), (_, right) = pair.rectified
+    tx, ty, _ = pair.translation
+    return bool(tx > abs(ty) and right[0, 3] > left[0, 3])
+
+
+def _second_on_the_left(name: str, translation: Matrix) -> InputError:
+    return InputError(
+        f"{name}: T says that the second camera stands left of the first "
+        f"(T[0] is {translation[0]:g}; OpenCV's T[0] is negative for a right camera). "
+        "Either the cameras are in the wrong order: exchange both cameras, and the recordings "
+        "stay; or R and T are given the other way round, as the right camera's place in the "
+        "left one's frame: give R transposed and -R^T T; or only the sign of T is wrong: give "
+        "-T. With the right one, motionstereo check finds that rows agree"
+    )
 
 
 def _right_from_left(pair: Pair) -> tuple[Matrix, Matrix]:
@@ -266,11 +282,11 @@ def _in_metres(
     if length_m is not None:
         return baseline * length_m, ()
     likely = unit or "m"
-    if likely == "m" and baseline > LONGEST_BASELINE_M:
+    if likely == "m" and baseline > (LONGEST_BASELINE_M if unit is None else _LONGEST_IN_M):
         likely = "mm"
     elif likely == "mm" and baseline < _SHORTEST_BASELINE_MM:
         likely = "m"
-    elif unit is not None or baseline < _USUAL_BASELINE_M:
+    elif unit in ("cm", "mm") or baseline < (LONGEST_BASELINE_M if unit else _USUAL_BASELINE_M):
         return baseline * LENGTHS_M[likely], ()
     warning = (
         f"{name}: a baseline of {baseline:g} is taken to be in {likely}: if it is in another unit, "

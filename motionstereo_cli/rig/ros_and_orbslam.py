@@ -10,6 +10,7 @@ import numpy as np
 
 from motionstereo_cli.errors import InputError
 from motionstereo_cli.rig.cameras import Pair, checked_intrinsics, intrinsic_matrix, rectified_pair
+from motionstereo_cli.rig.placed import inverse, joined
 from motionstereo_cli.rig.values import Source, coefficients, flattened
 
 if TYPE_CHECKING:
@@ -66,7 +67,7 @@ def read_euroc(files: Files) -> Pair:
         notes += assumed
         poses.append(source.transform(("tbs",), "T_BS"))
         sizes.append(source.size("resolution"))
-    right_from_left = _inverse(poses[1]) @ poses[0]
+    right_from_left = inverse(poses[1]) @ poses[0]
     return _by_transform(
         "EuRoC",
         (cameras[0], cameras[1]),
@@ -96,17 +97,62 @@ def read_kalibr(path: Path, values: Values) -> Pair:
         left_from_body, right_from_body = (
             source.transform(("tcamimu",), "T_cam_imu") for source in parts
         )
+    elif all(source.find(("timucam",)) for source in parts):  # OpenVINS has them the other way
+        left_from_body, right_from_body = (
+            inverse(source.transform(("timucam",), "T_imu_cam")) for source in parts
+        )
     if right_from_body is None or left_from_body is None or parts[1].find(("tcncnm1",)):
         right_from_left = parts[1].transform(("tcncnm1",), "T_cn_cnm1")
     else:
-        right_from_left = right_from_body @ _inverse(left_from_body)
+        right_from_left = right_from_body @ inverse(left_from_body)
     return _by_transform(
         "kalibr camchain",
         (cameras[0], cameras[1]),
         right_from_left,
         size=_common_size([(path, values)] * 2, sizes),
         notes=tuple(notes),
-        body_from_left=None if left_from_body is None else _inverse(left_from_body),
+        body_from_left=None if left_from_body is None else inverse(left_from_body),
+    )
+
+
+def read_stella(path: Path, values: Values) -> Pair:
+    """Return the pair of stella_vslam's and OpenVSLAM's settings of a stereo camera.
+
+    ``Camera`` is of the rectified images; ``StereoRectifier`` tells how they become so.
+    """
+    source = Source(path, joined(values))
+    setup = source.text("camerasetup")
+    if setup not in ("", "stereo"):
+        raise InputError(
+            f"{path} is of stella_vslam and of a {setup} camera: give the one of the stereo camera "
+            "(setup: stereo)"
+        )
+    fx, fy, cx, cy = (
+        source.number((f"camera{part}",), f"Camera.{part}") for part in ("fx", "fy", "cx", "cy")
+    )
+    left = np.column_stack([intrinsic_matrix(fx, fy, cx, cy), np.zeros(3)])
+    right = left.copy()
+    right[0, 3] = -source.number(("camerafocalxbaseline",), "Camera.focal_x_baseline")
+    size = source.size("cameracols", "camerarows")
+    if source.find(("stereorectifierkleft",)) is None:
+        return rectified_pair("stella_vslam", (left, right), size, "m")
+    cameras, rotations = [], []
+    notes: list[str] = []
+    for side in ("left", "right"):
+        name = f"StereoRectifier.{{}}_{side}"
+        matrix = source.intrinsics((f"stereorectifierk{side}",), name.format("K"))
+        names = (f"stereorectifierd{side}",)
+        camera, assumed = source.camera(matrix, names, name.format("D"), ("stereorectifiermodel",))
+        cameras.append(camera)
+        notes += assumed
+        rotations.append(source.rotation((f"stereorectifierr{side}",), name.format("R")))
+    return Pair(
+        "stella_vslam",
+        (cameras[0], cameras[1]),
+        rectified=((rotations[0], left), (rotations[1], right)),
+        size=size,
+        unit="m",
+        notes=tuple(notes),
     )
 
 
@@ -120,6 +166,11 @@ def read_orb_slam(path: Path, values: Values) -> Pair:
     size = source.size("camerawidth", "cameraheight")
     if source.find(("leftk",)):
         return _orb_slam_maps(source, size)
+    if source.find(("depthmapfactor", "rgbddepthmapfactor")):
+        raise InputError(
+            f"{path} is ORB-SLAM's of an RGB-D camera (DepthMapFactor), whose Camera.bf is of no "
+            "second camera: give the settings of the stereo camera"
+        )
     left = "camera1" if source.find(("camera1fx",)) else "camera"
     first, notes = _orb_slam_camera(source, left)
     in_left = next((n for n in ("stereotc1c2", "tlr") if source.find((n,))), None)
@@ -127,8 +178,13 @@ def read_orb_slam(path: Path, values: Values) -> Pair:
         fx = first.matrix[0, 0]
         if source.find(("stereob",)):
             baseline = source.number(("stereob",), "Stereo.b")
+        elif source.find(("camerabf",)):
+            baseline = source.number(("camerabf",), "Camera.bf") / fx
         else:
-            baseline = source.number(("camerabf",), "Camera.bf (or Stereo.b)") / fx
+            raise InputError(
+                f"{path} is ORB-SLAM's of one camera (Camera.bf, or Stereo.b, is missing): give "
+                "the settings of the stereo camera"
+            )
         if first.distortion.any():
             raise InputError(
                 f"{path}: Camera has distortion and there is no second camera: give LEFT.K ... "
@@ -140,7 +196,7 @@ def read_orb_slam(path: Path, values: Values) -> Pair:
         return rectified_pair("ORB-SLAM", (projection, second_projection), size, "m", notes)
     second, more = _orb_slam_camera(source, "camera2")
     left_from_right = source.transform((in_left,), "Stereo.T_c1_c2 (or Tlr)")
-    right_from_left = _inverse(left_from_right)
+    right_from_left = inverse(left_from_right)
     notes += more
     return _by_transform("ORB-SLAM", (first, second), right_from_left, size=size, notes=notes)
 
@@ -196,10 +252,6 @@ def _by_transform(
         notes=notes,
         body_from_left=body_from_left,
     )
-
-
-def _inverse(transform: Matrix) -> Matrix:
-    return np.asarray(np.linalg.inv(transform), np.float64)
 
 
 def _common_size(files: Files, sizes: Sequence[tuple[int, int] | None]) -> tuple[int, int] | None:

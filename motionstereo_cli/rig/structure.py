@@ -157,6 +157,8 @@ def _json(text: str) -> Any:
 def _yaml(text: str) -> Any:
     # OpenCV's header is no YAML: %YAML:1.0. It goes, as do the marks of documents.
     text = re.sub(r"^(%YAML.*|---.*|\.\.\.\s*)$", "", text, flags=re.MULTILINE)
+    # OpenCV takes "key:2" and "data:[2]", which are no YAML either.
+    text = re.sub(r"^(\s*[A-Za-z][\w.]*):(?=[-+.\d\[])", r"\1: ", text, flags=re.MULTILINE)
     text = re.sub(r"^\t+", lambda tabs: "  " * len(tabs[0]), text, flags=re.MULTILINE)
     budget = _Budget()
     # Event by event, so that nothing here recurses. The root is the first of a list.

@@ -155,14 +155,20 @@ class Source:
         return lens_camera(self.name, label, matrix, distortion, self.lenses(models), shape)
 
     def camera_of_list(
-        self, names: Sequence[str], label: str, of_distortion: Sequence[str], distortion_label: str
+        self,
+        names: Sequence[str],
+        label: str,
+        of_distortion: Sequence[str],
+        distortion_label: str,
+        models: Sequence[str] = _MODELS,
     ) -> tuple[Camera, tuple[str, ...]]:
         """Return a camera of a list of intrinsics, as kalibr has them, and notes on its lens.
 
         The list is fx fy cx cy after what else the lens's model has: xi, or xi and alpha, or alpha
         and beta. A matrix (3, 3) is taken as well.
         """
-        model = lens_model(self.name, self.lenses())
+        said = self.lenses(models)
+        model = lens_model(self.name, said)
         wanted = SHAPES.get(model, ())
         numbers = self.array(names, label).ravel()
         if numbers.size != len(wanted) + 4:
@@ -174,8 +180,8 @@ class Source:
             matrix = checked_intrinsics(self.name, label, own)
         shape = numbers[: len(wanted)].tolist()
         if self.find(of_distortion) is None and model in ("ds", "eucm"):
-            return lens_camera(self.name, label, matrix, np.zeros(0), self.lenses(), shape)
-        return self.camera(matrix, of_distortion, distortion_label, shape=shape)
+            return lens_camera(self.name, label, matrix, np.zeros(0), said, shape)
+        return self.camera(matrix, of_distortion, distortion_label, models, shape)
 
     def lenses(self, models: Sequence[str] = _MODELS) -> list[str]:
         """Return the names of lens models that the file gives, which are known ones."""

@@ -1,0 +1,107 @@
+"""Files that are no calibration that can be read: what they are, and what to give instead."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from motionstereo_cli.errors import InputError
+
+if TYPE_CHECKING:
+    from motionstereo_cli.rig.structure import Values
+
+_AS_JSON = "save the matrices as JSON, as M1 D1 M2 D2 R T"
+_BEFORE_MAPS = (
+    "holds remap tables, which say neither focal length nor baseline: give the calibration that "
+    "they were made from (M1 D1 M2 D2 R T), which rectifies the recorded images itself; for "
+    "images that are rectified already, its P1 and P2 or Q"
+)
+
+#: Names of remap tables: stereoMapL_x, Left_Stereo_Map_x, leftMapX, map1x, mapx1, map1.
+_MAP = r"(\w*stereo_?map\w*|\w*map_?[lr12]?_?[xy]_?[lr12]?|map_?[12])"
+
+#: Beginnings of files that hold calibrations elsewhere and are not read, and what to do.
+_BYTES = {
+    b"\x80": "is a Python pickle, which could run programs: save the arrays with numpy.savez",
+    b"\x93NUMPY": "is one array: save all of them with numpy.savez",
+    b"MATLAB": f"is a MATLAB file: {_AS_JSON}",
+    b"\x89HDF": f"is an HDF5 file: {_AS_JSON}",
+    b"#ROSBAG": "is a ROS bag: give it as the recording, and its camera_info is found",
+}
+
+#: What tells files by their text, before it is taken apart: tables of maps are large.
+_TEXTS = {
+    rf"^\s*<{_MAP}[ >]|^{_MAP}:": _BEFORE_MAPS,
+    r"^# (Camera|Image) list with": (
+        "is COLMAP's, whose lengths have no known unit: give the calibration of the stereo camera"
+    ),
+    r"\"(transform_matrix|camera_angle_x)\"": (
+        "is a transforms.json, of one camera and no known scale: give the calibration of the "
+        "stereo camera"
+    ),
+    r"\"(camera_intrinsic|camera_data_)": (
+        "is nuScenes' or Argoverse's table of sensors: give rig.yaml of the two cameras, or M1 D1 "
+        "M2 D2 R T of them as JSON"
+    ),
+    r"^[ \t]*cam_model:[ \t]*\w": (
+        "is of one camera, as the former SVO has it: give rig.yaml, or kalibr's camchain of both"
+    ),
+    r"^[ \t]*(VERTEX_CAM|EDGE_)": "is a graph of g2o: give the calibration of the stereo camera",
+}
+
+
+def refuse_foreign_bytes(path: Path, content: bytes) -> None:
+    """Refuse what is no text and no .npz.
+
+    Raises:
+        InputError: it is such a file.
+    """
+    for start, advice in _BYTES.items():
+        if content.startswith(start):
+            raise InputError(f"{path} {advice}")
+
+
+def refuse_foreign_text(path: Path, text: str) -> None:
+    """Refuse texts that are known by their first lines.
+
+    Raises:
+        InputError: it is such a file.
+    """
+    for pattern, advice in _TEXTS.items():
+        if re.search(pattern, text[:_BEGINNING], re.MULTILINE | re.IGNORECASE):
+            raise InputError(f"{path} {advice}")
+
+
+#: How far into a text these stand.
+_BEGINNING = 4096
+
+
+def refuse_foreign_values(path: Path, values: Values) -> None:
+    """Refuse what is known by the names in it.
+
+    Raises:
+        InputError: it is such a file.
+    """
+    maps = [name for name in values if re.fullmatch(_MAP, name)]
+    intrinsics = values.keys() & {"m1", "k1", "cameramatrix1", "leftcameramatrix", "mtxl"}
+    if len(maps) > 1 and not intrinsics:
+        raise InputError(f"{path} {_BEFORE_MAPS}")
+    cameras = [name for name in values if re.fullmatch(r"cam\d", name)]
+    if len(cameras) == 1 and isinstance(values[cameras[0]], dict):
+        raise InputError(
+            f"{path} has one camera, {cameras[0]}: give the camchain of both cameras of the rig"
+        )
+    if _is_matrix(values.get("cameramatrix")) and not values.keys() & {
+        *("projectionmatrix", "rectificationmatrix", "cameramatrix2", "cameramatrix1"),
+    }:
+        raise InputError(
+            f"{path} is of one camera: a stereo camera needs M1 D1 M2 D2 of both, and R and T "
+            "between them (cv2.stereoCalibrate finds them)"
+        )
+
+
+def _is_matrix(value: Any) -> bool:
+    return bool(np.asarray(value, object).size == 9)

@@ -1,0 +1,155 @@
+"""Calibrations as plain lines of text: KITTI, Middlebury, ROS' ost.txt, and bare numbers."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from motionstereo_cli.errors import InputError
+from motionstereo_cli.rig.cameras import Pair, intrinsic_matrix, rectified_pair
+from motionstereo_cli.rig.values import Source
+
+if TYPE_CHECKING:
+    from motionstereo_cli.rig.structure import Values
+
+#: What tells a format.
+MIDDLEBURY = re.compile(r"^\s*cam0\s*=", re.MULTILINE)
+KITTI = re.compile(r"^P(_rect_)?\d+[ \t]*:[ \t]*[-+.\d]", re.MULTILINE)
+OST = re.compile(r"^camera matrix\s*$", re.MULTILINE)
+
+
+def read_kitti(path: Path, text: str, pair: tuple[int, int] | None) -> Pair:
+    """Return the pair of KITTI's calib.txt or calib_cam_to_cam.txt, by its numbers."""
+    values: dict[str, Any] = {}
+    for line in text.splitlines():
+        key, colon, numbers = line.partition(":")
+        if colon:
+            values[key.strip()] = _floats(numbers)
+    raw = any(key.startswith("P_rect_") for key in values)
+    labels = {
+        int(found[1]): key
+        for key in values
+        if (found := re.fullmatch(r"P_rect_(\d+)" if raw else r"P(\d+)", key))
+    }
+    notes: tuple[str, ...] = ()
+    if pair is None:
+        pair = (0, 1) if labels.keys() >= {0, 1} else (2, 3)
+        if len(labels) == 2:
+            first, second = sorted(labels)
+            pair = first, second
+        if labels.keys() >= {0, 1, 2, 3}:
+            notes = (f"the file has four cameras: {pair[0]} and {pair[1]} are taken",)
+    source = Source(path, values)
+    left, right = (
+        source.matrix((label,), label, (3, 4))
+        for label in (labels.get(n, f"P_rect_{n:02d}" if raw else f"P{n}") for n in pair)
+    )
+    size = source.size(labels.get(pair[0], "P").replace("P_", "S_")) if raw else None
+    return rectified_pair("KITTI", (left, right), size, "m", notes)
+
+
+def read_middlebury(path: Path, text: str) -> Pair:
+    """Return the pair of Middlebury's and ETH3D's calib.txt."""
+    values: dict[str, Any] = {}
+    for line in text.splitlines():
+        key, equals, numbers = line.partition("=")
+        if equals:
+            values[key.strip()] = _floats(numbers)
+    source = Source(path, values)
+    first, second = (source.intrinsics((name,), name) for name in ("cam0", "cam1"))
+    baseline = source.number(("baseline",), "baseline")
+    doffs = second[0, 2] - first[0, 2]
+    if "doffs" in values:
+        stated = source.number(("doffs",), "doffs")
+        if abs(stated - doffs) > 0.01:
+            raise InputError(
+                f"{path}: doffs is {stated:g} but cam1 and cam0 differ by {doffs:g} px: "
+                "check the file"
+            )
+    right = np.column_stack([second, [-second[0, 0] * baseline, 0, 0]])
+    left = np.column_stack([first, np.zeros(3)])
+    return rectified_pair("Middlebury", (left, right), source.size("width", "height"), "mm")
+
+
+def _floats(text: str) -> list[float] | None:
+    try:
+        return [float(part) for part in re.split(r"[\s,;\[\]]+", text.strip()) if part]
+    except ValueError:
+        return None  # dates and names
+
+
+def read_rows(path: Path, text: str) -> Pair | None:
+    """Return the pair of bare numbers; None where it is none.
+
+    Two (or more) rows of 12 are projections, as KITTI's without names; 9 numbers and one more are
+    K and the baseline, as FoundationStereo's K.txt has them. Images are rectified.
+    """
+    rows = [_floats(line) for line in text.splitlines() if line.strip()]
+    numbers = [row for row in rows if row is not None]
+    if len(numbers) < len(rows) or not numbers:
+        return None
+    counts = [len(row) for row in numbers]
+    if counts in ([9, 1], [3, 3, 3, 1]):
+        (*k, baseline) = [value for row in numbers for value in row]
+        source = Source(path, {"K": k})
+        left = np.column_stack([source.intrinsics(("K",), "K"), np.zeros(3)])
+        right = left.copy()
+        right[0, 3] = -left[0, 0] * baseline
+        return rectified_pair("K and baseline", (left, right), None, "m")
+    if counts in ([12, 12], [12] * 4):
+        first, second = (np.reshape(row, (3, 4)) for row in numbers[:2])
+        notes: tuple[str, ...] = (
+            f"{path} has {len(counts)} rows of 12 numbers: they are taken for the projections P0 "
+            "and P1 of rectified images",
+        )
+        return rectified_pair("bare P0, P1", (first, second), None, "m", notes)
+    return None
+
+
+def read_stereodemo(path: Path, values: Values) -> Pair:
+    """Return the pair of stereodemo's JSON, of rectified images: fx, cx0, cx1, baseline_meters."""
+    source = Source(path, values)
+    fx, fy, cy = (source.number((name,), name) for name in ("fx", "fy", "cy"))
+    left, right = (
+        np.column_stack([intrinsic_matrix(fx, fy, source.number((cx,), cx), cy), np.zeros(3)])
+        for cx in ("cx0", "cx1")
+    )
+    right[0, 3] = -fx * source.number(("baselinemeters",), "baseline_meters")
+    return rectified_pair("stereodemo", (left, right), source.size("width", "height"), "m")
+
+
+def ost_cameras(path: Path, text: str) -> list[tuple[Path, dict[str, Any]]]:
+    """Return the cameras of ROS' ost.txt or .ini, as the values of a camera_info each.
+
+    Names stand on lines of their own, with numbers below; ``[...]`` begins a camera, but for
+    ``[image]``, which has its size.
+    """
+    cameras: list[tuple[Path, dict[str, Any]]] = []
+    size: dict[str, Any] = {}
+    rows: list[float] = []
+    for whole in text.splitlines():
+        line = whole.partition("#")[0].strip()
+        numbers = _floats(line) if line else []
+        if numbers:
+            rows += numbers
+        elif line.startswith("["):
+            if line != "[image]":
+                cameras.append((Path(f"{path}: {line.strip('[]')}"), dict(size)))
+        elif line:
+            key = _OST_NAMES.get(line.lower(), line.lower())
+            rows = []
+            (cameras[-1][1] if cameras and key not in ("imagewidth", "imageheight") else size)[
+                key
+            ] = rows
+    return [(name, values | size) for name, values in cameras]
+
+
+#: Names in ost.txt by those of camera_info.
+_OST_NAMES = {
+    **{"width": "imagewidth", "height": "imageheight", "camera matrix": "cameramatrix"},
+    **{"distortion": "distortioncoefficients", "rectification": "rectificationmatrix"},
+    "projection": "projectionmatrix",
+}
