@@ -42,6 +42,16 @@ class BusyError(OutputError):
     """Another run is writing to the folder."""
 
 
+def is_damage(error: BaseException) -> bool:
+    """Return whether an error that a reader of others raised is for damage in what it read.
+
+    They raise of every kind; a lack of memory is none, and what is known already is not again.
+    """
+    return isinstance(error, Exception) and not (
+        isinstance(error, MotionStereoError) or shortage(error)
+    )
+
+
 #: How libraries say that the system gives no more memory.
 _NO_MEMORY = re.compile("failed to map segment|cannot allocate memory|insufficient memory", re.I)
 

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
+import ctypes
+import functools
 import hashlib
 import io
 import itertools
@@ -41,6 +44,9 @@ _PAGED = ("TIFF", "PNG", "WEBP")
 #: Modes of Pillow that are arrays as they are, and those that it makes RGB of.
 _PLAIN_MODES = {"1", "L", "LA", "RGB", "RGBA", "I", "F", "I;16", "I;16B", "I;16L", "I;16N"}
 _RGB_MODES = {"P", "PA", "La", "RGBa", "RGBX", "CMYK", "YCbCr"}
+
+#: A TIFF of more images is no recording: each place in it takes memory.
+MAX_PAGES = 10_000
 
 #: What Pillow raises on damaged images.
 _DAMAGE = (
@@ -209,8 +215,8 @@ def decode(
         with Pillow.open(io.BytesIO(content), formats=_FORMATS) as image:
             if image.width * image.height > max_pixels:
                 raise _too_large(path, f" ({image.width}x{image.height} px)", max_pixels)
-            pages = getattr(image, "n_frames", 1) if image.format in _PAGED else 1
-            if page:
+            pages = _pages_of(image, path)
+            if page or pages > 1:
                 image.seek(page)
             mode, turned = _as_read(image.mode, path), ImageOps.exif_transpose(image)
             pixels = np.asarray(turned.convert(mode) if mode else turned)
@@ -225,9 +231,39 @@ def page_count(path: Path) -> int:
     """Return how many images a TIFF, PNG or WebP holds; 1 for what cannot be read."""
     try:
         with open_regular(path) as file, Pillow.open(file, formats=_PAGED) as image:
-            return getattr(image, "n_frames", 1)
+            return _pages_of(image, path)
     except _DAMAGE:
         return 1
+
+
+def _pages_of(image: Pillow.Image, path: Path) -> int:
+    """Return how many images a file has.
+
+    Raises:
+        InputError: more than anybody has in one file.
+    """
+    count = 1
+    if image.format in ("PNG", "WEBP"):
+        count = getattr(image, "n_frames", 1)
+    elif image.format == "TIFF":
+        _quiet_libtiff()
+        with contextlib.suppress(EOFError):
+            for count in range(1, MAX_PAGES + 2):
+                image.seek(count)
+    if count > MAX_PAGES:
+        raise InputError(
+            f"{path} has more than {MAX_PAGES} images: give a video, or a file of each"
+        )
+    return count
+
+
+@functools.cache
+def _quiet_libtiff() -> None:
+    """Have libtiff write nothing to standard error; Pillow raises what it says."""
+    home = Path(Pillow.__file__).parent
+    for library in (*home.parent.glob("pillow.libs/libtiff*"), *home.glob(".dylibs/libtiff*")):
+        with contextlib.suppress(OSError, AttributeError):
+            ctypes.CDLL(str(library)).TIFFSetErrorHandler(None)
 
 
 def pages_from(path: Path, begin: int, max_pixels: int = MAX_PIXELS) -> Iterator[NDArray[Any]]:

@@ -18,15 +18,15 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import cv2
 import numpy as np
 
-from motionstereo_cli.errors import InputError
+from motionstereo_cli.errors import InputError, is_damage
 from motionstereo_cli.files.reading import MAX_PIXELS, open_regular
 from motionstereo_cli.files.stills import DamagedImageError, decode, grey_of
 from motionstereo_cli.sources.bag_topics import (
-    bag_damage,
     camera_info_of,
     image_topics,
     name_of,
     opened_bag,
+    words_of,
 )
 from motionstereo_cli.sources.recording import Image, Recording, images
 
@@ -244,20 +244,26 @@ class BagRecording(Recording):
 
     def _messages(self) -> Generator[tuple[int, Any]]:
         """Yield the time at which each message was recorded, and the message or None."""
-        from rosbags.highlevel import AnyReaderError
-
         wanted = [each for each in self._reader.connections if each.topic == self._topic]
         count = 0
         try:
             for connection, recorded_ns, raw in self._reader.messages(connections=wanted):
                 count += 1
-                try:
-                    yield recorded_ns, self._reader.deserialize(raw, connection.msgtype)
-                except AnyReaderError:
-                    yield recorded_ns, None
-        except bag_damage() as error:
-            self._ended = str(error).rstrip(".")
+                yield recorded_ns, self._deserialized(raw, connection.msgtype)
+        except Exception as error:
+            if not is_damage(error):
+                raise
+            self._ended = words_of(error)
             self._lost += max(self._about.messages - count, 1)
+
+    def _deserialized(self, raw: bytes, kind: str) -> Any:
+        """Return a message, None where it is damaged."""
+        try:
+            return self._reader.deserialize(raw, kind)
+        except Exception as error:
+            if not is_damage(error):
+                raise
+            return None
 
     def _grey(self, message: Any) -> Grey:
         """Return the grey levels of a message."""

@@ -13,7 +13,8 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from motionstereo_cli.errors import InputError, SettingsError
+from motionstereo_cli.errors import InputError, SettingsError, is_damage
+from motionstereo_cli.files.bounded import bound_rosbags
 from motionstereo_cli.sources.names import natural_key
 from motionstereo_cli.sources.recording import images
 
@@ -159,30 +160,23 @@ def opened_bag(files: Sequence[Path]) -> Iterator[AnyReader]:
             f"{path} is a ROS bag, which needs rosbags: pip install 'motionstereo[ros]'"
         ) from None
     try:
+        bound_rosbags()
         reader = AnyReader(list(files), default_typestore=get_typestore(Stores.LATEST))
         reader.open()
-    except bag_damage() as error:
+    except Exception as error:
+        if not is_damage(error):
+            raise
         advice = "rosbag reindex makes an index" if "index" in str(error) else "is it whole?"
-        raise InputError(
-            f"cannot read the bag {path}: {str(error).rstrip('.')}: {advice}"
-        ) from None
+        raise InputError(f"cannot read the bag {path}: {words_of(error)}: {advice}") from None
     try:
         yield reader
     finally:
         reader.close()
 
 
-def bag_damage() -> tuple[type[Exception], ...]:
-    """Return what rosbags raises of damaged bags; the databases and codecs below it raise more."""
-    import sqlite3
-    import struct
-
-    from rosbags.highlevel import AnyReaderError
-    from rosbags.rosbag1 import ReaderError as Reader1Error
-    from rosbags.rosbag2 import ReaderError as Reader2Error
-
-    known = (AnyReaderError, Reader1Error, Reader2Error, sqlite3.Error, struct.error)
-    return (*known, OSError, ValueError, LookupError, EOFError, AssertionError, RuntimeError)
+def words_of(error: Exception) -> str:
+    """Return what rosbags, or a codec below it, says of damage, in a line."""
+    return " ".join(str(error).split()).rstrip(".") or type(error).__name__
 
 
 def image_topics(reader: AnyReader) -> list[Topic]:
@@ -215,8 +209,9 @@ def _first(reader: AnyReader, connections: Sequence[Connection]) -> Any:
     try:
         for connection, _, raw in reader.messages(connections=connections):
             return reader.deserialize(raw, connection.msgtype)
-    except bag_damage():
-        pass
+    except Exception as error:
+        if not is_damage(error):
+            raise
     return None
 
 

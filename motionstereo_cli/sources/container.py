@@ -16,7 +16,7 @@ import av.logging
 from av.format import Flags
 from av.stream import Disposition
 
-from motionstereo_cli.errors import InputError, SettingsError
+from motionstereo_cli.errors import InputError, SettingsError, is_damage
 from motionstereo_cli.files.reading import HeldFile, open_regular
 from motionstereo_cli.sources.pipe import PATIENCE_S, Pipe
 from motionstereo_cli.sources.seeking import CodedImage
@@ -91,11 +91,13 @@ class Container:
             if isinstance(path, Path):
                 self._held = HeldFile(path)
             self.source = self._opened()
-        except (av.FFmpegError, OSError) as error:
+        except Exception as error:
             self.close_file()
+            if not is_damage(error):
+                raise
             self.check()
             raise InputError(
-                f"{path} is not a video that can be decoded ({error.strerror}): "
+                f"{path} is not a video that can be decoded ({_words_of(error)}): "
                 f"{self.advice or 'give a whole video file, or a folder of images'}"
             ) from error
         try:
@@ -224,7 +226,9 @@ class Container:
             with self._opened() as again:
                 stream = again.streams[self.stream.index]
                 return sum(packet.size > 0 for packet in again.demux(stream))
-        except (av.FFmpegError, OSError):
+        except Exception as error:
+            if not is_damage(error):
+                raise
             return None
 
     def coded(self) -> list[CodedImage]:
@@ -238,7 +242,9 @@ class Container:
             with self._opened() as again:
                 found = again.demux(again.streams[self.stream.index])
                 packets = [(each.pts, each.is_keyframe) for each in found if each.size]
-        except (av.FFmpegError, OSError):
+        except Exception as error:
+            if not is_damage(error):
+                raise
             return []
         told = [CodedImage(pts, is_key) for pts, is_key in packets if pts is not None]
         return told if len(told) == len(packets) else []
@@ -316,6 +322,10 @@ class Container:
         # Only a multiview stream knows the option.
         views = {} if self._view is None else {"view_ids": str(self._view)}
         codec.options = self._limits() | views
+
+
+def _words_of(error: Exception) -> str:
+    return str(getattr(error, "strerror", None) or error or type(error).__name__)
 
 
 def _keep_quiet() -> None:

@@ -11,7 +11,7 @@ from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import NamedTuple
 
-from motionstereo_cli.errors import InputError, SettingsError
+from motionstereo_cli.errors import InputError, SettingsError, is_damage
 from motionstereo_cli.files.stills import SUFFIXES, shown
 from motionstereo_cli.sources.bag import BagRecording
 from motionstereo_cli.sources.bag_topics import bags_in, image_topics_of, stereo_topics
@@ -289,6 +289,12 @@ def _open_video(
         if isinstance(path, Path) and (how := _how_to_convert(path.suffix)):
             raise InputError(f"{path} is {how}") from error
         raise
+    except Exception as error:
+        if not is_damage(error):
+            raise
+        raise InputError(
+            f"{path} cannot be read ({type(error).__name__}: {error}): is it whole?"
+        ) from error
 
 
 def _videos_of(name: str) -> list[Path]:

@@ -14,6 +14,7 @@ import av
 import av.logging
 import numpy as np
 
+from motionstereo_cli.errors import is_damage
 from motionstereo_cli.files.reading import MAX_PIXELS
 from motionstereo_cli.sources.container import Container
 from motionstereo_cli.sources.h264 import Heads
@@ -353,8 +354,10 @@ class VideoRecording(Recording):
                 packet = next(packets)
             except StopIteration:
                 break
-            except (av.FFmpegError, OSError) as error:
-                self._end_error = error.strerror or str(error)
+            except Exception as error:
+                if not is_damage(error):
+                    raise
+                self._end_error = getattr(error, "strerror", None) or str(error)
                 break
             if packet.size or packet.dts is not None:  # the last one is empty: it flushes
                 self._packets += 1
@@ -366,7 +369,9 @@ class VideoRecording(Recording):
             try:
                 with av.logging.Capture() as log:  # only of this thread
                     frames = packet.decode()
-            except av.FFmpegError:
+            except Exception as error:
+                if not is_damage(error):
+                    raise
                 self._fail(packet.pts if packet.pts is not None else packet.dts)
                 continue
             for frame in frames:
