@@ -194,6 +194,18 @@ def test_rates_that_contradict_the_numbers_are_named(tmp_path: Path) -> None:
         assert [number_in(frame.right) for frame in source] == list(ALL)
 
 
+def test_rates_of_a_whole_ratio_are_paired_by_time(tmp_path: Path) -> None:
+    left = film(tmp_path / "left.mp4", list(ALL), list(ALL))
+    right = film(tmp_path / "right.mp4", list(ALL)[::2], list(ALL))
+    for one, other in ((left, right), (right, left)):
+        with open_stereo(one, other) as source:
+            assert "are paired by time, those without a partner are left out" in source.warnings[0]
+            frames = list(source)
+            assert source.damage == []
+        for view in ("left", "right"):
+            assert [number_in(getattr(frame, view)) for frame in frames] == list(ALL)[::2]
+
+
 def shot(number: int, time_s: float) -> Shot:
     return Shot(number, number, number, Fraction(time_s), (), False, Loss(0, 0, ()))
 

@@ -204,6 +204,16 @@ _MISFIT = (
 )
 
 
+def _perhaps_step(report: CheckReport) -> str:
+    """Return what else may be wrong with the rows, where the step is not known."""
+    if report.ahead_frames is not None or not report.moving:
+        return ""
+    return (
+        "if both cameras were not started together, give --sync-offset auto, which measures it; "
+        "otherwise, "
+    )
+
+
 def _same_view(report: CheckReport) -> bool:
     if report.alike is not None and report.alike < SAME_VIEW_SHARE:
         return True
@@ -295,7 +305,7 @@ RULES = (
         "few-matches",
         "number of matches",
         "never; a warning",
-        lambda r: r.misaligned_px is None and not r.mounted,
+        lambda r: r.misaligned_px is None and not r.mounted and not r.step_frames,
         _never,
         lambda r: (
             f"only {r.matches} features agree between left and right, too few to check "
@@ -320,7 +330,11 @@ RULES = (
             f"rows do not agree: objects are {r.misaligned_px:.1f} px higher or lower on the "
             f"right (90th percentile {r.misaligned_p90_px:.1f}; shifted by {r.shifted_px:+.1f} px, "
             f"turned by {r.turned_deg:+.2f} degrees): "
-            + (_MISFIT if r.calibrated else "rectify, by giving the calibration to --rig")
+            + (
+                _perhaps_step(r) + _MISFIT
+                if r.calibrated
+                else "rectify, by giving the calibration to --rig"
+            )
         ),
     ),
     Rule(

@@ -19,14 +19,16 @@ import numpy as np
 
 from motionstereo_cli.check.features import NO_MATCHES, Matches, Window, joined
 from motionstereo_cli.check.findings import DARK_GREY, CheckReport, Finding
+from motionstereo_cli.check.lag import BANDS, lag_of, profile, small
 from motionstereo_cli.check.mounting import Mounting, mounted
-from motionstereo_cli.check.synchrony import Fit, fit_rows, step_or_drift
+from motionstereo_cli.check.synchrony import MAX_STEP, Fit, Step, fit_rows, step_or_drift
 from motionstereo_cli.method.settings import MAX_DISPARITY
 from motionstereo_cli.types import StereoFrame
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from motionstereo_cli.check.lag import Profile
     from motionstereo_cli.types import Grey, Rig
 
     Column = NDArray[np.float64]
@@ -42,6 +44,10 @@ _FEW_MOMENTS = (4, 8, 12)
 _FEATURE_WIDTH = 640
 _QUICK_WIDTH = 320
 _MOTION_WIDTH = 160
+
+
+#: Frames whose motion tells a step where the rows of few features do not.
+_PROFILED_FRAMES = 600
 
 
 #: Windows in which one pair of images is looked at for how the cameras stand.
@@ -160,6 +166,8 @@ class _Checker:
         self._last: tuple[tuple[Grey, Grey], ...] = ()
         self._frames = 0
         self._scale = 1.0
+        self._profiles: tuple[list[Profile], list[Profile]] = ([], [])
+        self._last_small: list[Grey] = []
 
     def see(self, frame: StereoFrame) -> None:
         number, self._frames = self._frames, self._frames + 1
@@ -169,6 +177,11 @@ class _Checker:
         for moved, image, last in zip(self._moved, looked_at, self._last, strict=False):
             moved.append(_moved_share(*image, *last))
         self._last = looked_at
+        if not self._quick and number <= _PROFILED_FRAMES:
+            shown = [small(side) for side in sides]
+            for rows, one, before in zip(self._profiles, shown, self._last_small, strict=False):
+                rows.append(profile(one, before))
+            self._last_small = shown
         if number in self._starts:
             self._windows.append(Window(number, self._moments))
         if self._windows and number < self._windows[-1].start + WINDOW_FRAMES:
@@ -191,6 +204,12 @@ class _Checker:
             return report
         matches = [window.matches(0) for window in self._windows]
         step, drift = step_or_drift(self._windows, matches)
+        by_motion = self._step_by_motion()
+        # Rows of a few images know nothing of larger steps.
+        if by_motion is not None and abs(by_motion.whole) > MAX_STEP:
+            step, drift = by_motion, None
+        elif drift is None:
+            step = step or by_motion
         if step is not None and step.whole:  # rows and disparities once that is put right
             matches = [window.matches(step.whole) for window in self._windows]
         seen = joined(matches)
@@ -207,6 +226,14 @@ class _Checker:
             **_alignment(rows, seen, self._windows[0].shape, self._scale),
             **_disparities(agreed, self._scale, max_disparity, rig.doffs if rig else 0.0),
         )
+
+    def _step_by_motion(self) -> Step | None:
+        """Return the step at which the motion of whole rows agrees, where that is certain."""
+        left, right = (np.array(rows, np.float32).reshape(-1, BANDS) for rows in self._profiles)
+        found = lag_of(left, right, len(left) // 2)
+        if found is None or not found.is_certain:
+            return None
+        return Step(-found.images, float(-found.images))
 
     def _mounted(self) -> Mounting | None:
         """Look at one pair of images of the first windows."""

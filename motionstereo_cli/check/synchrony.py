@@ -27,7 +27,7 @@ _MIN_MATCHES = 30
 
 
 # Steps in time.
-_MAX_STEP = 4
+MAX_STEP = 4
 
 
 _MOVING_PX = 0.1  # a frame
@@ -42,7 +42,12 @@ _MIN_REST = 0.3
 _CERTAIN_SIGMAS = 5.0
 
 
-_BETTER_ROWS = 0.85
+# Where a step leads, rows agree by this factor better than without; more so for one of many tried.
+_BETTER_ROWS, _MUCH_BETTER_ROWS = 0.85, 0.5
+
+
+# Rows that agree better than this, in px of what moves, need no other step.
+_MIN_OFF_PX = 0.25
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,7 +131,7 @@ def _refined(
 
 def _roughly(lower: Column, down: Column) -> float:
     """Return the step that makes most rows agree, by trying."""
-    steps = np.arange(-_MAX_STEP - 1, _MAX_STEP + 1.5, 0.5)
+    steps = np.arange(-MAX_STEP - 1, MAX_STEP + 1.5, 0.5)
     rest = lower - steps[:, None] * down
     off = np.abs(rest - np.median(rest, axis=1, keepdims=True))
     return float(steps[np.minimum(off, 1).sum(axis=1).argmin()])
@@ -143,12 +148,13 @@ def _walk(windows: Sequence[Window], matches: Matches) -> Step | None:
     """Return the step of some windows, from their matches in step on; None if nothing tells it.
 
     Speeds change, and that of slow objects is known badly, so a fit gives little more than the
-    direction: go there in whole frames while it points on.
+    direction: go there in whole frames while it points on. Where speeds change much, that misleads,
+    so that all steps are tried where rows then still do not agree.
     """
     tried: dict[int, Fit] = {}
 
     def attempt(whole: int) -> bool:
-        if whole in tried or abs(whole) > _MAX_STEP:
+        if whole in tried or abs(whole) > MAX_STEP:
             return False
         pooled = joined([window.matches(whole) for window in windows]) if whole else matches
         fit = fit_rows(pooled, windows[0].shape)
@@ -167,10 +173,15 @@ def _walk(windows: Sequence[Window], matches: Matches) -> Step | None:
         nearest = min(tried, key=lambda whole: tried[whole].off_px)
         attempt(nearest - 1)
         attempt(nearest + 1)
+    walked = set(tried)
+    if min(fit.off_px for fit in tried.values()) > _MIN_OFF_PX:
+        for step in range(-MAX_STEP, MAX_STEP + 1):
+            attempt(step)
     # Where it leads, rows have to agree better without any step than they did at first.
     best = min(tried, key=lambda whole: tried[whole].off_px)
+    better = _BETTER_ROWS if best in walked else _MUCH_BETTER_ROWS
     certain = (
-        tried[best].off_px < _BETTER_ROWS * tried[0].off_px
+        tried[best].off_px < better * tried[0].off_px
         and abs(best + tried[best].step) > _CERTAIN_SIGMAS * tried[best].sigma
     )
     if best and certain:

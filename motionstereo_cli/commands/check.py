@@ -66,11 +66,13 @@ def check(
     from tqdm import tqdm
 
     from motionstereo_cli.check.measure import check as check_library
+    from motionstereo_cli.check.offset import with_offset
     from motionstereo_cli.errors import DAMAGED_EXIT_CODE, NO_FRAMES, InputError
     from motionstereo_cli.rig.calibration import rectify_source
     from motionstereo_cli.sources import open_stereo
     from motionstereo_cli.sources.settings import adapted_rig
 
+    input_settings = with_offset(left, right, input_settings, say)
     with (
         open_stereo(left, right, input_settings) as source,
         tqdm(total=source.expected_frames, unit="frame", disable=None) as bar,

@@ -37,12 +37,14 @@ def info(
     Give it the same options as run. It decodes only the first image of each side. The numbers
     of images come from the files' indices, or are counted; a damaged file may give fewer.
     """
+    from motionstereo_cli.check.offset import with_offset
     from motionstereo_cli.rig import rig_values
     from motionstereo_cli.rig.calibration import rectify_source
     from motionstereo_cli.sources import open_stereo
     from motionstereo_cli.sources.opening import LoneRecordingError
 
     try:
+        input_settings = with_offset(left, right, input_settings, say)
         with open_stereo(left, right, input_settings) as source:
             source.count()
             facts = _facts(source)
@@ -101,6 +103,7 @@ def _line(fact: dict[str, Any]) -> str:
         parts += [fact["codec"], fact["pixel_format"], f"{fact['range']} range"]
         if fact["rotation_deg"]:
             parts.append(f"turned by {fact['rotation_deg']} degrees")
+        parts += [f"{key} {fact[key]}" for key in ("created", "timecode") if key in fact]
         parts += [fact[key] for key in ("projection", "serial_number") if key in fact]
         parts += [f"{fact['view']} view"] if "view" in fact else []
         parts.append(printable(fact["path"]))

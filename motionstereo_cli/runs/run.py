@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from motionstereo_cli.check.measure import watched
+from motionstereo_cli.check.offset import with_offset
 from motionstereo_cli.check.shortfall import shortfall
 from motionstereo_cli.errors import (
     NO_FRAMES,
@@ -95,6 +96,8 @@ def run(plan: RunPlan, watcher: Watcher | None = None, stdout: BinaryIO | None =
     """
     watcher = watcher or Watcher()
     stdout = stdout or _standard_output(plan)
+    measured = with_offset(plan.left, plan.right, plan.input_settings, watcher.say)
+    plan = dataclasses.replace(plan, input_settings=measured)
     with open_stereo(plan.left, plan.right, plan.input_settings) as source:
         job = job_of(plan, source, watcher)
         watcher.begin(source.expected_frames)

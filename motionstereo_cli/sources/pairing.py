@@ -11,6 +11,7 @@ import numpy as np
 
 from motionstereo_cli.errors import SettingsError
 from motionstereo_cli.sources.names import joint_marks, natural_key
+from motionstereo_cli.sources.settings import AUTO_OFFSET
 
 if TYPE_CHECKING:
     from motionstereo_cli.sources.recording import Recording
@@ -43,6 +44,7 @@ class Pairing:
         by_time: the differences are times.
         note: is told each pair.
         warning: what contradicts it, empty if nothing does.
+        thinned: the recording of the higher rate, where not all of its images have partners.
     """
 
     lead: Callable[[Shot, Shot], Fraction]
@@ -50,6 +52,7 @@ class Pairing:
     by_time: bool = False
     note: Callable[[Shot, Shot], object] = lambda *_: None
     warning: str = ""
+    thinned: Recording | None = None
 
 
 def pairing(left: Recording, right: Recording, settings: InputSettings) -> Pairing:
@@ -61,6 +64,8 @@ def pairing(left: Recording, right: Recording, settings: InputSettings) -> Pairi
     Raises:
         SettingsError: the settings need times that a recording does not have.
     """
+    if settings.sync_offset == AUTO_OFFSET:
+        raise SettingsError("--sync-offset auto is to be measured first: give the number")
     how = _by_time(left, right, settings) if not settings.sync_offset else None
     return how or _by_names(left, right, settings.sync_offset)
 
@@ -225,11 +230,17 @@ def _by_containers(left: Recording, right: Recording, half_period: Fraction) -> 
     is less, and what comes slowly, is jitter and drift, and is followed.
     """
     one, other = left.frame_rate or 0, right.frame_rate or 0
+    thinned = None
     if max(one, other) > (1 + _RATES_APART) * min(one, other):
+        thinned = left if one > other else right
+        said = (
+            f"{left.name} has {float(one):.6g} images per second and {right.name} "
+            f"{float(other):.6g}: "
+        )
+    if thinned is not None and not _as_long(left, right):
         return Pairing(
             lambda one, other: Fraction(other.number - one.number),
-            warning=f"{left.name} has {float(one):.6g} images per second and {right.name} "
-            f"{float(other):.6g}: they are paired by number; if both rates are right, give "
+            warning=f"{said}they are paired by number; if both rates are right, give "
             "--sync-tolerance",
         )
     apart_s = float(right.begin_s - left.begin_s)
@@ -244,7 +255,25 @@ def _by_containers(left: Recording, right: Recording, half_period: Fraction) -> 
             else "their first images are paired all the same; if their clocks agree, give "
             f"--sync-tolerance {float(half_period):.3f}"
         )
-    return Pairing(step.lead, half_period, by_time=True, note=step.note, warning=warning)
+    if thinned is not None:
+        also = f"; {warning}" if warning else ""
+        warning = f"{said}images are paired by time, those without a partner are left out{also}"
+    return Pairing(
+        step.lead, half_period, by_time=True, note=step.note, warning=warning, thinned=thinned
+    )
+
+
+def _as_long(left: Recording, right: Recording) -> bool:
+    """Return whether two recordings are equally long by their rates, so that these are right."""
+    lengths_s = [
+        side.expected_images / side.frame_rate
+        for side in (left, right)
+        if side.expected_images and side.frame_rate
+    ]
+    if len(lengths_s) < 2:
+        return False
+    one, other = lengths_s
+    return max(one, other) <= (1 + _RATES_APART) * min(one, other)
 
 
 class _Step:

@@ -17,6 +17,9 @@ from motionstereo_cli.types import Rig
 #: A place in the stream: an int is the number of a frame, a Fraction a time in s.
 Place = int | Fraction
 
+#: The offset that stands for ``auto``.
+AUTO_OFFSET = -1_000_000_000
+
 #: One image in a quarter of an hour, in frames per second.
 _MIN_RATE = 0.001
 
@@ -90,10 +93,11 @@ class InputSettings:
     sync_offset: int = param(
         0,
         "Pair left image n with right image n + N. N > 0 if the right recording began N images "
-        "earlier.",
+        "earlier. auto: measured by the sound in both, or else by motion.",
         unit="images",
-        low=-1_000_000_000,
+        low=AUTO_OFFSET,
         high=1_000_000_000,
+        words={"auto": AUTO_OFFSET},
     )
     sync_tolerance: float = param(
         0.0,

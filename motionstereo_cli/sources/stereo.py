@@ -6,6 +6,7 @@ import itertools
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import ExitStack, closing
 from fractions import Fraction
+from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
@@ -236,6 +237,8 @@ class StereoSource:
         for side, over_first, over_last in ((left, -offset, offset), (right, offset, -offset)):
             early = 0 if self._pairing.by_time else max(side.early - max(over_first, 0), 0)
             late = side.left_over - max(over_last, 0) if self._to_the_end else 0
+            if self._pairing.thinned is side.stream:  # most of its images have no partner
+                early, late = early - side.between, 0
             lines += side.unused(early, late)
         return lines
 
@@ -274,6 +277,31 @@ class StereoSource:
         for stream in self._streams:
             stream.expected_images = stream.count()
         self.expected_frames = self._expected()
+
+    @property
+    def first_files(self) -> list[Path]:
+        """The first file of the left and of the right recording; fewer where one has none."""
+        return [stream.files[0] for stream in self._streams if stream.files]
+
+    @property
+    def length_s(self) -> float | None:
+        """About how long the shorter recording is, in s; None if unknown."""
+        ends = [side.stream.expected_images for side in self._sides]
+        rate = self._sides[1].stream.frame_rate
+        return float(min(n or 0 for n in ends) / rate) if all(ends) and rate else None
+
+    def unpaired(self, view: int) -> Iterator[tuple[int, Grey]]:
+        """Yield all images of the left (0) or the right (1) view, in the place of the iteration.
+
+        Each with its number: that in its file's name, where both sides have such, or else its
+        place in the recording.
+        """
+        side = self._sides[view]
+        numbered = all(each.stream.numbered for each in self._sides)
+        for shot in self._shots(side):
+            if not isinstance(shot, Loss):
+                grey = shot.views[side.half if len(self._streams) == 1 else 0]
+                yield (shot.pts if numbered else shot.number), grey
 
     def __iter__(self) -> Iterator[StereoFrame]:
         self._frames = self._strictly() if self.settings.strict else self._deliver()
