@@ -51,8 +51,8 @@ fuzz: $(READY)  ## try damaged calibration, poses, settings and tables, each for
 torture: $(READY)  ## damage input, kill runs, fill disks, run for long: half an hour
 	$(BENCH) torture
 
-# All tests that import what calls loops; a new one is among them by itself. Benchmarks are slow.
-LOOP_TESTS = $(filter-out tests/test_bench_%,$(shell grep -lP "motionstereo_cli\.(compiled|robot|method\.(?!settings))" tests/test_*.py))
+# All tests that import what calls loops; a new one is among them by itself. Benchmarks and whole commands are slow.
+LOOP_TESTS = $(filter-out tests/test_bench_% tests/test_hostile.py,$(shell grep -lP "motionstereo_cli\.(compiled|robot|method\.(?!settings))" tests/test_*.py))
 SANITIZER = $(foreach name,asan ubsan stdc++,$(shell gcc -print-file-name=lib$(name).so))
 sanitize: $(READY)  ## run the tests of the loops on loops that check each access to memory; Linux, gcc
 	mkdir -p out
