@@ -25,6 +25,7 @@ from motionstereo_cli.method.matching import matcher_of
 from motionstereo_cli.method.memory import Memory, Sighting, age_of, in_mirror, mirrored, see
 from motionstereo_cli.method.settings import AUTO, FOREVER, MATCHERS, Settings
 from motionstereo_cli.method.steady import averaged
+from motionstereo_cli.method.unknown import reasons
 from motionstereo_cli.robot.guide import Guide, guide_of
 from motionstereo_cli.robot.mapper import camera_points
 from motionstereo_cli.robot.odometer import Odometer
@@ -48,7 +49,7 @@ if TYPE_CHECKING:
     from motionstereo_cli.types import Grey, Real
 
 #: What of a result takes time and is not always asked for.
-EXTRAS = frozenset({"age_frames", "confidence", "depth_m"})
+EXTRAS = frozenset({"age_frames", "confidence", "depth_m", "occlusion"})
 
 #: A disparity shows where a moving object is now if it moved there at most this many frames ago.
 FRESH_FRAMES = 3
@@ -96,7 +97,7 @@ class FrameSummary:
         profile: what the guide takes from it.
         regions: what may be an object.
         motion: the rig's own since the frame before; None where it is unknown or not asked for.
-        charged, matched, points: as :class:`~motionstereo_cli.types.Step` has them.
+        charged, matched, at_limit, points: as :class:`~motionstereo_cli.types.Step` has them.
     """
 
     time: FrameTime
@@ -105,6 +106,7 @@ class FrameSummary:
     motion: Motion | None
     charged: float
     matched: float
+    at_limit: float
     points: tuple[NDArray[np.float64], Grey] | None
 
 
@@ -236,6 +238,7 @@ def process(
             age_frames=images.age_frames,
             disparity_px=images.disparity_px,
             confidence=images.confidence,
+            occlusion=images.occlusion,
             depth_m=images.depth_m,
             steering=step.steering,
             charged=step.charged,
@@ -300,6 +303,7 @@ def follow(
         fix=fix,
         charged=summary.charged,
         matched=summary.matched,
+        at_limit=summary.at_limit,
         points=summary.points,
         images=images,
     )
@@ -422,26 +426,29 @@ def analyse(
     assert left is not None
     shown = right if s.reference == "right" else left
     try:
-        disparity_px, confidence = match(
-            right, left, s, with_confidence="confidence" in context.extras
+        found = match(
+            *(right, left, s),
+            with_confidence="confidence" in context.extras,
+            with_occlusion="occlusion" in context.extras,
         )
-        sighting = Sighting.of(disparity_px, shown.grey)
+        sighting = Sighting.of(found.disparity_px, shown.grey)
     except BaseException as error:
         now.set_exception(error)
         raise
     now.set_result(sighting)
     if before:
         earlier = [(each.result().disparity_px, each.result().grey) for each in before]
-        disparity_px = averaged(disparity_px, sighting.grey, age_of(shown, s), earlier)
-    images, summary = described(frame, shown, disparity_px, confidence, motion, context)
+        age = age_of(shown, s)
+        steady = averaged(found.disparity_px, sighting.grey, age, earlier)
+        found = found._replace(disparity_px=steady)
+    images, summary = described(frame, shown, found, motion, context)
     return FrameAnalysis(images, summary)
 
 
 def described(
     frame: StereoFrame,
     shown: Memory,
-    disparity_px: Real,
-    confidence: Real | None,
+    found: Match,
     motion: Motion | None,
     context: StreamContext,
 ) -> tuple[FrameImages, FrameSummary]:
@@ -450,11 +457,11 @@ def described(
     Args:
         frame: the frame.
         shown: the memory of the reference camera after it.
-        disparity_px, confidence: as :func:`match` gives them.
+        found: its disparity, and what is known of it.
         motion: the rig's own.
         context: what is the same for all frames.
     """
-    s, rig = context.settings, context.rig
+    s, rig, disparity_px = context.settings, context.rig, found.disparity_px
     regions: tuple[Region, ...] = ()
     if context.tracker is not None:
         regions = context.tracker.regions(disparity_px, age_of(shown, s) <= FRESH_FRAMES)
@@ -466,7 +473,8 @@ def described(
         bands=shown.bands,
         motion=shown.moved,
         age_frames=age_of(shown, s) if "age_frames" in context.extras else None,
-        confidence=confidence,
+        confidence=found.confidence,
+        occlusion=found.occlusion,
         depth_m=depth_of(disparity_px, rig) if "depth_m" in context.extras else None,
     )
     points = None
@@ -479,6 +487,7 @@ def described(
         motion=motion,
         charged=float(np.count_nonzero(shown.charge > s.charge_min)) / disparity_px.size,
         matched=float(np.count_nonzero(~np.isnan(disparity_px))) / disparity_px.size,
+        at_limit=found.at_limit,
         points=points,
     )
     return images, summary
@@ -489,26 +498,55 @@ def depth_of(disparity_px: Real, rig: Rig | None) -> Real | None:
     return None if rig is None else depth(disparity_px, rig.focal_px, rig.baseline_m, rig.doffs)
 
 
-def match(
-    right: Memory, left: Memory, settings: Settings, *, with_confidence: bool = True
-) -> tuple[Real, Real | None]:
-    """Return disparity in px and confidence 0..1 of the reference view, NaN = unknown.
+class Match(NamedTuple):
+    """What was matched in one frame, in the reference view, (height, width) each.
 
-    Both are (height, width) float32; the confidence is None if it was not asked for.
+    Attributes:
+        disparity_px: float32, NaN = unknown.
+        confidence: 0..1, float32, NaN = unknown; None if not asked for.
+        occlusion: why it is unknown, uint8, by the codes of
+            :data:`~motionstereo_cli.method.settings.OCCLUSION`; None if not asked for.
+        at_limit: share of the image whose best match was the last one of the range.
     """
+
+    disparity_px: Real
+    confidence: Real | None
+    occlusion: Grey | None
+    at_limit: float
+
+
+def match(
+    right: Memory,
+    left: Memory,
+    settings: Settings,
+    *,
+    with_confidence: bool = True,
+    with_occlusion: bool = False,
+) -> Match:
+    """Return what the two memories have in common, in the reference view."""
+    extras = {"with_confidence": with_confidence, "with_occlusion": with_occlusion}
     if settings.reference == "left":
         # In a mirror the left camera is the right one, and disparities stay what they are.
-        mirror = in_mirror(left), in_mirror(right)
-        disparity, chance = _match(*mirror, settings, with_confidence=with_confidence)
-        return mirrored(disparity), None if chance is None else mirrored(chance)
-    return _match(right, left, settings, with_confidence=with_confidence)
+        found = _match(in_mirror(left), in_mirror(right), settings, **extras)
+        return Match(
+            mirrored(found.disparity_px),
+            None if found.confidence is None else mirrored(found.confidence),
+            None if found.occlusion is None else mirrored(found.occlusion),
+            found.at_limit,
+        )
+    return _match(right, left, settings, **extras)
 
 
 def _match(
-    right: Memory, left: Memory, settings: Settings, *, with_confidence: bool
-) -> tuple[Real, Real | None]:
+    right: Memory,
+    left: Memory,
+    settings: Settings,
+    *,
+    with_confidence: bool,
+    with_occlusion: bool,
+) -> Match:
     s = settings
-    disparity, confidence = matcher_of(s)(right, left, s)
+    disparity, confidence, at_limit = matcher_of(s)(right, left, s)
     chance = confidence() if with_confidence or s.min_confidence > 0 else None
     if s.min_confidence > 0 or s.max_age < FOREVER:
         dropped = age_of(right, s) > s.max_age
@@ -516,4 +554,10 @@ def _match(
             dropped |= chance < s.min_confidence
             chance[dropped] = np.nan
         disparity[dropped] = np.nan
-    return disparity, chance
+    if at_limit is None:
+        at_limit = np.zeros(disparity.shape, np.bool_)
+    occlusion = None
+    if with_occlusion:
+        wanted = (right.charge > s.charge_min) | (s.depth_of == "all")
+        occlusion = reasons(disparity, wanted, at_limit)
+    return Match(disparity, chance, occlusion, float(np.count_nonzero(at_limit)) / at_limit.size)

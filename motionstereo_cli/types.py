@@ -236,7 +236,8 @@ class FrameImages:
         time: which frame it is.
         view: (height, width) uint8, the reference camera's image.
         charge, disparity_px: as :class:`FrameResult` has them.
-        bands, motion, age_frames, confidence, depth_m: likewise; None where no output asks for it.
+        bands, motion, age_frames, confidence, depth_m, occlusion: likewise; None where no output
+            asks for it.
     """
 
     time: FrameTime
@@ -248,6 +249,7 @@ class FrameImages:
     age_frames: Grey | None = None
     confidence: Real | None = None
     depth_m: Real | None = None
+    occlusion: Grey | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -261,6 +263,8 @@ class Step:
         pose: where the rig was; None where it is not known.
         fix: how far to believe in the pose, where it was found from the videos.
         charged, matched: shares of the image, 0..1, that carry charge and have a disparity.
+        at_limit: share of the image, 0..1, whose best match was the last one of the range: that is
+            unknown, and may be nearer.
         points: what moved, (n, 3) float64 m in the reference camera's optical frame, and its
             grey, (n,) uint8; None where no output asks for it.
         images: the frame's images; None where no output asks for them together with these numbers.
@@ -274,6 +278,7 @@ class Step:
     matched: float
     points: tuple[NDArray[np.float64], Grey] | None = None
     images: FrameImages | None = None
+    at_limit: float = 0.0
     fix: Fix | None = None
 
 
@@ -292,6 +297,8 @@ class FrameResult:
         confidence: (height, width) float32 chance 0..1 that the disparity is right within 1 px,
             NaN = unknown; all NaN for the regions matcher, which does not know; None if not asked
             for.
+        occlusion: (height, width) uint8, why the disparity is unknown, by the codes of
+            :data:`~motionstereo_cli.method.settings.OCCLUSION`; None if not asked for.
         depth_m: (height, width) float32, NaN = unknown; None without a rig or if not asked for.
         steering: heading for this frame.
         charged, matched: shares of the image, 0..1, that carry charge and have a disparity.
@@ -313,6 +320,7 @@ class FrameResult:
     steering: Steering
     charged: float
     matched: float
+    occlusion: Grey | None = None
     state: Any = None
     pose: Pose | None = None
     objects: tuple[MovingObject, ...] = ()

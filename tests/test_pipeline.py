@@ -177,9 +177,10 @@ def test_max_age_keeps_what_moved_lately():
 def test_min_confidence_keeps_what_is_likely_right():
     frames = list(sliding([12, 25], frames=8))
     everything = last(process(frames))
-    likely = last(process(frames, Settings(min_confidence=0.95)))
-    assert np.nanmin(everything.confidence) < 0.95 < np.nanmax(everything.confidence)
-    kept = everything.confidence >= np.float32(0.95)
+    least = float(np.nanmedian(everything.confidence))
+    likely = last(process(frames, Settings(min_confidence=least)))
+    kept = everything.confidence >= np.float32(least)
+    assert 0.2 < kept[~np.isnan(everything.disparity_px)].mean() < 0.9
     assert np.array_equal(~np.isnan(likely.disparity_px), kept)
 
 

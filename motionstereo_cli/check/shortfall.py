@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 import cv2
@@ -24,6 +25,9 @@ _WIDTH = 640
 #: share of the image.
 _BLOCK_PX, _UNIQUENESS, _TEXTURE = 15, 15, 20
 _TIMES_MORE, _MIN_SURE_SHARE = 1.5, 0.03
+
+#: Share of the matches at the limit of the range that is worth a word.
+MIN_AT_LIMIT_SHARE = 0.02
 
 #: Difference of brightness in grey levels that is worth a word.
 _MIN_BRIGHTNESS = 5.0
@@ -75,6 +79,23 @@ def shortfall(
         which = "brighter" if brighter > 0 else "darker"
         return f"{said}; the left view is {abs(brighter):.0f} grey levels {which}"
     return f"{said}; rows, range, order and brightness of the views look right"
+
+
+def beyond_range(matched: float, at_limit: float, max_disparity: int) -> str | None:
+    """Return that much of what was seen may be nearer than the range reaches; None where it is not.
+
+    Args:
+        matched, at_limit: mean shares of the image with a disparity and at the limit, 0..1.
+        max_disparity: as the run has it, px.
+    """
+    share = at_limit / max(matched + at_limit, 1e-9)
+    if share < MIN_AT_LIMIT_SHARE:
+        return None
+    wider = 16 * math.ceil(1.5 * max_disparity / 16)
+    return (
+        f"{share:.0%} of the matches lie at the limit of the range and are left unknown, for they "
+        f"may be nearer: try --max-disparity {wider}"
+    )
 
 
 def _sure(right: Grey, left: Grey, max_disparity: int) -> float:

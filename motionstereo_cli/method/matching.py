@@ -6,7 +6,7 @@ A new matcher is a file of its own, a function here, and a row in ``settings.py`
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -34,13 +34,29 @@ from motionstereo_cli.method.settings import MATCHERS, Matcher, Settings, instal
 from motionstereo_cli.method.trails import match_trails
 
 if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
+    from numpy.typing import ArrayLike, NDArray
 
     from motionstereo_cli.types import Real
 
-    #: Disparity, and what makes its confidence: it takes time, and few ask for it.
-    Found = tuple[Real, Callable[[], Real]]
 
+class Found(NamedTuple):
+    """What a matcher found, (height, width) each.
+
+    Attributes:
+        disparity_px: float32, NaN = unknown.
+        confidence: makes the confidence 0..1, float32, NaN = unknown: it takes time, and few ask
+            for it.
+        at_limit: where the best match was the last one of the range, bool; None where the matcher
+            does not tell.
+    """
+
+    disparity_px: Real
+    confidence: Callable[[], Real]
+    at_limit: NDArray[np.bool_] | None = None
+
+
+#: What is so near to the limit of the range, in px, may be nearer than that.
+_LIMIT_PX = 0.5
 
 #: Where a plane decides, its inliers' share stands for a margin: all of them for this one.
 _MARGIN_OF_PLANES = np.float32(200)
@@ -59,12 +75,14 @@ def _trails(right: Memory, left: Memory, settings: Settings) -> Found:
     differs = residual(disparity, blurred(right, s), blurred(left, s))
     matched = without_speckles(disparity, differs <= s.max_residual, s.speckle_px)
     disparity = filled(matched, wanted > 0, s.gap_px)
-    return disparity, lambda: confidence(disparity, matched, votes, differs, age_of(right, s))
+    return Found(
+        disparity, lambda: confidence(disparity, matched, votes, differs, age_of(right, s))
+    )
 
 
 def _dense(right: Memory, left: Memory, settings: Settings) -> Found:
     s, wanted = settings, keys_of(right, settings)
-    charged = wanted > 0
+    charged = wanted > 0 if s.depth_of == "moved" else np.ones(wanted.shape, np.bool_)
     proposed, _ = match_trails(
         wanted[::ROWS],
         keys_of(left, s)[::ROWS],
@@ -81,11 +99,14 @@ def _dense(right: Memory, left: Memory, settings: Settings) -> Found:
         weights_of(proposed, wanted[::ROWS], age == 0),
         s.max_disparity,
     )
+    at_limit = half > s.max_disparity - _LIMIT_PX
+    half[at_limit] = np.nan
     half_grey = halved_exactly(right_grey)
     brighter = halved_exactly(left_grey) - halved_exactly(left_smoothed)
     half = refined(half, halved_exactly(right.grey), halved_exactly(left.grey) + brighter)
     surface = Surface.of(half_grey, charged[::ROWS], age)
     half, share = planed(half, proposed, surface, s.max_disparity)
+    half[half > s.max_disparity - _LIMIT_PX] = np.nan
     disparity = trimmed(whole(half, half_grey, right_grey), right_grey, left_grey)
     matched = without_speckles(disparity, ~np.isnan(disparity), s.speckle_px)
     disparity = hidden_filled(filled(matched, charged, s.gap_px), charged)
@@ -93,13 +114,14 @@ def _dense(right: Memory, left: Memory, settings: Settings) -> Found:
     disparity = without_fringes(disparity, charged)
     margin = np.where(np.isnan(share), margin, share * _MARGIN_OF_PLANES)
     margin = np.repeat(margin, ROWS, axis=0)[: len(charged)]
-    return disparity, lambda: confidence_by_margin(disparity, matched, margin)
+    at_limit = np.repeat(at_limit, ROWS, axis=0)[: len(charged)] & charged
+    return Found(disparity, lambda: confidence_by_margin(disparity, matched, margin), at_limit)
 
 
 def _regions(right: Memory, left: Memory, settings: Settings) -> Found:
     s = settings
     disparity = match_regions(keys_of(right, s), keys_of(left, s), s.max_disparity)
-    return disparity, lambda: np.full_like(disparity, np.nan)
+    return Found(disparity, lambda: np.full_like(disparity, np.nan))
 
 
 def _of_opencv(function: Callable[..., Real]) -> Callable[[Memory, Memory, Settings], Found]:
@@ -110,7 +132,7 @@ def _of_opencv(function: Callable[..., Real]) -> Callable[[Memory, Memory, Setti
         disparity[(right.charge == settings.charge_min) | (disparity > settings.max_disparity)] = (
             np.nan
         )
-        return disparity, lambda: np.full_like(disparity, np.nan)
+        return Found(disparity, lambda: np.full_like(disparity, np.nan))
 
     return match
 
@@ -164,7 +186,7 @@ def register_matcher(
             )
         charged = right.charge > settings.charge_min
         found[~(charged & (found >= 0) & (found <= settings.max_disparity))] = np.nan
-        return found, lambda: np.full_like(found, np.nan)
+        return Found(found, lambda: np.full_like(found, np.nan))
 
     MATCH[name] = match
     MATCHERS[name] = Matcher(what or name, knows_confidence=False)

@@ -53,6 +53,16 @@ MATCHERS = {
     "bm": Matcher("OpenCV's StereoBM, for comparison", knows_confidence=False),
 }
 
+#: What the codes of ``--save occlusion`` say of a pixel.
+OCCLUSION = {
+    0: "known",
+    1: "not moved",
+    2: "hidden from the other camera",
+    3: "outside the other camera's view",
+    4: "ambiguous",
+    5: "nearer than --max-disparity reaches, perhaps",
+}
+
 #: Installed packages offer matchers by entry points of this group.
 ENTRY_POINTS = "motionstereo.matchers"
 
@@ -153,6 +163,12 @@ class Settings:
         high=MAX_DISPARITY,
         common=True,
         words={"auto": AUTO},
+    )
+    depth_of: str = param(
+        "moved",
+        "Which pixels have depth. moved: those with charge, as in the paper; all: what stands "
+        "still too, from the first frame on. Needs --matcher dense.",
+        choices=("moved", "all"),
     )
     reference: str = param(
         "right",
@@ -287,6 +303,10 @@ class Settings:
             )
         if self.max_age < FOREVER and self.charge_mode == "general":
             raise SettingsError("--max-age needs --charge-mode permanency: else age is not known")
+        if self.depth_of == "all" and self.matcher != "dense":
+            raise SettingsError("--depth-of all needs --matcher dense")
+        if self.depth_of == "all" and self.max_age < FOREVER:
+            raise SettingsError("--max-age needs --depth-of moved: what stands still has no age")
         if self.min_confidence > 0 and not matchers()[self.matcher].knows_confidence:
             knowing = " or ".join(name for name in MATCHERS if MATCHERS[name].knows_confidence)
             raise SettingsError(f"--min-confidence needs --matcher {knowing}")

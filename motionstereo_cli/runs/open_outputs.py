@@ -25,16 +25,23 @@ class Totals:
 
     Attributes:
         frames: how many there were.
-        charged, matched: sums of the shares of the image with charge and with a disparity.
+        charged, matched, at_limit: sums of the shares of the image with charge, with a disparity,
+            and at the limit of the range.
     """
 
     frames: int = 0
     charged: float = 0.0
     matched: float = 0.0
+    at_limit: float = 0.0
 
     def plus(self, shares: Step | FrameSummary) -> Totals:
         """Return the sums with a further frame."""
-        return Totals(self.frames + 1, self.charged + shares.charged, self.matched + shares.matched)
+        return Totals(
+            self.frames + 1,
+            self.charged + shares.charged,
+            self.matched + shares.matched,
+            self.at_limit + shares.at_limit,
+        )
 
 
 class Ends(Protocol):

@@ -48,7 +48,8 @@ class RunReport:
     Attributes:
         frames: stereo frames processed.
         resumed: how many of them an earlier process had done.
-        charged, matched: mean shares of the image, 0..1, with charge and with a disparity.
+        charged, matched, at_limit: mean shares of the image, 0..1, with charge, with a disparity,
+            and at the limit of the range.
         wall_s: duration in s, from the first frame's decoding to the last output's completion.
         outputs: paths under the output folder, numbered files as their folder.
         damage: what was lost of the input, one line each.
@@ -59,6 +60,7 @@ class RunReport:
     resumed: int
     charged: float
     matched: float
+    at_limit: float
     wall_s: float
     outputs: tuple[str, ...]
     damage: tuple[str, ...]
@@ -211,6 +213,7 @@ def report_on(job: Job, totals: Totals, resumed: int, started_s: float) -> RunRe
         resumed=resumed,
         charged=totals.charged / max(totals.frames, 1),
         matched=totals.matched / max(totals.frames, 1),
+        at_limit=totals.at_limit / max(totals.frames, 1),
         wall_s=time.perf_counter() - started_s,
         outputs=_shown(job.save),
         damage=tuple(job.source.damage),
@@ -224,7 +227,11 @@ def outcome(source: StereoSource, report: RunReport) -> dict[str, Any]:
         # What came through a pipe is known at its end.
         **({} if source.rereadable else {"inputs": source.describe()}),
         "counts": {"written": report.frames, **source.counts},
-        "shares": {"charged": report.charged, "matched": report.matched},
+        "shares": {
+            "charged": report.charged,
+            "matched": report.matched,
+            "at_limit": report.at_limit,
+        },
         "warnings": source.warnings,
         "damage": list(report.damage),
         "timing": {
@@ -247,6 +254,7 @@ def report_of(record: Mapping[str, Any], plan: RunPlan) -> RunReport:
         resumed=frames,
         charged=record["shares"]["charged"],
         matched=record["shares"]["matched"],
+        at_limit=record["shares"]["at_limit"],
         wall_s=0.0,
         outputs=_shown(record["outputs"]),
         damage=tuple(record["damage"]),

@@ -14,7 +14,7 @@ from typing import Any, BinaryIO
 
 from motionstereo_cli.check.measure import watched
 from motionstereo_cli.check.offset import with_offset
-from motionstereo_cli.check.shortfall import shortfall
+from motionstereo_cli.check.shortfall import beyond_range, shortfall
 from motionstereo_cli.errors import (
     NO_FRAMES,
     InputError,
@@ -316,6 +316,8 @@ def _say_what_is_missing(
     if last is None or s.max_age < FOREVER or s.min_confidence > 0:  # what is missing was asked for
         return
     found = shortfall(report.charged, report.matched, last.right, last.left, s.max_disparity)
+    if found is None:
+        found = beyond_range(report.matched, report.at_limit, s.max_disparity)
     if found is not None:
         watcher.say("warning", found)
 

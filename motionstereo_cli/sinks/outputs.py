@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
 from motionstereo_cli.errors import SettingsError
+from motionstereo_cli.method.settings import OCCLUSION
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -218,6 +219,13 @@ OUTPUTS = {
         "0 = no disparity",
         "images.confidence",
         extras=("confidence",),
+    ),
+    "occlusion": Output(
+        "occlusion/{:06d}.png",
+        "uint8 why the disparity is unknown, reference view; "
+        + ", ".join(f"{code} = {what}" for code, what in OCCLUSION.items()),
+        "images.occlusion",
+        extras=("occlusion",),
     ),
     "bands": Output(
         "bands/{:06d}.png",
