@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import hashlib
 import os
 import stat
+from collections.abc import Iterator
 from io import BufferedReader
 from pathlib import Path
 
-from motionstereo_cli.errors import InputError
+from motionstereo_cli.errors import InputError, is_damage
 
 #: Larger images than these, in px, come from a damaged or hostile file unless the user says
 #: otherwise. Beyond the second number Pillow reads none.
@@ -94,6 +96,27 @@ def open_fifo(path: Path) -> int:
         OSError: it cannot be opened.
     """
     return os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0))
+
+
+@contextlib.contextmanager
+def damage_of(path: Path, advice: str = "write it again") -> Iterator[None]:
+    """Turn what a block makes of damaged content into an error that names the file.
+
+    Args:
+        path: the file, or the folder of several.
+        advice: what to do.
+
+    Raises:
+        InputError: the block raised an error of a kind that content can cause.
+    """
+    try:
+        yield
+    except Exception as error:
+        if not is_damage(error):
+            raise
+        raise InputError(
+            f"{path} is damaged ({type(error).__name__}: {str(error)[:100]}): {advice}"
+        ) from error
 
 
 def check_regular(path: Path, within: Path) -> None:

@@ -30,6 +30,7 @@ class Ended:
         exit_code: its exit code; negative = the number of the signal that ended it.
         said: what it wrote to standard error.
         wall_s, cpu_s: what it took.
+        rss_bytes: the most memory that it held.
         killed: it was ended from here: because it was to be, or it took too long.
     """
 
@@ -37,6 +38,7 @@ class Ended:
     said: str
     wall_s: float
     cpu_s: float
+    rss_bytes: int
     killed: bool
 
     @property
@@ -113,6 +115,7 @@ def fork(child: Callable[[], int], *, seconds: float) -> Ended:
         said.decode(errors="replace"),
         time.monotonic() - started_s,
         usage.ru_utime + usage.ru_stime,
+        usage.ru_maxrss * 1024,
         killed,
     )
 

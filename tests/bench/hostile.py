@@ -1,26 +1,55 @@
-"""Hostile use: links planted, inputs offered as outputs, kills at each change of the disk.
+"""Hostile use: names swapped, records changed, inputs offered as outputs, kills at each change.
 
 Every trial has a folder of its own with files of a user in it. What counts is that none of them is
-lost, and that the same command works after a kill.
+lost, that no command hangs, takes over 1 GB or ends for a reason that nobody foresaw, and that the
+same command works after a kill.
+
+Which names a command touches is seen in a run of it that nobody disturbs: each is then taken by a
+link, a FIFO, a folder, a device or a file of others.
 """
 
 from __future__ import annotations
 
+import functools
 import hashlib
+import json
 import os
 import random
 import shutil
 import signal
+import sys
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from bench.children import fork
+from tqdm import tqdm
+
+from bench.children import Ended, fork
 from bench.clips import Clip
+from bench.damage import flipped
 from motionstereo_cli.__main__ import main
 
 _PATIENCE_S = 60.0
-_SAVE = "steering,charge,charge-png,disparity"
+_MAX_BYTES = 1 << 30
+_SAVE = "steering,objects,charge,charge-png,disparity"
+
+_PAIR = "left.mp4 right.mp4 --rig rig.yaml"
+_CLIP = f"{_PAIR} --end 9 --no-check --checkpoint-frames 3"
+
+#: What a batch needs names for, beside those of its recordings.
+_BATCH_NAMES = (
+    *("many2", "many2/batch.csv", "many2/.batch", "many2/.batch/batch.json", "many2/a"),
+    *("many2/.batch/status", "many2/.batch/logs", "many2/.batch/logs/a.log", "many2/a.log"),
+    *("many2/.batch/status/a.json", "many2/a/run.json", "many2/a/depth", "m.csv", "left.mp4"),
+)
+#: Folders of results that a command may change, whatever lies there under the names of its files.
+_RESULTS = {
+    "overwrite": "golden/",
+    "resume": "begun/",
+    "complete": "golden/",
+    "report": "golden/report.html",
+    "simulate again": "old/",
+}
 
 #: What a command calls to change what is on the disk; a kill comes before one of these calls.
 _CHANGES = ("unlink", "replace", "fsync", "open", "rmdir", "mkdir")
@@ -39,6 +68,60 @@ _COMMANDS: tuple[tuple[tuple[str, ...], tuple[str, ...]], ...] = (
 )
 
 
+#: Commands, by what they do: their arguments, and the files that a user names for them to replace.
+_WORK: dict[str, tuple[str, tuple[str, ...]]] = {
+    "run": (f"run {_CLIP} --save {_SAVE},report -o out --csv table.csv", ()),
+    "overwrite": (f"run {_CLIP} --save {_SAVE} -o golden --overwrite", ()),
+    "resume": (f"run {_CLIP} --save {_SAVE} -o begun --csv begun.csv --resume", ()),
+    "complete": (f"run {_CLIP} --save {_SAVE} -o golden --resume", ()),
+    "report": ("report golden", ()),
+    "page": ("report golden2 -o page.html", ()),
+    "reports": ("report many -o pages.html", ()),
+    "compare": (
+        "compare golden golden2 --json c.json --junit c.xml --picture c.png",
+        ("c.json", "c.xml", "c.png"),
+    ),
+    "evaluate": (
+        "evaluate golden golden2 --csv e.csv --json e.json --picture 3 -o e.png",
+        ("e.csv", "e.json", "e.png"),
+    ),
+    "figure": ("figure left.mp4 right.mp4 --frames 2,5 -o f.png", ("f.png",)),
+    "rig": ("rig rig.yaml -o new.yaml", ("new.yaml",)),
+    "info": ("info left.mp4 right.mp4", ()),
+    "check": (f"check {_PAIR} --write c.toml", ("c.toml",)),
+    "simulate": ("simulate sim --frames 3 --width 64 --height 48", ()),
+    "simulate again": ("simulate old --frames 3 --width 64 --height 48 --overwrite", ()),
+}
+#: Of a cluster of processes, which takes seconds to begin: one trial in so many.
+_BATCH = "batch m.csv -o many2 --workers 1 --pieces 1 --no-check"
+_BATCH_EVERY = 25
+
+#: What takes a name, each from the place of the trial and the name.
+_OBSTACLES: dict[str, Callable[[Path, Path], object]] = {
+    "a link to a file": lambda place, name: name.symlink_to(place / "precious/000003.png"),
+    "a link to a folder": lambda place, name: name.symlink_to(place / "precious"),
+    "a link to nothing": lambda place, name: name.symlink_to(place / "precious/new"),
+    "a circle": lambda _, name: name.symlink_to(name.name),
+    "a device": lambda _, name: name.symlink_to("/dev/zero"),
+    "a FIFO": lambda _, name: os.mkfifo(name),
+    "a folder": lambda _, name: name.mkdir(),
+    "a file of others": lambda _, name: name.write_bytes(b"mine"),
+    "nothing in it": lambda _, name: name.write_bytes(b""),
+}
+
+#: What takes the place of a value in a record.
+_VALUES: tuple[Any, ...] = (
+    *(None, True, -1, 0, 1, 10**9, 10**30, 0.5, float("inf"), float("nan"), "", "x", "0/0"),
+    *("\0", "\ud800", "../precious/000003.png", "/etc/passwd", "a" * 100_000),
+    *([], [1], ["x"], {}, {"a": 1}, [[[[]]]]),
+)
+_RECORDS = (
+    *("golden/run.json", "golden/steering.csv", "golden2/run.json", "begun/run.json.part"),
+    *("many/batch.csv", "many/.batch/status/a.json", "many/.batch/batch.json", "many/a/run.json"),
+    *("old/poses.txt", "golden/objects.csv", "begun/run.checkpoint"),
+)
+
+
 def hostile(clip: Clip, folder: Path, trials: Sequence[int], seed: int) -> tuple[str, list[str]]:
     """Try it; each of ``trials`` is a number that tells what.
 
@@ -46,23 +129,193 @@ def hostile(clip: Clip, folder: Path, trials: Sequence[int], seed: int) -> tuple
         what was found, and what was lost, a line each.
     """
     lost: list[str] = []
-    kinds = (_planted, _offered, _killed)
+    kinds = (_swapped, _changed, _killed_anywhere, _swapped, _changed, _planted, _offered, _killed)
     made = folder / "made"
     _make(clip, made)
-    for number in trials:
+    touched = _touched(made, folder)
+    for number in tqdm(trials, desc="hostile", unit="trial", disable=None):
         chance = random.Random(f"{seed} {number}")
         place = folder / "trial"
         shutil.rmtree(place, ignore_errors=True)
-        shutil.copytree(made, place)
+        shutil.copytree(made, place, symlinks=True)
         kind = kinds[number % len(kinds)]
-        before = _sums(place)
-        for fault in kind(place, chance):
-            lost.append(f"trial {number}, {kind.__name__[1:]}: {fault}")
-        after = _sums(place)
-        for name in sorted(before):
-            if after.get(name) != before[name]:
-                lost.append(f"trial {number}, {kind.__name__[1:]}: {name} is lost")
+        lost += [f"trial {number}, {kind.__name__[1:]}: {e}" for e in kind(place, chance, touched)]
     return f"{len(lost)} lost in {len(trials)} trials", lost
+
+
+def _touched(made: Path, folder: Path) -> dict[str, list[str]]:
+    """Return the names that each command touches where nobody disturbs it."""
+    found = {}
+    for what, (command, _) in _WORK.items():
+        place = folder / "clean"
+        shutil.copytree(made, place)
+        log = folder / "touched"
+        ended = _in(place, command.split(), functools.partial(_watched, place, log))
+        if ended.exit_code not in (0, 4):
+            raise RuntimeError(f"{command}: {ended.said}")
+        noted = log.read_text().split("\0")
+        names = {name for name in noted if name and ".motionstereo-" not in name}
+        # Those that commands look for before they make them.
+        found[what] = sorted({*names, *(f"{name}.part" for name in names)})
+        shutil.rmtree(place)
+    return found
+
+
+def _watched(place: Path, log: Path) -> None:
+    """Have this process note each name below a place that it hands to the system."""
+    notes = log.open("w")
+
+    def hook(event: str, arguments: tuple[Any, ...]) -> None:
+        if event == "open" or event.startswith("os."):
+            for each in arguments[:2]:
+                if isinstance(each, str | os.PathLike):
+                    name = os.path.relpath(os.fspath(each), place)
+                    if not name.startswith(".."):
+                        notes.write(f"{name}\0")
+                        notes.flush()
+
+    sys.addaudithook(hook)
+
+
+def _in(place: Path, args: Sequence[str], prepare: Callable[[], object] = lambda: None) -> Ended:
+    def child() -> int:
+        os.chdir(place)
+        prepare()
+        return main(args)
+
+    return fork(child, seconds=_PATIENCE_S)
+
+
+def _faults_of(command: str, ended: Ended) -> Iterator[str]:
+    if ended.killed:
+        yield f"{command} hangs"
+    if ended.crashed or ended.exit_code not in (0, 1, 2, 3, 4):
+        yield f"{command}: exit code {ended.exit_code}: {ended.said[-300:]}"
+    if ended.rss_bytes > _MAX_BYTES:
+        yield f"{command} takes {ended.rss_bytes >> 20} MB"
+
+
+def _missed(place: Path, before: dict[str, str]) -> Iterator[str]:
+    after = _all_sums(place)
+    yield from (f"{name} is lost" for name in sorted(before) if after.get(name) != before[name])
+
+
+def _all_sums(place: Path) -> dict[str, str]:
+    return {
+        str(path.relative_to(place)): hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in sorted(place.rglob("*"))
+        if path.is_file() and not path.is_symlink()
+    }
+
+
+def _swapped(place: Path, chance: random.Random, touched: dict[str, list[str]]) -> Iterator[str]:
+    """Have something else take a name that a command touches."""
+    what = chance.choice(list(_WORK))
+    command, replaced = _WORK[what]
+    if chance.randrange(_BATCH_EVERY) == 0:
+        command, replaced, names = _BATCH, (), list(_BATCH_NAMES)
+    else:
+        names = touched[what]
+    name = place / chance.choice(names)
+    obstacle = chance.choice(list(_OBSTACLES))
+    (place / "away").mkdir()
+    if os.path.lexists(name):
+        name.rename(place / "away" / "it")
+    above = name.parent
+    if not above.is_dir():
+        while not above.parent.is_dir():
+            above = above.parent
+        if os.path.lexists(above):
+            return
+        name.parent.mkdir(parents=True)
+    _OBSTACLES[obstacle](place, name)
+    known, own = str(name.relative_to(place)), _RESULTS.get(what, "\0")
+    before = {
+        each: content
+        for each, content in _all_sums(place).items()
+        if each not in replaced and not each.startswith(own)
+    }
+    ended = _in(place, command.split())
+    shown = f"{obstacle} as {known}, {command}"
+    yield from _faults_of(shown, ended)
+    yield from (f"{shown}: {each}" for each in _missed(place, before))
+
+
+def _changed(place: Path, chance: random.Random, _: dict[str, list[str]]) -> Iterator[str]:
+    """Change a value of a record, and give it to those that read it."""
+    record = place / chance.choice([each for each in _RECORDS if (place / each).exists()])
+    shown = str(record.relative_to(place))
+    if record.suffix in (".json", ".part") and record.name != "steering.csv.part":
+        said = json.loads(record.read_bytes())
+        changed = f"{shown} {_change(said, chance)}"
+        record.write_text(json.dumps(said))
+    elif record.suffix == ".csv":
+        rows = [line.split(",") for line in record.read_text().splitlines()]
+        row = chance.choice(rows)
+        place_in_row = chance.randrange(len(row))
+        row[place_in_row] = str(chance.choice(_VALUES))
+        changed = f"{shown} cell {place_in_row} = {row[place_in_row][:40]!r}"
+        record.write_text("\n".join(map(",".join, rows)) + "\n", errors="replace")
+    else:
+        record.write_bytes(flipped(record.read_bytes(), chance))
+        changed = f"{shown} flipped"
+    folder = shown.partition("/")[0]
+    readers = {
+        "golden": ("report", "compare", "evaluate", "complete", "overwrite"),
+        "golden2": ("page", "compare", "evaluate"),
+        "begun": ("resume",),
+        "many": ("reports",),
+        "old": ("simulate again",),
+    }[folder]
+    before = {name: s for name, s in _all_sums(place).items() if not name.startswith(f"{folder}")}
+    what = chance.choice(readers)
+    command, replaced = _WORK[what]
+    if folder == "many" and chance.randrange(_BATCH_EVERY) == 0:
+        command = _BATCH.replace("many2", "many")
+    ended = _in(place, command.split())
+    yield from _faults_of(f"{changed}, {command}", ended)
+    for name in replaced:
+        before.pop(name, None)
+    yield from (f"{changed}, {command}: {each}" for each in _missed(place, before))
+
+
+def _change(said: Any, chance: random.Random) -> str:
+    """Change a value somewhere in a record, and return where and to what."""
+    path = []
+    while True:
+        keys = list(said) if isinstance(said, dict) else list(range(len(said)))
+        key = chance.choice(keys)
+        path.append(str(key))
+        inner = said[key]
+        if not (isinstance(inner, dict | list) and inner) or chance.random() < 0.2:
+            break
+        said = inner
+    if chance.random() < 0.15:
+        del said[key]
+        return f"{'.'.join(path)} gone"
+    said[key] = chance.choice(_VALUES)
+    return f"{'.'.join(path)} = {str(said[key])[:40]!r}"
+
+
+def _killed_anywhere(place: Path, chance: random.Random, _: dict[str, list[str]]) -> Iterator[str]:
+    """Kill a command before it changes the disk; then the same has to work."""
+    what = chance.choice([each for each in _WORK if each not in ("report", "page", "reports")])
+    command, replaced = _WORK[what]
+    outs = ("out", "golden/", "begun", "table.csv", "sim", "old")
+    before = {
+        name: s
+        for name, s in _all_sums(place).items()
+        if name not in replaced and not name.startswith(outs)
+    }
+    _in(place, command.split(), _killing(chance.randrange(60)))
+    again = command.split()
+    if what in ("run", "simulate"):
+        again.append("--overwrite")
+    ended = _in(place, again)
+    if ended.exit_code not in (0, 3, 4):
+        yield f"{command} killed: then {ended.exit_code}: {ended.said[-300:]}"
+    yield from _faults_of(command, ended)
+    yield from (f"{command} killed: {each}" for each in _missed(place, before))
 
 
 def _make(clip: Clip, made: Path) -> None:
@@ -73,9 +326,22 @@ def _make(clip: Clip, made: Path) -> None:
     (made / "precious").mkdir()
     for number in range(30):
         (made / f"precious/{number:06d}.png").write_bytes(b"mine")
-    for name in ("golden", "golden2"):
-        if _called(_run(made, made / name)):
-            raise RuntimeError("the run to begin with fails")
+    for name in ("left", "right"):
+        shutil.copy(made / f"{name}.mp4", made / "precious")
+    (made / "m.csv").write_text("left,right,out,rig\nleft.mp4,right.mp4,a,rig.yaml\n")
+    for command in (
+        *(f"run {_CLIP} --save {_SAVE} -o {name}" for name in ("golden", "golden2")),
+        _BATCH.replace("many2", "many"),
+        _WORK["simulate again"][0].replace(" --overwrite", ""),
+    ):
+        ended = _in(made, command.split())
+        if ended.exit_code:
+            raise RuntimeError(f"{command}: {ended.said}")
+    for calls in range(60, 400, 20):  # until it was far enough to have a checkpoint
+        shutil.rmtree(made / "begun", ignore_errors=True)
+        _in(made, _WORK["resume"][0].split(), _killing(calls))
+        if (made / "begun/run.checkpoint").exists():
+            break
 
 
 def _run(place: Path, out: Path) -> list[str]:
@@ -98,6 +364,11 @@ def _sums(place: Path) -> dict[str, str]:
         for path in sorted(place.rglob("*"))
         if path.is_file() and path.relative_to(place).parts[0] != "out"
     }
+
+
+def _gone(place: Path, before: dict[str, str]) -> Iterator[str]:
+    after = _sums(place)
+    yield from (f"{name} is lost" for name in sorted(before) if after.get(name) != before[name])
 
 
 def _killing(calls: int) -> Callable[[], None]:
@@ -125,9 +396,9 @@ def _killing(calls: int) -> Callable[[], None]:
     return prepare
 
 
-def _planted(place: Path, chance: random.Random) -> Iterator[str]:
+def _planted(place: Path, chance: random.Random, _: dict[str, list[str]]) -> Iterator[str]:
     """Kill a run, plant links at random names, and go on."""
-    out = place / "out"
+    out, before = place / "out", _sums(place)
     _called(_run(place, out), _killing(chance.randrange(10, 90)))
     names = ["steering.csv", "charge.mp4", "run.json", "run.checkpoint", "run.json.part"]
     names += ["charge.0000.mp4", "charge.0001.mp4", "run.lock", "charge-png", "disparity"]
@@ -145,11 +416,12 @@ def _planted(place: Path, chance: random.Random) -> Iterator[str]:
     for option in chance.sample(["--resume", "--overwrite"], 2):
         if _called([*_run(place, out), option]) not in (0, 1):
             yield f"{option} ends in another way than done or refused"
+    yield from _gone(place, before)
 
 
-def _offered(place: Path, chance: random.Random) -> Iterator[str]:
+def _offered(place: Path, chance: random.Random, _: dict[str, list[str]]) -> Iterator[str]:
     """Offer a command one of its inputs as its output."""
-    command, targets = chance.choice(_COMMANDS)
+    (command, targets), before = chance.choice(_COMMANDS), _sums(place)
     known = {name: place / name for name in ("golden", "golden2", "out")}
     known |= {"left": place / "left.mp4", "right": place / "right.mp4", "rig": place / "rig.yaml"}
     target = place / chance.choice(targets)
@@ -159,11 +431,12 @@ def _offered(place: Path, chance: random.Random) -> Iterator[str]:
         target = link
     if _called([*(each.format(**known) for each in command), str(target)]) != 1:
         yield f"{command[0]} takes its input {target.name} as its output"
+    yield from _gone(place, before)
 
 
-def _killed(place: Path, chance: random.Random) -> Iterator[str]:
+def _killed(place: Path, chance: random.Random, _: dict[str, list[str]]) -> Iterator[str]:
     """Kill a run, or the replacing of one, before a random change; then the same has to work."""
-    out = place / "out"
+    out, before = place / "out", _sums(place)
     option = chance.choice(["--resume", "--overwrite"])
     if option == "--overwrite":
         _called(_run(place, out))
@@ -172,3 +445,4 @@ def _killed(place: Path, chance: random.Random) -> Iterator[str]:
         yield f"{option} no longer works"
     elif len(list((out / "charge-png").iterdir())) != 9 or list(out.glob("*.part")):
         yield f"{option} leaves something else than 9 images"
+    yield from _gone(place, before)
