@@ -17,6 +17,7 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from motionstereo_cli.compiled import checked_array
 from motionstereo_cli.errors import InputError, SettingsError
@@ -28,6 +29,7 @@ from motionstereo_cli.method.steady import averaged
 from motionstereo_cli.method.unknown import reasons
 from motionstereo_cli.robot.guide import Guide, guide_of
 from motionstereo_cli.robot.mapper import camera_points
+from motionstereo_cli.robot.objects import Region
 from motionstereo_cli.robot.odometer import Odometer
 from motionstereo_cli.robot.odometry import Motion, Odometry, TravelledPath
 from motionstereo_cli.robot.tracker import Tracker, Tracks
@@ -43,9 +45,6 @@ from motionstereo_cli.types import (
 )
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from motionstereo_cli.robot.objects import Region
     from motionstereo_cli.types import Grey, Real
 
 #: What of a result takes time and is not always asked for.
@@ -107,7 +106,7 @@ class FrameSummary:
     charged: float
     matched: float
     at_limit: float
-    points: tuple[NDArray[np.float64], Grey] | None
+    points: tuple[NDArray[np.float64], NDArray[np.uint8]] | None
 
 
 class FrameAnalysis(NamedTuple):

@@ -255,7 +255,10 @@ def spoiled(tmp_path, spoil):
         (lambda t: png(t / "truth/disparity/000000.png", np.zeros((2, 4), np.uint16)), "no pixel"),
         (lambda t: (t / "out/disparity").rename(t / "out/depth"), "give --rig"),
         (lambda t: (t / "out/disparity").rename(t / "out/mine"), "has no .png"),
-        (lambda t: (t / "out/run.json").write_text('{"rig": {"f": 1}}'), "its rig cannot be read"),
+        (
+            lambda t: (t / "out/run.json").write_text('{"rig": {"f": 1}}'),
+            "rig: object missing required field width",
+        ),
         (lambda t: (t / "truth/rig.yaml").write_text("width: 9"), "height is missing"),
         (lambda t: write_rig(t / "out/rig.yaml", Rig(5, 2, 1, 1, 0, 0)), "the rig is for 5x2"),
     ],

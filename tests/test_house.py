@@ -51,7 +51,7 @@ MAY_IMPORT = {
     "files": {"compiled", "errors", "types"},
     "sources": {"errors", "types", "params", "files"},
     "rig": {"errors", "types", "params", "files", "sources"},
-    "sinks": GROUND | {"files", "rig", "robot"},
+    "sinks": GROUND | {"files", "rig", "robot", "sources"},
 }
 
 

@@ -211,7 +211,7 @@ BATCH = """\
 name,status,frames,seconds,charged,matched,damage,reason,worker
 good,done,24,1.5,0.5,0.4,,,1
 bad <i>,failed,,,,,,left.mp4: cannot be read,2
-torn,damaged,20,1.0,0.5,0.25,left.mp4: 3 images lost,,1
+torn,damaged,20,1.0,0.5,0.25,1,left.mp4: 3 images lost,1
 gone,lost,3,,,,,,2
 ../out,done,24,1.5,0.5,0.4,,,1
 """

@@ -19,6 +19,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from msgspec import structs
 from taken import step_of, taken
 
 from motionstereo_cli.errors import OutputError, SettingsError
@@ -33,6 +34,7 @@ from motionstereo_cli.runs.threaded_sink import Threaded
 from motionstereo_cli.sinks.drawing import depth_colours
 from motionstereo_cli.sinks.images import depth_png, disparity_png
 from motionstereo_cli.sinks.outputs import DEFAULT_OUTPUTS, OUTPUTS, available
+from motionstereo_cli.sinks.records import Counts
 from motionstereo_cli.sinks.scale import palette
 from motionstereo_cli.sinks.settings import OutputSettings
 from motionstereo_cli.sinks.sink import RunContext
@@ -504,7 +506,7 @@ def a_run(out: Path, save: tuple[str, ...], frames: int, *, done: bool = True) -
         else:
             (path if done else part_of(path)).write_bytes(b"stream")
     if done:
-        complete(out, head(save) | {"counts": {"written": frames}})
+        complete(out, structs.replace(head(save), counts=Counts(written=frames)))
 
 
 def names(out: Path) -> set[str]:

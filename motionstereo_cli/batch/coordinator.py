@@ -21,6 +21,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from msgspec import structs
+
 from motionstereo_cli.batch.cluster import Cluster, client_of, difference_from, threads_of
 from motionstereo_cli.batch.own_folder import (
     TABLE,
@@ -31,7 +33,7 @@ from motionstereo_cli.batch.own_folder import (
     write_status,
 )
 from motionstereo_cli.batch.pieces import Piece, behind_damage, pieces_of
-from motionstereo_cli.batch.status import DONE, FAILED, Status, format_statuses
+from motionstereo_cli.batch.status import DONE, FAILED, format_statuses
 from motionstereo_cli.batch.task import work
 from motionstereo_cli.errors import InputError, MotionStereoError, OutputError
 from motionstereo_cli.files.atomic import remove_own, write_whole
@@ -41,6 +43,7 @@ from motionstereo_cli.runs.disparity_range import Say, with_range
 from motionstereo_cli.runs.plan import RunPlan
 from motionstereo_cli.runs.record import builds
 from motionstereo_cli.sinks.outputs import RECORD
+from motionstereo_cli.sinks.records import Status
 
 if TYPE_CHECKING:
     from distributed import Client, Future
@@ -170,7 +173,7 @@ class _Batch:
         self._out, self._watcher, self._given = out, watcher, plans
         self._plans = {name: plan.as_json() for name, plan in plans.items()}
         self._hashes = {name: _hash(plan) for name, plan in self._plans.items()}
-        self._known = {name: read_status(out, name) for name in plans}
+        self._known = {name: read_status(out, name, watcher.say) for name in plans}
         self._stop = stop_path(out)
         self._renewed_s = 0.0
         self._tries = 0
@@ -322,7 +325,7 @@ class _Batch:
             )
         lost = isinstance(error, KilledWorker)
         reason = "it ended the process that worked on it, twice" if lost else str(error)
-        status = dataclasses.replace(
+        status = structs.replace(
             status,
             status="lost" if lost else "failed",
             reason=reason.splitlines()[0] if reason else type(error).__name__,

@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
-import dataclasses
-import json
 import os
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import TextIO
 
+from msgspec import structs
+
 from motionstereo_cli import __version__
-from motionstereo_cli.batch.status import COLUMNS, Status
+from motionstereo_cli.batch.status import COLUMNS
 from motionstereo_cli.errors import InputError, OutputError
 from motionstereo_cli.files.atomic import is_left_over, open_log, reported, write_whole
 from motionstereo_cli.files.folders import check_no_links, make_folder
 from motionstereo_cli.files.reading import read_bytes
+from motionstereo_cli.files.records import Record, encode, read_json, typed
 from motionstereo_cli.files.targets import check_targets
+from motionstereo_cli.sinks.records import Status
 
 #: The table of all recordings.
 TABLE = "batch.csv"
@@ -23,7 +25,14 @@ TABLE = "batch.csv"
 OWN = ".batch"
 _MARK, _PROGRAM = "batch.json", "motionstereo batch"
 
-_MAX_MARK_BYTES, _MAX_STATUS_BYTES, _MAX_TABLE_BYTES = 10_000, 1_000_000, 256_000_000
+_MAX_TABLE_BYTES = 256_000_000
+
+
+class BatchMark(Record, frozen=True):
+    """``batch.json``, which says whose the folder is."""
+
+    program: str
+    version: str
 
 
 def status_path(out: Path, name: str) -> Path:
@@ -54,15 +63,25 @@ def write_status(out: Path, status: Status) -> None:
     """
     path = status_path(out, status.name)
     make_folder(path.parent, out)
-    write_whole(path, json.dumps(dataclasses.asdict(status)).encode() + b"\n")
+    write_whole(path, encode(status))
 
 
-def read_status(out: Path, name: str) -> Status:
-    """Return what became of a recording; what cannot be read counts as waiting."""
+def read_status(out: Path, name: str, say: Callable[[str, str], object] | None = None) -> Status:
+    """Return the status of a recording; one that is missing or damaged counts as waiting.
+
+    Args:
+        out: the folder of the batch.
+        name: the recording.
+        say: called with a kind and a line where it is damaged.
+    """
+    path = status_path(out, name)
+    if not path.exists():
+        return Status(name)
     try:
-        found = json.loads(read_bytes(status_path(out, name), "the status", _MAX_STATUS_BYTES))
-        return Status(**{**found, "name": name})
-    except (InputError, ValueError, TypeError, RecursionError):
+        return structs.replace(typed(read_json(path), Status, path), name=name)
+    except InputError as error:
+        if say is not None:
+            say("warning", f"{error}; {name} counts as waiting")
         return Status(name)
 
 
@@ -106,15 +125,13 @@ def claim(out: Path, inputs: Iterable[Path]) -> None:
         raise OutputError(f"{table} is not from an earlier batch: move it, or give another folder")
     if fresh:
         make_folder(own)
-        mark = {"program": _PROGRAM, "version": __version__}
-        write_whole(own / _MARK, json.dumps(mark).encode() + b"\n", durable=True)
+        write_whole(own / _MARK, encode(BatchMark(_PROGRAM, __version__)), durable=True)
 
 
 def _is_marked(path: Path) -> bool:
     try:
-        found = json.loads(read_bytes(path, "the mark of a batch", _MAX_MARK_BYTES))
-        return isinstance(found, dict) and found.get("program") == _PROGRAM
-    except (InputError, ValueError, RecursionError):
+        return typed(read_json(path), BatchMark, path).program == _PROGRAM
+    except InputError:
         return False
 
 

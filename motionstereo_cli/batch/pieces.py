@@ -12,21 +12,27 @@ piece has seen, a piece is made again by decoding from the start.
 
 from __future__ import annotations
 
-import io
+import dataclasses
 import itertools
 import math
-import pickle
+import struct
 import time
 import zlib
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
+
+import numpy as np
+from msgspec import UNSET, UnsetType, structs
+from numpy.typing import NDArray
 
 from motionstereo_cli.errors import NO_FRAMES, InputError, OutputError, SettingsError
 from motionstereo_cli.files.atomic import Temporary, reported
 from motionstereo_cli.files.folders import make_folder, remove_empty
 from motionstereo_cli.files.reading import open_regular
+from motionstereo_cli.files.records import pack, restored, unpack
 from motionstereo_cli.files.targets import link_new
 from motionstereo_cli.files.video import join
 from motionstereo_cli.pipeline import (
@@ -39,10 +45,8 @@ from motionstereo_cli.pipeline import (
     follow,
     recent_frames,
 )
-from motionstereo_cli.robot.free_space import FreeSpace
 from motionstereo_cli.robot.guide import ImageProfile, MapProfile
-from motionstereo_cli.robot.odometry import BLOCK_FRAMES, Motion
-from motionstereo_cli.runs.checkpoint import Reader
+from motionstereo_cli.robot.odometry import BLOCK_FRAMES
 from motionstereo_cli.runs.folder import RunFolder, discard, record_of
 from motionstereo_cli.runs.folder_files import FolderKind
 from motionstereo_cli.runs.open_outputs import Totals
@@ -50,17 +54,44 @@ from motionstereo_cli.runs.plan import RunPlan
 from motionstereo_cli.runs.record import Job, RunReport, identity_of, outcome, report_of, report_on
 from motionstereo_cli.runs.run import Watcher, add_table, inputs_of, job_of, opened, table_of
 from motionstereo_cli.sinks.outputs import OUTPUTS
+from motionstereo_cli.sinks.records import Counts, FolderRecord, RunRecord
 from motionstereo_cli.sinks.videos import beginning
 from motionstereo_cli.sources import open_stereo
-from motionstereo_cli.types import FrameImages, FrameTime, Rig, StereoFrame
+from motionstereo_cli.types import FrameImages, Rig, StereoFrame
 
 #: What a piece keeps of its frames, one after the other.
 _KEPT = "summaries"
+
+
+class PieceRecord(FolderRecord, kw_only=True, frozen=True):
+    """``piece.json``.
+
+    Attributes:
+        run: what run it is a piece of.
+        piece: its first frame and the one after its last, None = the end.
+        outcome: what came of it.
+        sought: whether it began at a seek.
+    """
+
+    run: RunRecord | UnsetType = UNSET
+    piece: tuple[int, int | None] | UnsetType = UNSET
+    outcome: RunRecord | UnsetType = UNSET
+    sought: bool = False
+
+
 PIECE = FolderKind(
     "motionstereo piece",
     "piece.json",
     {**{name: each.paths for name, each in OUTPUTS.items()}, _KEPT: ("summaries.bin",)},
+    kind=PieceRecord,
 )
+
+
+#: What a guide takes from a frame is of one of these.
+_PROFILES = {kind.__name__: kind for kind in (ImageProfile, MapProfile)}
+
+#: How many bytes of a frame follow.
+_SIZE = struct.Struct("<Q")
 
 
 class Piece(NamedTuple):
@@ -119,19 +150,19 @@ def run_piece(
         OutputError: the results cannot be written.
     """
     folder = folder_of(home, piece)
-    if not seek and (done := record_of(folder, PIECE)) and done["sought"]:
+    if not seek and (done := _done(folder)) and done.sought:
         discard(folder, PIECE)
     with open_stereo(plan.left, plan.right, plan.input_settings) as source:
         job = job_of(plan, source, watcher)
         names = tuple(name for name in job.save if OUTPUTS[name].takes == "images")
         outputs = (*names, _KEPT)
-        identity = {
-            **identity_of(job, inputs_of(job)),
-            "program": PIECE.program,
-            "outputs": dict.fromkeys(outputs),
-            "first": piece.first,
-            "piece": list(piece),
-        }
+        identity = PieceRecord(
+            program=PIECE.program,
+            outputs=outputs,
+            first=piece.first,
+            run=identity_of(job, inputs_of(job)),
+            piece=(piece.first, piece.stop),
+        )
         with RunFolder(folder, outputs, PIECE, identity=identity, resume=True) as sinks:
             if sinks.finished is not None:
                 return
@@ -155,19 +186,25 @@ def run_piece(
                 raise InputError(NO_FRAMES)
             sinks.close()
             came = outcome(source, report_on(job, totals, 0, time.perf_counter()))
-            counts = {"written": totals.frames}
-            sinks.complete({"counts": counts, "outcome": came, "sought": sought})
+            counts = Counts(written=totals.frames)
+            sinks.complete(counts=counts, outcome=RunRecord(**came), sought=sought)
 
 
 def behind_damage(home: Path, pieces: Sequence[Piece]) -> list[Piece]:
     """Return which pieces, of those that are done, have to be made again without a seek."""
-    records = [record_of(folder_of(home, piece), PIECE) or {} for piece in pieces]
-    damaged = [bool(record.get("outcome", {}).get("damage")) for record in records]
+    records = [_done(folder_of(home, piece)) or PieceRecord() for piece in pieces]
+    damaged = [bool(record.outcome and record.outcome.damage) for record in records]
     return [
         piece
         for number, (piece, record) in enumerate(zip(pieces, records, strict=True))
-        if record.get("sought") and any(damaged[:number])
+        if record.sought and any(damaged[:number])
     ]
+
+
+def _done(folder: Path) -> PieceRecord | None:
+    """Return the record of a piece that is complete, None where there is none."""
+    found = record_of(folder, PIECE)
+    return found if isinstance(found, PieceRecord) else None
 
 
 def _run_in(plan: RunPlan) -> int:
@@ -213,12 +250,12 @@ class _KeptFile:
 
     def add(self, summary: FrameSummary, images: FrameImages | None) -> None:
         """Append a frame, with those of its images that are shown beside its step."""
-        packed = None
+        shown = None
         if images is not None:
             shown = images.view, images.charge, images.disparity_px
-            packed = zlib.compress(pickle.dumps(shown), 1)
+        content = zlib.compress(pack(_Kept(summary, type(summary.profile).__name__, shown)), 1)
         with reported(self._path):
-            pickle.dump((summary, packed), self._file.content)
+            self._file.content.write(_SIZE.pack(len(content)) + content)
 
     def close(self) -> None:
         """Complete the file and give it its name."""
@@ -257,15 +294,17 @@ def join_pieces(plan: RunPlan, pieces: Sequence[Piece], home: Path, watcher: Wat
                 if OUTPUTS[name].takes == "images":
                     _put_together(OUTPUTS[name].path, folders, plan.folder)
             sinks.close()
-            last = record_of(folders[-1], PIECE)
-            if last is None:
-                raise OutputError(f"{folders[-1]} has no record: give the same command again")
-            came = last["outcome"]
+            last = _done(folders[-1])
+            if last is None or not last.outcome or not last.outcome.counts:
+                raise OutputError(f"{folders[-1]} has no outcome: give the same command again")
             report = report_on(job, sinks.totals, 0, started_s)
-            mine = outcome(source, report)
-            counts = {**came["counts"], "written": report.frames}
-            more = {key: mine[key] for key in ("shares", "timing")}
-            sinks.complete({"options": plan.options} | came | {"counts": counts} | more)
+            counts = structs.replace(last.outcome.counts, written=report.frames)
+            came = outcome(source, report) | {
+                "counts": counts,
+                "warnings": last.outcome.warnings,
+                "damage": last.outcome.damage,
+            }
+            sinks.complete(options=plan.options, **came)
     for folder in folders:
         discard(folder, PIECE)
     remove_empty(home)
@@ -290,22 +329,32 @@ def _follow(job: Job, folders: Sequence[Path], sinks: RunFolder, watcher: Watche
             watcher.progress()
 
 
+@dataclass(frozen=True, slots=True)
+class _Kept:
+    """What is kept of a frame: its summary, the class of its profile, and images to be shown."""
+
+    summary: FrameSummary
+    profile: str
+    images: tuple[NDArray[np.uint8], NDArray[np.uint8], NDArray[np.float32]] | None
+
+
 def _kept(folder: Path, rig: Rig | None) -> Iterator[tuple[FrameSummary, FrameImages | None]]:
     """Yield what a piece has kept of its frames."""
     path = folder / PIECE.outputs[_KEPT][0]
-    classes = FrameSummary, FrameTime, ImageProfile, MapProfile, FreeSpace, Motion
     try:
         with open_regular(path) as file:
-            while file.peek(1):
-                summary, packed = Reader(file, classes).load()
+            while head := file.read(_SIZE.size):
+                content = file.read(*_SIZE.unpack(head))
+                kept = unpack(zlib.decompress(content), _Kept)
+                profile = restored(kept.summary.profile, _PROFILES[kept.profile])
+                summary = dataclasses.replace(kept.summary, profile=profile)
                 images = None
-                if packed is not None:
-                    unpacked = Reader(io.BytesIO(zlib.decompress(packed))).load()
-                    view, charge, disparity_px = unpacked
+                if kept.images is not None:
+                    view, charge, disparity_px = kept.images
                     depth_m = depth_of(disparity_px, rig)
                     images = FrameImages(summary.time, view, charge, disparity_px, depth_m=depth_m)
                 yield summary, images
-    except (OSError, ValueError, EOFError, AttributeError, pickle.UnpicklingError) as error:
+    except (OSError, ValueError, LookupError, struct.error, zlib.error) as error:
         raise OutputError(
             f"{path} cannot be used ({error}): give the same command again"
         ) from error

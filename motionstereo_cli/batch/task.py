@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import os
 import socket
 import time
@@ -11,15 +10,17 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from msgspec import structs
+
 from motionstereo_cli.batch.own_folder import open_log_of, pieces_path, write_status
 from motionstereo_cli.batch.pieces import Piece, join_pieces, run_piece
-from motionstereo_cli.batch.status import Status
 from motionstereo_cli.errors import BusyError, MotionStereoError, shortage
 from motionstereo_cli.files.folders import check_no_links
 from motionstereo_cli.runs.cores import prepare
 from motionstereo_cli.runs.plan import RunPlan
 from motionstereo_cli.runs.record import RunReport
 from motionstereo_cli.runs.run import Watcher, run
+from motionstereo_cli.sinks.records import Status
 
 #: Time between two looks at whether to stop, and two words on how far it is, in s.
 _LOOK_S = 0.5
@@ -76,15 +77,15 @@ def work(
             for line in report.damage:
                 say("warning", line)
         except KeyboardInterrupt:  # within a piece, which is started again
-            status = dataclasses.replace(status, status="interrupted")
+            status = structs.replace(status, status="interrupted")
         except MotionStereoError as error:
-            status = dataclasses.replace(status, status="failed", reason=str(error))
+            status = structs.replace(status, status="failed", reason=str(error))
         except Exception as error:
             say("error", traceback.format_exc())
             reason = shortage(error) or f"internal: {type(error).__name__}: {error}"
-            status = dataclasses.replace(status, status="failed", reason=reason)
+            status = structs.replace(status, status="failed", reason=reason)
         seconds = status.seconds or time.monotonic() - started_s
-        status = dataclasses.replace(status, seconds=seconds)
+        status = structs.replace(status, seconds=seconds)
         say("note" if not status.reason else "error", f"{status.status} {status.reason}".strip())
     write_status(out, status)
 
@@ -104,7 +105,7 @@ def _run(plan: RunPlan, pieces: Sequence[Piece] | None, home: Path, watcher: Wat
 
 def _ended(status: Status, report: RunReport) -> Status:
     how = "interrupted" if report.interrupted else "damaged" if report.damage else "done"
-    return dataclasses.replace(
+    return structs.replace(
         status,
         status=how,
         frames=report.frames,

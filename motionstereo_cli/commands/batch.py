@@ -20,7 +20,7 @@ from motionstereo_cli.runs.plan import RunPlan
 
 if TYPE_CHECKING:
     from motionstereo_cli.batch.manifest import Entry
-    from motionstereo_cli.batch.status import Status
+    from motionstereo_cli.sinks.records import Status
 
 
 @click.command("run")
@@ -204,10 +204,12 @@ def _bar(recordings: int) -> Any:
 
 
 def _say_ended(status: Status, *, as_json: bool, quiet: bool) -> None:
+    from motionstereo_cli.batch.status import row_of
+
     if (told := lines()) is not None:
-        told.tell("recording", recording=status.row())
+        told.tell("recording", recording=row_of(status))
     if as_json:
-        click.echo(json.dumps(status.row()))
+        click.echo(json.dumps(row_of(status)))
         sys.stdout.flush()
     if status.reason:
         say("error", f"{status.name}: {status.status}: {status.reason}")

@@ -48,8 +48,8 @@ def drive(
     wall_s = time.perf_counter() - started_s
     say(
         "note",
-        f"{record['ended']} after {record['frames']} frames "
-        f"({record['frames'] / wall_s:.0f} frames per second): {record['laps']:.2f} laps, "
-        f"{record['distance_m']:.1f} m, nearest pass {record['nearest_pass_m']:.2f} m; "
+        f"{record.ended} after {record.frames} frames "
+        f"({record.frames / wall_s:.0f} frames per second): {record.laps:.2f} laps, "
+        f"{record.distance_m:.1f} m, nearest pass {record.nearest_pass_m:.2f} m; "
         f"results in {out}",
     )

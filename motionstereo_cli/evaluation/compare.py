@@ -6,6 +6,7 @@ compared whole. A file of GOLDEN that ACTUAL lacks, or that cannot be read, is a
 
 from __future__ import annotations
 
+import contextlib
 import math
 import os
 from collections.abc import Callable, Iterator, Mapping
@@ -18,8 +19,10 @@ import numpy as np
 from motionstereo_cli.errors import InputError, SettingsError
 from motionstereo_cli.evaluation.settings import COLUMN_TOLERANCE, CompareSettings
 from motionstereo_cli.files.reading import check_regular
+from motionstereo_cli.files.records import read_json, typed
 from motionstereo_cli.sinks.outputs import OUTPUTS, RECORD
 from motionstereo_cli.sinks.read_back import Maps, read_record, read_table, shortened
+from motionstereo_cli.sinks.records import RunRecord
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -311,8 +314,7 @@ class _Comparison:
         output = Compared(RECORD, "values")
         try:
             actual, golden = (
-                dict(_leaves(read_record(folder / RECORD)))
-                for folder in (self._actual, self._golden)
+                dict(_leaves(_said(folder / RECORD))) for folder in (self._actual, self._golden)
             )
         except InputError as error:
             output.differ("files", str(error))
@@ -353,10 +355,21 @@ class _Comparison:
 
 def _frames_of(golden: Path) -> int | None:
     """Return the number of frames of a golden run, None if unknown."""
-    try:
-        return int(read_record(golden / RECORD)["counts"]["written"])
-    except (InputError, LookupError, TypeError, ValueError):
-        return None
+    with contextlib.suppress(InputError):
+        if counts := read_record(golden / RECORD).counts:
+            return counts.written
+    return None
+
+
+def _said(path: Path) -> dict[str, Any]:
+    """Return all that a record says, fields of later versions too.
+
+    Raises:
+        InputError: the file cannot be read, or is no record of a run.
+    """
+    said: dict[str, Any] = read_json(path, within=path.parent)
+    typed(said, RunRecord, path)
+    return said
 
 
 def differing(actual: Real, golden: Real, tolerance: float) -> NDArray[np.bool_]:

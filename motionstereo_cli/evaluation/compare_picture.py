@@ -78,7 +78,7 @@ def draw_worst(worst: WorstImage, golden: Path | None = None) -> NDArray[np.uint
 def _recorded(golden: Path | None, is_depth: bool) -> DepthScale | None:
     """Return the scale in a run's record, None without one."""
     if golden is not None:
-        with contextlib.suppress(InputError, ValueError, TypeError, LookupError, SettingsError):
+        with contextlib.suppress(InputError, SettingsError):
             scale = DepthScale.recorded(read_record(golden / RECORD))
             if scale.px_m or not is_depth:
                 return scale

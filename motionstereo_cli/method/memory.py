@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, TypeVar
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from motionstereo_cli.compiled import memory as loops
 from motionstereo_cli.method.bands import band_table, bands, blur
@@ -18,8 +19,6 @@ from motionstereo_cli.method.motion import motion
 from motionstereo_cli.method.settings import Settings
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from motionstereo_cli.types import Grey, MatchKeys, Real
 
 _T = TypeVar("_T", bound=np.generic)
@@ -39,11 +38,12 @@ class Memory:
         charge: charge of each pixel, (height, width) uint8.
     """
 
-    grey: Grey
-    contrast: Grey
+    # What checkpoints keep has annotations that are there when the program runs.
+    grey: NDArray[np.uint8]
+    contrast: NDArray[np.uint8]
     bands: NDArray[np.uint8 | np.uint16]
     moved: NDArray[np.bool_]
-    charge: Grey
+    charge: NDArray[np.uint8]
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,8 +55,8 @@ class Sighting:
         grey: mean of 3 x 3 pixels of the reference view, (height, width) uint8.
     """
 
-    disparity_px: Real
-    grey: Grey
+    disparity_px: NDArray[np.float32]
+    grey: NDArray[np.uint8]
 
     @classmethod
     def of(cls, disparity_px: Real, view: Grey) -> Sighting:

@@ -6,7 +6,6 @@ import contextlib
 import csv
 import io
 from collections import Counter
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,11 +13,13 @@ import numpy as np
 
 from motionstereo_cli.errors import InputError
 from motionstereo_cli.files.reading import read_text
+from motionstereo_cli.files.records import typed
 from motionstereo_cli.report import PAGE
 from motionstereo_cli.report.pictures import Picture, address_of, poster
 from motionstereo_cli.report.render import render
 from motionstereo_cli.report.run_folder import Results, Steering, read_results
 from motionstereo_cli.report.series import kept_rows
+from motionstereo_cli.sinks.records import Status
 from motionstereo_cli.sinks.writers import cell_text
 
 #: The table of a batch, in its output folder.
@@ -39,24 +40,18 @@ class Recording:
     """A row of the page.
 
     Attributes:
-        cells: cells of the table, by column.
+        status: its row of the table.
         rank: 0 for the worst status.
         address: of its own page or its folder; None if neither exists.
         poster: a frame of its reference view.
         plot: its heading over time as points of a polyline in a box of 100 by 20; empty if unknown.
     """
 
-    cells: Mapping[str, str]
+    status: Status
     rank: int
     address: str | None
     poster: Picture | None
     plot: str
-
-    def number(self, column: str) -> float | None:
-        """Return a number of the table, None = empty."""
-        with contextlib.suppress(KeyError, ValueError):
-            return float(self.cells[column])
-        return None
 
 
 def batch_page(out: Path, page: Path) -> str:
@@ -69,12 +64,12 @@ def batch_page(out: Path, page: Path) -> str:
     Raises:
         InputError: the table cannot be read.
     """
-    rows = sorted(_rows(out / TABLE), key=lambda row: _rank(row["status"]))
+    rows = sorted(_rows(out / TABLE), key=lambda row: _rank(row.status))
     recordings = [
         _recording(out, row, page, with_picture=index < _MAX_PICTURES)
         for index, row in enumerate(rows)
     ]
-    counts = Counter(row["status"] for row in rows)
+    counts = Counter(row.status for row in rows)
     return render(
         "batch.html",
         ("theme.js", "table.js"),
@@ -82,38 +77,44 @@ def batch_page(out: Path, page: Path) -> str:
         recordings=recordings,
         counts=sorted(counts.items(), key=lambda item: _rank(item[0])),
         bad=sum(each.rank < STATUSES.index("done") for each in recordings),
-        frames=sum(each.number("frames") or 0 for each in recordings),
-        seconds=sum(each.number("seconds") or 0 for each in recordings),
+        frames=sum(each.status.frames for each in recordings),
+        seconds=sum(each.status.seconds for each in recordings),
         statuses=STATUSES,
     )
 
 
-def _rows(path: Path) -> list[dict[str, str]]:
+def _rows(path: Path) -> list[Status]:
     try:
         text = read_text(path, "the table", _MAX_BYTES, within=path.parent)
         table = csv.DictReader(io.StringIO(text, newline=""), restval="")
         if not {"name", "status"} <= set(table.fieldnames or ()):
             raise InputError(f"{path} has no columns name and status: give a folder of batch")
-        return [{name: cell_text(row[name]) for name in row if name} for row in table]
+        # An empty cell is unknown.
+        rows = [
+            {name: cell_text(cell) for name, cell in row.items() if name and cell} for row in table
+        ]
     except (OSError, csv.Error) as error:
         raise InputError(f"cannot read {path}: {error}") from error
+    return [
+        typed(row, Status, f"{path} row {number}", strict=False)
+        for number, row in enumerate(rows, 2)
+    ]
 
 
 def _rank(status: str) -> int:
     return STATUSES.index(status) if status in STATUSES else -1
 
 
-def _recording(out: Path, row: Mapping[str, str], page: Path, *, with_picture: bool) -> Recording:
-    name = row["name"]
-    folder = out / name
+def _recording(out: Path, row: Status, page: Path, *, with_picture: bool) -> Recording:
+    folder = out / row.name
     address, picture, plot = None, None, ""
-    if name and _is_folder_in(out, folder):
+    if _is_folder_in(out, folder):
         own = folder / PAGE
         address = address_of(own if own.is_file() else folder, page)
         if with_picture:
             with contextlib.suppress(InputError):  # a run that failed early has no results
                 picture, plot = _shown(read_results(folder))
-    return Recording(row, _rank(row["status"]), address, picture, plot)
+    return Recording(row, _rank(row.status), address, picture, plot)
 
 
 def _is_folder_in(out: Path, folder: Path) -> bool:

@@ -7,7 +7,7 @@ import os
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from motionstereo_cli.files.atomic import part_of
 from motionstereo_cli.files.reading import MAX_RESULT_BYTES, read_bytes
 from motionstereo_cli.sinks.outputs import OUTPUTS, RECORD
 from motionstereo_cli.sinks.read_back import read_record, read_table
+from motionstereo_cli.sinks.records import RunRecord
 from motionstereo_cli.sinks.videos import EPOCH_S
 
 if TYPE_CHECKING:
@@ -26,9 +27,6 @@ SERIES = ("steer", "steer_rad", "depth_m", "nearest_m", "charged", "matched")
 
 #: Time from frame to frame in the videos where the source has no time, in s.
 FRAME_S = 1 / 25
-
-#: Parts of a record that have parts themselves.
-_PARTS = ("outputs", "inputs", "settings", "input_settings", "output_settings", "shares")
 
 #: Pixel formats of H.264 that browsers play.
 _PLAYED = ("yuv420p", "yuvj420p")
@@ -90,7 +88,7 @@ class Results:
     """
 
     path: Path
-    record: Mapping[str, Any]
+    record: RunRecord
     complete: bool
     trusted: bool = False
 
@@ -101,22 +99,22 @@ class Results:
 
     def has(self, output: str) -> bool:
         """Return whether the run was asked for an output."""
-        return output in self.record.get("outputs", {})
+        return output in (self.record.outputs or ())
 
     @property
     def height(self) -> int | None:
         """Height of the images in px: below them a video may have a strip. None if unknown."""
-        source = self.record.get("rig")
-        given = self.record.get("input_settings", {})
-        if not source and not given.get("crop") and given.get("scale", 1.0) == 1.0:
-            both = self.record.get("inputs", {})
-            source = both.get("right") or both.get("left")
-        return int(source["height"]) if source else None
+        if self.record.camera:
+            return self.record.camera.height
+        given, inputs = self.record.values("input_settings"), self.record.inputs or {}
+        source = inputs.get("right") or inputs.get("left")
+        whole = not given.get("crop") and given.get("scale", 1.0) == 1.0
+        return source.height or None if source and whole else None
 
     @property
     def reference(self) -> str:
         """The camera whose view the outputs show, ``right`` or ``left``."""
-        return str(self.record.get("settings", {}).get("reference", "right"))
+        return str(self.record.values("settings").get("reference", "right"))
 
     def video(self, output: str) -> Path:
         """Return the path of an output's video, None if it is missing."""
@@ -129,14 +127,14 @@ class Results:
         """
         if self.has("view-video"):
             return self.video("view-video"), True
-        given = self.record.get("input_settings", {})
+        given = self.record.values("input_settings")
         side = ["left", "right"][(self.reference == "right") != bool(given.get("swap"))]
-        said = self.record.get("inputs", {}).get(side, {})
+        said = (self.record.inputs or {}).get(side)
         whole = not given.get("crop") and given.get("scale", 1.0) == 1.0
-        if said.get("kind") != "video" or said.get("rotation_deg") or not whole:
+        if said is None or said.kind != "video" or said.rotation_deg or not whole:
             return None, False
-        path = Path(str(said["path"]))
-        known = said.get("codec") == "h264" and said.get("pixel_format") in _PLAYED
+        path = Path(said.path)
+        known = said.codec == "h264" and said.pixel_format in _PLAYED
         return path, known and path.suffix.lower() in (".mp4", ".m4v", ".mov")
 
     def steering(self) -> Steering | None:
@@ -188,9 +186,8 @@ def read_results(path: Path) -> Results:
     for place in (path / RECORD, part_of(path / RECORD)):
         if os.path.lexists(place):
             record = read_record(place)
-            sound = all(isinstance(record.get(name, {}), dict) for name in _PARTS)
-            if sound and record.get("program") == "motionstereo":
-                return Results(path, record, complete="counts" in record)
+            if record.program == "motionstereo":
+                return Results(path, record, complete=bool(record.counts))
     raise InputError(f"{path} has no {RECORD} of a run: give the output folder of run (its --out)")
 
 

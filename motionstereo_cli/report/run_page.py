@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Mapping
+from fractions import Fraction
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -20,13 +20,15 @@ from motionstereo_cli.report.series import LATER_S, SOON_S, plotted, tracks
 from motionstereo_cli.report.words import changed, command, troubles
 from motionstereo_cli.sinks.outputs import OUTPUTS
 from motionstereo_cli.sinks.read_back import Maps
+from motionstereo_cli.sinks.records import RunRecord
 from motionstereo_cli.sinks.scale import DepthScale
+from motionstereo_cli.sinks.settings import OutputSettings
 
 #: Widths of pictures within the page in px.
 _POSTER_PX, _MAP_PX = 640, 1000
 
 
-def run_page(out: Path, page: Path, record: Mapping[str, Any] | None = None) -> str:
+def run_page(out: Path, page: Path, record: RunRecord | None = None) -> str:
     """Return the page of a run, HTML that needs only the run's videos, if they exist.
 
     Args:
@@ -42,7 +44,7 @@ def run_page(out: Path, page: Path, record: Mapping[str, Any] | None = None) -> 
     steering = run.steering()
     try:
         scale = DepthScale.recorded(said)
-    except (TypeError, SettingsError) as error:
+    except SettingsError as error:
         raise InputError(f"{out / 'run.json'} is damaged: {error}") from error
     data: dict[str, Any] = {}
     facts: list[Fact] = []
@@ -77,7 +79,7 @@ def run_page(out: Path, page: Path, record: Mapping[str, Any] | None = None) -> 
     )
 
 
-def write_page(out: Path, page: Path, record: Mapping[str, Any]) -> None:
+def write_page(out: Path, page: Path, record: RunRecord) -> None:
     """Write the page of a run whose other outputs are complete, see :func:`run_page`.
 
     Raises:
@@ -97,19 +99,18 @@ def _drawn(scale: DepthScale) -> dict[str, Any]:
     }
 
 
-def _about(record: Mapping[str, Any]) -> list[str]:
+def _about(record: RunRecord) -> list[str]:
     """Return the facts of the input and the rig, in a few words each."""
-    lines = [Path(str(each.get("path", ""))).name for each in record.get("inputs", {}).values()]
-    names = " + ".join(lines)
-    about = [names] if names else []
-    for each in list(record.get("inputs", {}).values())[:1]:
-        about.append(f"{each['width']}x{each['height']} px")
-        if each.get("frame_rate"):
-            top, _, bottom = str(each["frame_rate"]).partition("/")
-            about.append(f"{float(top) / float(bottom or 1):.4g} frames per second")
-    if rig := record.get("rig"):
-        about.append(f"baseline {rig['baseline_m'] * 1000:.4g} mm, focal {rig['focal_px']:.4g} px")
-    elif "rig" in record:
+    inputs = list((record.inputs or {}).values())
+    about = [" + ".join(Path(each.path).name for each in inputs)] if inputs else []
+    for each in inputs[:1]:
+        if each.width and each.height:
+            about.append(f"{each.width}x{each.height} px")
+        if each.frame_rate:
+            about.append(f"{float(Fraction(each.frame_rate)):.4g} frames per second")
+    if rig := record.camera:
+        about.append(f"baseline {rig.baseline_m * 1000:.4g} mm, focal {rig.focal_px:.4g} px")
+    elif record.rig is None:
         about.append("no calibration: results are in px")
     return about
 
@@ -230,7 +231,8 @@ def _map(run: Results) -> dict[str, Any] | None:
     path = run.path / "map.png"
     if not (run.has("map") and path.is_file()):
         return None
-    cell_m = run.record.get("output_settings", {}).get("map_cell_m", 0.05)
+    said = run.record.values("output_settings")
+    cell_m = float(said.get("map_cell_m", OutputSettings().map_cell_m))
     try:
         image = grey_of(read_still(path, within=run.path).pixels, path)
     except (DamagedImageError, InputError):
@@ -250,11 +252,11 @@ def _map(run: Results) -> dict[str, Any] | None:
 
 def _outputs(run: Results) -> list[dict[str, str]]:
     """Return the outputs in the folder."""
-    outputs = run.record.get("outputs", {})
+    outputs = run.record.outputs or {}
     return [
         {
-            "path": OUTPUTS[name].shown if name in OUTPUTS else str(said.get("path", "")),
-            "what": str(said.get("what", "")),
+            "path": OUTPUTS[name].shown if name in OUTPUTS else said.path if said else "",
+            "what": said.what if said else "",
         }
         for name, said in outputs.items()
     ]

@@ -6,21 +6,11 @@ import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
-from motionstereo_cli.method.settings import Settings
-from motionstereo_cli.params import Param, params
-from motionstereo_cli.rig.settings import PoseSettings, RigSettings
-from motionstereo_cli.sinks.outputs import DEFAULT_OUTPUTS
-from motionstereo_cli.sinks.settings import OutputSettings
-from motionstereo_cli.sources.settings import InputSettings
+from msgspec import UNSET
 
-#: The parameters of a run by their place in its record.
-GROUPS: Mapping[str, type] = {
-    "input_settings": InputSettings,
-    "settings": Settings,
-    "output_settings": OutputSettings,
-    "rig_settings": RigSettings,
-    "pose_settings": PoseSettings,
-}
+from motionstereo_cli.params import Param, params
+from motionstereo_cli.sinks.outputs import DEFAULT_OUTPUTS
+from motionstereo_cli.sinks.records import GROUPS, RunRecord
 
 
 class Changed(NamedTuple):
@@ -38,45 +28,45 @@ class Changed(NamedTuple):
         return [self.item.flag, f"{self.value}"]
 
 
-def changed(record: Mapping[str, Any]) -> Iterator[Changed]:
+def changed(record: RunRecord) -> Iterator[Changed]:
     """Yield the settings of a run that differ from the defaults."""
     for group, settings in GROUPS.items():
-        values = record.get(group, {})
+        values = record.values(group)
         for item in params(settings):
             if item.name in values and values[item.name] != item.default:
                 yield Changed(item, values[item.name])
 
 
-def command(record: Mapping[str, Any]) -> str | None:
+def command(record: RunRecord) -> str | None:
     """Return the shell command that repeats the run; None if its options are unknown."""
-    if "options" not in record:
+    if record.options is UNSET or not record.inputs:
         return None
-    words = ["motionstereo", "run", *(each["path"] for each in record["inputs"].values())]
-    words += record["options"]
-    save = list(record.get("outputs", {}))
+    words = ["motionstereo", "run", *(each.path for each in record.inputs.values())]
+    words += record.options
+    save = list(record.outputs or ())
     if tuple(save) != DEFAULT_OUTPUTS:
         words += ["--save", ",".join(save)]
     words += [word for each in changed(record) for word in each.option]
     return shlex.join(words)
 
 
-def troubles(record: Mapping[str, Any], shares: Mapping[str, float]) -> Sequence[str]:
+def troubles(record: RunRecord, shares: Mapping[str, float]) -> Sequence[str]:
     """Return the problems of the input, one sentence each.
 
     Args:
         record: of the run.
         shares: of the frames that have each status.
     """
-    lines = [_sentence(line) for line in (*record.get("warnings", []), *record.get("damage", []))]
-    found = record.get("shares", {})
-    if found.get("charged", 0) > 0.05 and found.get("matched", 0) < 0.1 * found["charged"]:
+    lines = [_sentence(line) for line in (*(record.warnings or ()), *(record.damage or ()))]
+    found = record.shares
+    if found and found.charged > 0.05 and found.matched < 0.1 * found.charged:
         lines.append(
-            f"{found['charged']:.1%} of the image moved, and {found['matched']:.1%} was matched: "
+            f"{found.charged:.1%} of the image moved, and {found.matched:.1%} was matched: "
             "motionstereo check tells whether the two views fit together."
         )
-    elif "charged" in found and found["charged"] < 0.01:
+    elif found and found.charged < 0.01:
         lines.append(
-            f"Next to nothing moved ({found['charged']:.1%} of the image): this method sees what "
+            f"Next to nothing moved ({found.charged:.1%} of the image): this method sees what "
             "moves, or what a moving camera passes."
         )
     if shares.get("blind", 0) > 0.5:

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from motionstereo_cli.method.settings import Settings
 from motionstereo_cli.robot.course import (
@@ -43,8 +44,6 @@ from motionstereo_cli.robot.local_map import (
 from motionstereo_cli.types import MovingObject, Pose, Rig, Steering
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from motionstereo_cli.types import Real
 
 #: An object is a contact if it would be at the camera within this time, with at least this
@@ -216,7 +215,7 @@ class MapProfile:
         width: width of the image in px.
     """
 
-    bearings_px: Real
+    bearings_px: NDArray[np.float32]
     nearest_px: float | None
     width: int
 

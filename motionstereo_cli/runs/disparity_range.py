@@ -7,12 +7,13 @@ import itertools
 from collections.abc import Callable, Iterable, Iterator
 
 from motionstereo_cli.check.measure import MAX_WINDOWS, WINDOW_FRAMES, advised_range, starts
-from motionstereo_cli.errors import SettingsError
+from motionstereo_cli.errors import InputError
 from motionstereo_cli.files.atomic import part_of
 from motionstereo_cli.method.settings import AUTO, Settings
 from motionstereo_cli.rig.calibration import rectify_source
 from motionstereo_cli.runs.folder_files import RUN, read_record
 from motionstereo_cli.runs.plan import RunPlan
+from motionstereo_cli.sinks.records import RunRecord
 from motionstereo_cli.sources import StereoSource, open_stereo
 from motionstereo_cli.types import StereoFrame
 
@@ -99,11 +100,10 @@ def _begun_with(plan: RunPlan) -> int | None:
     """Return the number that the run was begun with, if it is one to go on with."""
     if plan.folder is None or not plan.resume:
         return None
-    record = plan.folder / RUN.record
-    found = read_record(record, RUN) or read_record(part_of(record), RUN) or {}
-    settings = found.get("settings")
-    number = settings.get("max_disparity") if isinstance(settings, dict) else None
+    place = plan.folder / RUN.record
     try:
-        return Settings(max_disparity=number or AUTO).max_disparity
-    except SettingsError:
+        found = read_record(place, RUN) or read_record(part_of(place), RUN)
+    except InputError:
         return None  # the record is damaged, and the run will say so
+    number = found.values("settings").get("max_disparity") if isinstance(found, RunRecord) else None
+    return None if number is None else int(number)

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import contextlib
 import os
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
-from motionstereo_cli.errors import OutputError
+from msgspec import structs
+
+from motionstereo_cli.errors import InputError, OutputError
 from motionstereo_cli.files.atomic import (
     is_left_over,
     name_part,
@@ -43,6 +45,7 @@ from motionstereo_cli.runs.folder_files import (
 )
 from motionstereo_cli.runs.open_outputs import Sinks
 from motionstereo_cli.sinks.outputs import OUTPUTS
+from motionstereo_cli.sinks.records import FolderRecord, RunRecord
 
 if TYPE_CHECKING:
     from motionstereo_cli.pipeline import State
@@ -62,8 +65,8 @@ class RunFolder(Sinks):
         path: the folder; made where it is missing.
         outputs: names of what is to be written, from ``kind``.
         kind: whose folder it is.
-        identity: the :func:`head` of the record and all that the results follow from, as JSON-able
-            values. With ``resume`` it has to be the same as before. None: who wrote it, no more.
+        identity: the :func:`head` of the record and all that the results follow from. With
+            ``resume`` it has to be the same as before. None: who wrote it, no more.
         frames: how many images of a kind there will be; others in their folders do not matter.
             None: none of others may be there.
         overwrite: replace what an earlier run wrote; other files are never touched.
@@ -83,7 +86,7 @@ class RunFolder(Sinks):
         outputs: Sequence[str],
         kind: FolderKind = RUN,
         *,
-        identity: Mapping[str, Any] | None = None,
+        identity: FolderRecord | None = None,
         frames: int | None = None,
         overwrite: bool = False,
         resume: bool = False,
@@ -95,7 +98,7 @@ class RunFolder(Sinks):
         self.path = path
         self._outputs = outputs
         self._kind = kind
-        self._identity = identity or {"program": kind.program, "outputs": list(outputs)}
+        self._identity = identity or kind.kind(program=kind.program, outputs=tuple(outputs))
         self._frames = frames
         self._overwrite = overwrite
         self._resume = resume
@@ -134,41 +137,44 @@ class RunFolder(Sinks):
         path = self.path / CHECKPOINT
         write_checkpoint(path, self._identity, self.state, self.totals, self._sinks)
 
-    def complete(self, record: Mapping[str, Any]) -> None:
-        """Write the record, after the outputs were closed.
+    def complete(self, **outcome: Any) -> FolderRecord:
+        """Write the record, after the outputs were closed, and return it.
 
         Args:
-            record: what it says besides the identity.
+            outcome: what came of it, by the fields of the record besides the identity.
 
         Raises:
             OutputError: it cannot be written.
         """
-        said = {**self._identity, **record}
-        if self._kind is RUN:
+        record = structs.replace(self._identity, **outcome)
+        if isinstance(record, RunRecord) and record.counts:
             for name in self._outputs:
-                OUTPUTS[name].complete(self.path, said)
-        if self._kind.keeps:
+                OUTPUTS[name].complete(self.path, record)
             with reported(self.path):
-                said["sums"] = {
-                    name: sums_of(self.path, self._kind.outputs[name], said["counts"]["written"])
+                sums = {
+                    name: sums_of(self.path, self._kind.outputs[name], record.counts.written)
                     for name in self._outputs
                     if not OUTPUTS[name].finish  # what is made of others is made again
                 }
-                if self._table is not None:
-                    said["sums"][TABLE] = sums_of(self._table.parent, [self._table.name], 1)
-        complete(self.path, said, self._kind)
-        super().complete(record)
+            if self._table is not None:
+                sums[TABLE] = sums_of(self._table.parent, [self._table.name], 1)
+            record = structs.replace(record, sums=sums)
+        complete(self.path, record, self._kind)
+        super().complete()
+        return record
 
-    def _check_sums(self, finished: Mapping[str, Any]) -> None:
+    def _check_sums(self, finished: FolderRecord) -> None:
         """Make sure that a complete run is still what it was."""
-        for name, sums in finished.get("sums", {}).items():
+        if not isinstance(finished, RunRecord) or not finished.counts:
+            return
+        for name, sums in (finished.sums or {}).items():
             folder, paths, shown = self.path, self._kind.outputs.get(name, ()), name
             if name == TABLE:
                 if self._table is None:
                     continue
                 folder, paths, shown = self._table.parent, (self._table.name,), str(self._table)
             try:
-                same = sums == sums_of(folder, paths, finished["counts"]["written"])
+                same = sums == sums_of(folder, paths, finished.counts.written)
             except OSError:
                 same = False
             if not same:
@@ -212,7 +218,7 @@ def prepare(
     outputs: Sequence[str],
     kind: FolderKind = RUN,
     *,
-    identity: Mapping[str, Any] | None = None,
+    identity: FolderRecord | None = None,
     frames: int | None = None,
     overwrite: bool = False,
     inputs: Iterable[Path] = (),
@@ -274,12 +280,12 @@ def prepare(
     write_whole(part, kind.format(begun))
 
 
-def complete(out: Path, record: Mapping[str, Any], kind: FolderKind = RUN) -> None:
+def complete(out: Path, record: FolderRecord, kind: FolderKind = RUN) -> None:
     """Write the record of a run that is done.
 
     Args:
         out: the folder.
-        record: what to say: the :func:`head`, and at least ``counts.written``, the frames.
+        record: what to say.
         kind: whose folder it is.
 
     Raises:
@@ -293,10 +299,10 @@ def complete(out: Path, record: Mapping[str, Any], kind: FolderKind = RUN) -> No
     clear(out, record, kind)
 
 
-def clear(out: Path, record: Mapping[str, Any], kind: FolderKind = RUN) -> None:
+def clear(out: Path, record: FolderRecord, kind: FolderKind = RUN) -> None:
     """Remove what a complete run needs no more: its checkpoint, and the segments of its videos."""
     with reported(out):
-        remove(out, sorted(temporary(out, kind, kind.outputs.keys() & record["outputs"])))
+        remove(out, sorted(temporary(out, kind, kind.outputs.keys() & set(record.outputs or ()))))
 
 
 def _is_former(table: Path, out: Path, kind: FolderKind, *, overwrite: bool) -> bool:
@@ -315,10 +321,12 @@ def _is_former(table: Path, out: Path, kind: FolderKind, *, overwrite: bool) -> 
     found = sum_of(table)
     known = {sum_of(part_of(out / TABLE))} - {None}
     for path in (out / kind.record, part_of(out / kind.record)):
-        record = read_record(path, kind) or {}
-        with contextlib.suppress(LookupError, TypeError, ValueError, OSError):
-            if (out / record["table"]).resolve() == table.resolve():
-                known.add(record["sums"][TABLE]["sha256"])
+        with contextlib.suppress(InputError, LookupError, ValueError, OSError):
+            record = read_record(path, kind)
+            if not (isinstance(record, RunRecord) and record.table and record.sums):
+                continue
+            if (out / record.table).resolve() == table.resolve():
+                known.add(record.sums[TABLE].sha256)
     if found is None or found not in known:
         raise OutputError(
             f"{table} was not written by an earlier run into {out}, or was changed: move it, or "
@@ -327,8 +335,12 @@ def _is_former(table: Path, out: Path, kind: FolderKind, *, overwrite: bool) -> 
     return True
 
 
-def record_of(out: Path, kind: FolderKind = RUN) -> dict[str, Any] | None:
-    """Return what a complete run says of itself, None where there is none."""
+def record_of(out: Path, kind: FolderKind = RUN) -> FolderRecord | None:
+    """Return what a complete run says of itself, None where there is none.
+
+    Raises:
+        InputError: it is damaged.
+    """
     return read_record(out / kind.record, kind)
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import itertools
-import json
 import os
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -16,9 +15,11 @@ from motionstereo_cli.errors import InputError
 from motionstereo_cli.files.atomic import is_left_over, is_segment, part_of
 from motionstereo_cli.files.folders import remove_empty
 from motionstereo_cli.files.reading import MAX_RESULT_BYTES, open_regular, read_bytes
+from motionstereo_cli.files.records import encode, parse_json, typed
 from motionstereo_cli.report import PAGE, is_report
 from motionstereo_cli.runs.checkpoint import frames_of
 from motionstereo_cli.sinks.outputs import OUTPUTS, RECORD
+from motionstereo_cli.sinks.records import FolderRecord, OutputRecord, RunRecord, SumRecord
 
 #: What a run needs to go on after its process is gone; removed when it is complete.
 CHECKPOINT = "run.checkpoint"
@@ -27,10 +28,6 @@ CHECKPOINT = "run.checkpoint"
 TABLE = "table"
 
 _NUMBERED = re.compile(r"(\d{6,})(\.[a-z]+)")
-
-
-def _json(record: Mapping[str, Any]) -> bytes:
-    return json.dumps(record, indent=2, allow_nan=False).encode() + b"\n"
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,46 +39,51 @@ class FolderKind:
         record: name of the record, which is written last and removed last.
         outputs: the files of each output by its name; ``{:06d}`` is the number of a frame.
         keeps: what was done is kept when it ends early, for another process to go on.
-        format: makes a record.
-        parse: returns what a record says: ``program``, ``outputs`` (their names) and, where it is
-            complete, ``counts.written``, the number of frames; ``first``, the number of the first
-            frame, 0 if missing.
+        kind: what its record says.
+        format: writes a record.
+        parse: reads a record that is no JSON.
     """
 
     program: str
     record: str
     outputs: Mapping[str, tuple[str, ...]]
     keeps: bool = False
-    format: Callable[[Mapping[str, Any]], bytes] = _json
-    parse: Callable[[bytes], Any] = json.loads
+    kind: type[FolderRecord] = FolderRecord
+    format: Callable[[Any], bytes] = encode
+    parse: Callable[[bytes], FolderRecord] | None = None
 
 
 RUN = FolderKind(
-    "motionstereo", RECORD, {name: each.paths for name, each in OUTPUTS.items()}, keeps=True
+    "motionstereo",
+    RECORD,
+    {name: each.paths for name, each in OUTPUTS.items()},
+    keeps=True,
+    kind=RunRecord,
 )
 
 
-def head(save: Sequence[str]) -> dict[str, Any]:
+def head(save: Sequence[str]) -> RunRecord:
     """Return the beginning of a run's record: who wrote the folder, and what is in it."""
-    outputs = {
-        name: {"path": OUTPUTS[name].path.format(0), "what": OUTPUTS[name].what} for name in save
-    }
-    return {"program": RUN.program, "outputs": outputs}
+    rows = {name: OUTPUTS[name] for name in save}
+    outputs = {name: OutputRecord(row.path.format(0), row.what) for name, row in rows.items()}
+    return RunRecord(program=RUN.program, outputs=outputs)
 
 
 def written(out: Path, kind: FolderKind) -> set[Path]:
     """Return the files present that earlier runs wrote, complete or not, as their records list."""
     written: set[Path] = set()
     for path in (out / kind.record, part_of(out / kind.record)):
-        record = read_record(path, kind)
+        try:
+            record = read_record(path, kind)
+        except InputError:  # a damaged one gives no right to remove anything
+            continue
         if record is None:
             continue
-        try:
-            names = kind.outputs.keys() & record["outputs"]
-            frames = int(record["counts"]["written"]) if "counts" in record else None
-            first = int(record.get("first", 0))
-        except (ValueError, LookupError, TypeError, AttributeError, OverflowError):
-            continue  # not a record of ours
+        if not record.outputs:
+            continue  # it lists nothing
+        names = [name for name in kind.outputs if name in record.outputs]
+        frames = record.counts.written if record.counts else None
+        first = record.first or 0
         at_least = frames_of(out / CHECKPOINT)
         written.add(path)
         written |= temporary(out, kind, names)
@@ -93,15 +95,23 @@ def written(out: Path, kind: FolderKind) -> set[Path]:
     return written
 
 
-def read_record(path: Path, kind: FolderKind) -> dict[str, Any] | None:
-    """Return what a record says, None where there is none of this kind."""
+def read_record(path: Path, kind: FolderKind) -> FolderRecord | None:
+    """Return what a record says, None where there is none of this kind.
+
+    Raises:
+        InputError: it is one, and damaged.
+    """
     try:
         if path.is_symlink():
             return None
-        record = kind.parse(read_bytes(path, "the record", MAX_RESULT_BYTES))
-        return record if record["program"] == kind.program else None
-    except (InputError, ValueError, LookupError, TypeError, RecursionError):
+        content = read_bytes(path, "the record", MAX_RESULT_BYTES)
+        said = kind.parse(content) if kind.parse else parse_json(content, path)
+    except (InputError, ValueError):
         return None  # not a record of ours
+    if isinstance(said, FolderRecord):
+        return said
+    ours = isinstance(said, dict) and said.get("program") == kind.program
+    return typed(said, kind.kind, path) if ours else None
 
 
 def temporary(out: Path, kind: FolderKind, outputs: Iterable[str]) -> set[Path]:
@@ -160,7 +170,7 @@ def remove_empty_folders(out: Path, kind: FolderKind) -> None:
             remove_empty(folder)
 
 
-def sums_of(out: Path, paths: Sequence[str], frames: int) -> dict[str, Any]:
+def sums_of(out: Path, paths: Sequence[str], frames: int) -> SumRecord:
     """Return size and SHA-256 of an output.
 
     That of several files is the hash of the text which ``sha256sum`` prints for them by bare name.
@@ -168,16 +178,13 @@ def sums_of(out: Path, paths: Sequence[str], frames: int) -> dict[str, Any]:
     Raises:
         OSError: a file cannot be read.
     """
-    files = (
-        out / path.format(number)
-        for path in paths
-        for number in range(frames if "{" in path else 1)
-    )
-    size, lines = 0, hashlib.sha256()
-    for file in files:
-        with open_regular(file) as content:
-            digest = hashlib.file_digest(content, "sha256").hexdigest()
-            size += content.tell()
-        lines.update(f"{digest}  {file.name}\n".encode())
+    size, lines, digest = 0, hashlib.sha256(), ""
+    for path in paths:
+        for number in range(frames if "{" in path else 1):
+            file = out / path.format(number)
+            with open_regular(file) as content:
+                digest = hashlib.file_digest(content, "sha256").hexdigest()
+                size += content.tell()
+            lines.update(f"{digest}  {file.name}\n".encode())
     alone = len(paths) == 1 and "{" not in paths[0]
-    return {"bytes": size, "sha256": digest if alone else lines.hexdigest()}
+    return SumRecord(size, digest if alone else lines.hexdigest())

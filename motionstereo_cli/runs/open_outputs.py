@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
     from motionstereo_cli.pipeline import FrameSummary, State
     from motionstereo_cli.sinks.outputs import Input
+    from motionstereo_cli.sinks.records import FolderRecord
     from motionstereo_cli.sinks.sink import Sink
     from motionstereo_cli.types import FrameImages, Step
 
@@ -71,7 +72,7 @@ class Sinks:
         self.state: State | None = None
         self.totals = Totals()
         self.resumed = False
-        self.finished: Mapping[str, Any] | None = None
+        self.finished: FolderRecord | None = None
         self._marks: Mapping[str, Any] = {}
         self._sinks: dict[str, Sink[Any]] = {}
         self._takes: dict[str, Input] = {}
@@ -167,10 +168,11 @@ class Sinks:
         for sink in (*self._sinks.values(), *self._others):
             sink.close()
 
-    def complete(self, record: Mapping[str, Any]) -> None:
-        """Say that all is done.
+    def complete(self, **outcome: Any) -> FolderRecord | None:
+        """Say that all is done, and return the record, None where none is written.
 
         Args:
-            record: what to say of it.
+            outcome: what came of it, by the fields of the record.
         """
         self._complete = True
+        return None

@@ -1,4 +1,4 @@
-"""What a run says of itself: in run.json, and when it is done."""
+"""run.json and the run's report."""
 
 from __future__ import annotations
 
@@ -11,18 +11,20 @@ import os
 import platform
 import re
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
 import av
 import cv2
 import numpy as np
+from msgspec import UNSET, UnsetType, structs
 
 import motionstereo_cli
 from motionstereo_cli import __version__
 from motionstereo_cli.errors import OutputError
 from motionstereo_cli.files.reading import sha256_of
+from motionstereo_cli.files.records import typed
 from motionstereo_cli.files.targets import is_stream
 from motionstereo_cli.pipeline import StreamContext
 from motionstereo_cli.rig import rig_values
@@ -30,7 +32,17 @@ from motionstereo_cli.rig.poses import Trajectory
 from motionstereo_cli.runs.folder_files import head
 from motionstereo_cli.runs.open_outputs import Totals
 from motionstereo_cli.runs.plan import AUTO_POSES, RunPlan
-from motionstereo_cli.sinks.outputs import OUTPUTS, available
+from motionstereo_cli.sinks.outputs import OUTPUTS, RECORD, available
+from motionstereo_cli.sinks.records import (
+    Counts,
+    FileRecord,
+    FolderRecord,
+    InputRecord,
+    RigRecord,
+    RunRecord,
+    Shares,
+    Timing,
+)
 from motionstereo_cli.sinks.sink import RunContext
 from motionstereo_cli.sources import StereoSource
 from motionstereo_cli.types import FrameTime, Pose, StereoFrame
@@ -132,33 +144,38 @@ class Job:
         )
 
 
-def identity_of(job: Job, inputs: Iterable[Path]) -> dict[str, Any]:
+def identity_of(job: Job, inputs: Iterable[Path]) -> RunRecord:
     """Return what ``run.json`` says of what the run is: its results follow from it."""
     plan, source, context = job.plan, job.source, job.context
     known = {*source.paths, *plan.reads}
     files = [path for path in inputs if path not in known]
-    table = None
+    table: str | UnsetType = UNSET
     if plan.table and plan.folder and not plan.to_stdout and not is_stream(plan.table):
         # The same, however either is given.
         place = plan.table.parent.resolve() / plan.table.name
         table = os.path.relpath(place, plan.folder.resolve())
-    return {
-        **head(job.save),
-        **({} if table is None else {"table": table}),
-        "versions": versions(),
-        "settings": dataclasses.asdict(plan.settings),
-        "input_settings": dataclasses.asdict(source.settings),
-        "output_settings": dataclasses.asdict(context.output),
-        "inputs": source.describe(),
-        "files": [{"path": str(path), "sha256": sha256_of(path)} for path in files],
-        "rig": None if context.rig is None else rig_values(context.rig),
-        "time_base": None if source.time_base is None else str(source.time_base),
-        "grey": GREY,
-        **({} if context.rig is None else {"rig_settings": dataclasses.asdict(plan.rig_settings)}),
-        **({"pose_settings": dataclasses.asdict(job.poses.settings)} if job.poses else {}),
-        **({"poses": AUTO_POSES} if plan.poses and job.with_own_motion else {}),
-        **({"motion_offset_px": job.motion_offset_px} if job.with_own_motion else {}),
-    }
+    own_motion = job.with_own_motion
+    return structs.replace(
+        head(job.save),
+        table=table,
+        versions=versions(),
+        settings=dataclasses.asdict(plan.settings),
+        input_settings=dataclasses.asdict(source.settings),
+        output_settings=dataclasses.asdict(context.output),
+        inputs=_described(source),
+        files=[FileRecord(str(path), sha256_of(path)) for path in files],
+        rig=None if context.rig is None else typed(rig_values(context.rig), RigRecord, "the rig"),
+        time_base=None if source.time_base is None else str(source.time_base),
+        grey=GREY,
+        rig_settings=UNSET if context.rig is None else dataclasses.asdict(plan.rig_settings),
+        pose_settings=dataclasses.asdict(job.poses.settings) if job.poses else UNSET,
+        poses=AUTO_POSES if plan.poses and own_motion else UNSET,
+        motion_offset_px=job.motion_offset_px if own_motion else UNSET,
+    )
+
+
+def _described(source: StereoSource) -> dict[str, InputRecord]:
+    return {name: InputRecord(**said) for name, said in source.describe().items()}
 
 
 def versions() -> dict[str, str]:
@@ -225,39 +242,42 @@ def outcome(source: StereoSource, report: RunReport) -> dict[str, Any]:
     """Return what ``run.json`` says of what came of it; all but ``timing`` is repeatable."""
     return {
         # What came through a pipe is known at its end.
-        **({} if source.rereadable else {"inputs": source.describe()}),
-        "counts": {"written": report.frames, **source.counts},
-        "shares": {
-            "charged": report.charged,
-            "matched": report.matched,
-            "at_limit": report.at_limit,
-        },
-        "warnings": source.warnings,
+        **({} if source.rereadable else {"inputs": _described(source)}),
+        "counts": Counts(written=report.frames, **source.counts),
+        "shares": Shares(report.charged, report.matched, report.at_limit),
+        "warnings": list(source.warnings),
         "damage": list(report.damage),
-        "timing": {
-            "wall_s": round(report.wall_s, 3),
-            "frames_per_second": round(report.frames_per_second, 2),
-        },
+        "timing": Timing(round(report.wall_s, 3), round(report.frames_per_second, 2)),
     }
 
 
-def report_of(record: Mapping[str, Any], plan: RunPlan) -> RunReport:
-    """Return the report of a run that was complete already."""
+def report_of(record: FolderRecord, plan: RunPlan) -> RunReport:
+    """Return the report of a run that was complete already.
+
+    Raises:
+        OutputError: its table is missing, or its record says too little.
+    """
     if plan.table is not None and not plan.table.exists():
         raise OutputError(
             f"{plan.folder} is complete, but {plan.table} is missing: give --overwrite to begin "
             "again, or leave it out"
         )
-    frames = record["counts"]["written"]
+    assert isinstance(record, RunRecord)
+    if not (record.counts and record.shares) or record.damage is UNSET:
+        raise OutputError(
+            f"{plan.folder}/{RECORD} is damaged: counts, shares or damage are missing: give "
+            "--overwrite to start again"
+        )
+    frames = record.counts.written
     return RunReport(
         frames=frames,
         resumed=frames,
-        charged=record["shares"]["charged"],
-        matched=record["shares"]["matched"],
-        at_limit=record["shares"]["at_limit"],
+        charged=record.shares.charged,
+        matched=record.shares.matched,
+        at_limit=record.shares.at_limit,
         wall_s=0.0,
-        outputs=_shown(record["outputs"]),
-        damage=tuple(record["damage"]),
+        outputs=_shown(name for name in record.outputs or () if name in OUTPUTS),
+        damage=tuple(record.damage),
         interrupted=False,
     )
 

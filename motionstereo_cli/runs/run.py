@@ -115,7 +115,7 @@ def run(plan: RunPlan, watcher: Watcher | None = None, stdout: BinaryIO | None =
                 last = _write(sinks, job, watcher)
                 report = report_on(job, sinks.totals, resumed, started_s)
                 _say_what_is_missing(report, last, job, watcher)
-                sinks.complete({"options": plan.options} | outcome(source, report))
+                sinks.complete(options=plan.options, **outcome(source, report))
                 return report
         except BrokenPipeError:
             if plan.folder is None:  # the reader has seen enough

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import pickle
 from concurrent.futures import Future
 from queue import Queue
 from threading import Thread
@@ -23,7 +22,7 @@ class Threaded:
 
     def __init__(self, sink: Sink[Any]) -> None:
         self._sink = sink
-        self._queue: Queue[FrameImages | Step | Future[bytes] | None] = Queue(_WAITING)
+        self._queue: Queue[FrameImages | Step | Future[object] | None] = Queue(_WAITING)
         self._error: Exception | None = None
         self._closed = False
         self._thread = Thread(target=self._work, name=type(sink).__name__, daemon=True)
@@ -35,9 +34,9 @@ class Threaded:
             raise self._error
         self._queue.put(given)
 
-    def checkpoint(self) -> Future[bytes]:
-        """Return the sink's checkpoint after the frames so far, pickled, once it has made it."""
-        made: Future[bytes] = Future()
+    def checkpoint(self) -> Future[object]:
+        """Return the sink's checkpoint after the frames so far, once it has made it."""
+        made: Future[object] = Future()
         self._queue.put(made)
         return made
 
@@ -67,7 +66,7 @@ class Threaded:
                 if self._error is not None:
                     raise self._error
                 if isinstance(item, Future):
-                    item.set_result(pickle.dumps(self._sink.checkpoint()))
+                    item.set_result(self._sink.checkpoint())
                 else:
                     self._sink.write(item)
             except Exception as error:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
+from msgspec import UNSET, Struct, UnsetType
 
 from motionstereo_cli import __version__
 from motionstereo_cli.files.atomic import write_whole
@@ -28,6 +29,7 @@ from motionstereo_cli.simulate.settings import ROBOT_RADIUS_M
 from motionstereo_cli.sinks.drawing import depth_picture, grey_picture
 from motionstereo_cli.sinks.map import MapFiles
 from motionstereo_cli.sinks.preview import framed, with_heading
+from motionstereo_cli.sinks.records import Count, FolderRecord, Plain
 from motionstereo_cli.sinks.sink import RunContext
 from motionstereo_cli.sinks.steering_table import SteeringFile
 from motionstereo_cli.types import Pose, Step, StereoFrame
@@ -44,7 +46,35 @@ OUTPUTS = (
     *("left.mkv", "right.mkv", "rig.yaml", "steering.csv", "poses.txt", "plan.png"),
     *("map.ply", "map.png", "map.yaml", "map-sheet.png", "drive.mp4", RECORD),
 )
-_KIND = FolderKind("motionstereo drive", RECORD, {name: (name,) for name in OUTPUTS})
+
+
+class Collision(Struct, frozen=True):
+    """Where the robot touched something, and what."""
+
+    frame: Count
+    x_m: float
+    y_m: float
+    what: str
+
+
+class DriveRecord(FolderRecord, kw_only=True, frozen=True):
+    """``drive.json``: lengths in m; ``laps``: rounds driven; ``ended``: why the drive ended."""
+
+    version: str = ""
+    settings: dict[str, Plain] | UnsetType = UNSET
+    world: dict[str, Any] | UnsetType = UNSET
+    ended: str | None = None
+    frames: Count = 0
+    laps: float = 0.0
+    distance_m: float = 0.0
+    lap_m: float = 0.0
+    collisions: list[Collision] | UnsetType = UNSET
+    nearest_pass_m: float = 0.0
+
+
+_KIND = FolderKind(
+    "motionstereo drive", RECORD, {name: (name,) for name in OUTPUTS}, kind=DriveRecord
+)
 
 
 def drive(
@@ -56,7 +86,7 @@ def drive(
     overwrite: bool = False,
     inputs: Iterable[Path] = (),
     progress: Callable[[], object] = lambda: None,
-) -> dict[str, Any]:
+) -> DriveRecord:
     """Drive until the end, write the results, and return the record.
 
     Writes left.mkv and right.mkv (FFV1), rig.yaml, poses.txt (TUM), steering.csv as ``run`` does,
@@ -107,8 +137,8 @@ def drive(
         write_whole(out / "poses.txt", "".join(poses).encode())
         picture = plan.draw(surroundings.mapper.floor())
         write_whole(out / "plan.png", encode_png(plan_sheet(picture)[..., ::-1]))
-        record = _record(world, settings)
-        folder.complete(record)
+        record = folder.complete(**_outcome(world, settings))
+    assert isinstance(record, DriveRecord)
     return record
 
 
@@ -137,12 +167,11 @@ def driven(world: DriveWorld, settings: Settings) -> Iterator[tuple[StereoFrame,
     return ((frame, step) for frame, step, _ in steps(frames(), stream, pose_of))
 
 
-def _record(world: DriveWorld, settings: Settings) -> dict[str, Any]:
+def _outcome(world: DriveWorld, settings: Settings) -> dict[str, Any]:
     corridor = world.corridor
     touched = (world.ended or "").startswith("touched")
-    collision = {"frame": world.frames, "x_m": world.robot.x_m, "y_m": world.robot.y_m}
+    place = world.frames, world.robot.x_m, world.robot.y_m
     return {
-        "program": _KIND.program,
         "version": __version__,
         "settings": dataclasses.asdict(settings),
         "world": {
@@ -156,7 +185,7 @@ def _record(world: DriveWorld, settings: Settings) -> dict[str, Any]:
         "laps": round(world.laps, 4),
         "distance_m": round(world.path_m, 3),
         "lap_m": round(world.lap_m, 3),
-        "collisions": [{**collision, "what": world.ended}] if touched else [],
+        "collisions": [Collision(*place, world.ended or "")] if touched else [],
         "nearest_pass_m": round(world.nearest_pass_m, 3),
     }
 

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from fractions import Fraction
 from pathlib import Path
-from typing import Any
+
+from msgspec import UNSET
 
 from motionstereo_cli.files.atomic import write_whole
 from motionstereo_cli.files.encode import encode_png
@@ -18,6 +19,7 @@ from motionstereo_cli.runs.folder_files import FolderKind
 from motionstereo_cli.simulate.scenes import render_scene
 from motionstereo_cli.simulate.settings import SimulateSettings
 from motionstereo_cli.sinks.images import disparity_png
+from motionstereo_cli.sinks.records import Counts, FolderRecord
 
 
 def simulate(
@@ -75,7 +77,7 @@ def simulate(
             progress()
         folder.close()
         write_rig(out / "rig.yaml", settings.rig)
-        folder.complete({"poses": poses})
+        folder.complete(poses=poses)
 
 
 _DISPARITY = "disparity/{:06d}.png"
@@ -85,18 +87,24 @@ _DISPARITY = "disparity/{:06d}.png"
 _LIST = "# of "
 
 
-def _format(record: Mapping[str, Any]) -> bytes:
-    files = " ".join(record["outputs"])
-    return "".join([HEAD, f"{_LIST}{files}\n", *record.get("poses", [])]).encode()
+class _Poses(FolderRecord, kw_only=True, frozen=True):
+    """``poses.txt``, by its lines."""
+
+    poses: tuple[str, ...] | list[str] = ()
 
 
-def _parse(content: bytes) -> dict[str, Any]:
+def _format(record: _Poses) -> bytes:
+    files = " ".join(record.outputs or ())
+    return "".join([HEAD, f"{_LIST}{files}\n", *record.poses]).encode()
+
+
+def _parse(content: bytes) -> _Poses:
     head, files, *poses = content.decode().splitlines(keepends=True)
     if head != HEAD or not files.startswith(_LIST):
         raise ValueError("not from a simulation")
-    outputs = files.removeprefix(_LIST).split()
-    counts = {"counts": {"written": len(poses)}} if poses else {}
-    return {"program": _KIND.program, "outputs": outputs, **counts}
+    outputs = tuple(files.removeprefix(_LIST).split())
+    counts = Counts(written=len(poses)) if poses else UNSET
+    return _Poses(program=_KIND.program, outputs=outputs, counts=counts)
 
 
 #: The poses are the record: they are written last, and there are as many as images.
@@ -110,6 +118,7 @@ _KIND = FolderKind(
             _DISPARITY,
         )
     },
+    kind=_Poses,
     format=_format,
     parse=_parse,
 )

@@ -14,6 +14,7 @@ from motionstereo_cli.errors import OutputError
 from motionstereo_cli.files.atomic import Temporary, open_new, remove_own, reported
 from motionstereo_cli.files.encode import encode_png
 from motionstereo_cli.files.reading import open_regular
+from motionstereo_cli.files.records import restored
 from motionstereo_cli.files.segments import Segments
 from motionstereo_cli.sinks.images import depth_png, known_depth_m
 
@@ -60,7 +61,7 @@ class BagFile:
     def __init__(self, path: Path, stream: RunContext, since: tuple[str, ...] = ()) -> None:
         assert stream.rig is not None
         self._path, self._stream = path, stream
-        self._segments = Segments(path, since or ())
+        self._segments = Segments(path, restored(since or (), tuple[str, ...]))
         self._messages = _Messages(stream.rig, stream)
         self._writer: _Writer | None = None
 

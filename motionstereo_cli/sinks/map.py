@@ -11,6 +11,7 @@ import numpy as np
 from motionstereo_cli.files.atomic import part_of, write_whole
 from motionstereo_cli.files.encode import encode_png
 from motionstereo_cli.files.lettering import LIGHT, colour_key, length_bar, titled
+from motionstereo_cli.files.records import restored
 from motionstereo_cli.robot.mapper import Floor, Mapper, Surroundings
 from motionstereo_cli.sinks.points import encode_ply
 from motionstereo_cli.types import Step
@@ -92,7 +93,7 @@ class MapFiles:
         assert stream.rig is not None
         self._path = path
         self.mapper = Mapper(stream.settings, stream.rig, stream.output.map_cell_m)
-        self.mapper.known = since
+        self.mapper.known = restored(since, Surroundings | None)
         self._closed = False
 
     def write(self, step: Step) -> None:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import importlib
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -17,6 +17,7 @@ from motionstereo_cli.method.settings import OCCLUSION
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from motionstereo_cli.sinks.records import RunRecord
     from motionstereo_cli.sinks.sink import RunContext, Sink
 
 Kind = Literal["disparity", "depth", "table", "other"]
@@ -94,7 +95,7 @@ class Output:
         sink: Sink[Any] = _named(f"sinks.{self.sink}")(out / self.path, stream, since)
         return sink
 
-    def complete(self, out: Path, record: Mapping[str, Any]) -> None:
+    def complete(self, out: Path, record: RunRecord) -> None:
         """Make what is made of the other outputs, if it is such an output.
 
         Args:

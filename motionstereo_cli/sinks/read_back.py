@@ -7,8 +7,6 @@ from __future__ import annotations
 
 import csv
 import io
-import json
-import math
 import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -17,11 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from motionstereo_cli.errors import InputError
-from motionstereo_cli.files.reading import MAX_RESULT_BYTES, read_bytes, read_text
+from motionstereo_cli.files.reading import MAX_RESULT_BYTES, read_text
+from motionstereo_cli.files.records import read_json, typed
 from motionstereo_cli.files.stills import DamagedImageError, read_still, shown
 from motionstereo_cli.rig import read_rig
 from motionstereo_cli.sinks.images import DISPARITY_PER_PX
 from motionstereo_cli.sinks.outputs import OUTPUTS, RECORD
+from motionstereo_cli.sinks.records import RunRecord
 from motionstereo_cli.sinks.settings import OutputSettings
 from motionstereo_cli.types import Rig
 
@@ -150,18 +150,9 @@ def _said_in(folder: Path) -> tuple[Rig | None, str | None, int]:
     if not path.is_file():
         return rig, "right" if rig else None, OutputSettings().depth_scale  # simulate's truth
     record = read_record(path)
-    try:
-        if rig is None and record["rig"] is not None:
-            rig = Rig(**record["rig"])
-        per_m = int(
-            record.get("output_settings", {}).get("depth_scale", OutputSettings().depth_scale)
-        )
-        given = (value for value in (record["rig"] or {}).values() if value is not None)
-        if not (per_m > 0 and all(map(math.isfinite, given))):
-            raise ValueError
-        return rig, record.get("settings", {}).get("reference"), per_m
-    except (ValueError, LookupError, TypeError, AttributeError, OverflowError) as error:
-        raise InputError(f"{path}: its rig cannot be read: give --rig, or run again") from error
+    per_m = record.values("output_settings").get("depth_scale", OutputSettings().depth_scale)
+    reference = record.values("settings").get("reference")
+    return rig or record.camera, None if reference is None else str(reference), int(per_m)
 
 
 def _read(path: Path, within: Path | None = None) -> NDArray[Any]:
@@ -233,20 +224,13 @@ def read_table(path: Path, *, part: bool = False) -> Table:
     return Table(tuple(header), rows)
 
 
-def read_record(path: Path) -> dict[str, Any]:
+def read_record(path: Path) -> RunRecord:
     """Return what a run says of itself.
 
     Raises:
         InputError: the file cannot be read, or is no such record.
     """
-    try:
-        content = read_bytes(path, "the record", MAX_RESULT_BYTES, within=path.parent)
-        record = json.loads(content)
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"{path} cannot be read: write it again") from error
-    if not isinstance(record, dict):
-        raise InputError(f"{path} is not the record of a run: write it again")
-    return record
+    return typed(read_json(path, within=path.parent), RunRecord, path)
 
 
 def shortened(value: object) -> str:

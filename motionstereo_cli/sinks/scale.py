@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -17,6 +16,8 @@ from motionstereo_cli.types import Rig
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
+
+    from motionstereo_cli.sinks.records import RunRecord
 
 #: The darkest colours of the map are left out, because they are hard to tell from black.
 FARTHEST = 32
@@ -56,19 +57,18 @@ class DepthScale:
         return cls(max(near_px, 2 * far_px), far_px, px_m, output.colours, doffs)
 
     @classmethod
-    def recorded(cls, record: Mapping[str, Any]) -> DepthScale:
+    def recorded(cls, record: RunRecord) -> DepthScale:
         """Return the scale of a run by what its ``run.json`` says; the default where it does not.
 
         Raises:
-            TypeError, SettingsError: it says nonsense.
+            SettingsError: two values contradict each other.
         """
-        rig = Rig(**record["rig"]) if record.get("rig") else None
-        said = record.get("settings", {}), record.get("output_settings", {})
-        settings, output = (
-            kind(**{name: found[name] for name in names if name in found})
-            for kind, found, names in zip((Settings, OutputSettings), said, _SAID, strict=True)
+        said = (
+            {name: value for name, value in record.values(group).items() if name in names}
+            for group, names in zip(("settings", "output_settings"), _SAID, strict=True)
         )
-        return cls.of(settings, output, rig)
+        settings, output = Settings(**next(said)), OutputSettings(**next(said))
+        return cls.of(settings, output, record.camera)
 
     @property
     def unit(self) -> str:

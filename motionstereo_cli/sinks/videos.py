@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from motionstereo_cli.files.records import restored
 from motionstereo_cli.files.video import Indexed, Picture, SegmentedVideo, VideoMark
 from motionstereo_cli.sinks.drawing import (
     colour_table,
@@ -28,6 +29,9 @@ if TYPE_CHECKING:
 
     #: Makes what a video shows of a frame's images, or of its step.
     Draw = Callable[[Any, RunContext], Picture | list[Picture]]
+
+#: What is left of a video: that of its segments, and the first time stamp.
+_Mark = tuple[VideoMark, int | None]
 
 #: Time stamps that begin beyond this count from an epoch; no player waits for that long.
 EPOCH_S = 86_400
@@ -60,11 +64,11 @@ class ResultVideo:
         self,
         path: Path,
         stream: RunContext,
-        since: tuple[VideoMark, int | None] | None = None,
+        since: _Mark | None = None,
         *,
         image: Draw,
     ) -> None:
-        segments, self._begin = since or (((), None), None)
+        segments, self._begin = restored(since or (((), None), None), _Mark)
         self._video = SegmentedVideo(path, stream.time_base, segments)
         self._stream = stream
         self._image = image
@@ -76,7 +80,7 @@ class ResultVideo:
             self._begin = beginning(pts, self._stream.time_base)
         self._video.write(self._image(given, self._stream), pts - self._begin)
 
-    def checkpoint(self) -> tuple[VideoMark, int | None]:
+    def checkpoint(self) -> _Mark:
         """End a segment."""
         return self._video.checkpoint(), self._begin
 

@@ -24,6 +24,7 @@ from motionstereo_cli.files.atomic import (
 )
 from motionstereo_cli.files.folders import make_folder
 from motionstereo_cli.files.reading import open_regular
+from motionstereo_cli.files.records import restored
 
 
 def cell(value: float | None, decimals: int) -> str:
@@ -76,6 +77,7 @@ class TableFile:
                 self._sums = hashlib.sha256()
                 self._file = os.fdopen(open_new(part_of(path)), "wb")
             else:
+                since = restored(since, TableMark)
                 self._sums = _checked(path, since)
                 self._file = os.fdopen(open_again(part_of(path)), "r+b")
                 self._file.truncate(since[0])
@@ -157,7 +159,7 @@ class NumberedFiles:
         self._mark: FilesMark = (0, "")
         make_folder(path.parent)
         if since is not None:
-            self._check(since)
+            self._check(restored(since, FilesMark))
 
     def add(self, number: int, content: bytes) -> None:
         """Write the file of a frame."""

@@ -1,0 +1,214 @@
+"""The records of runs and batches: run.json and the like, and a recording's status."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Annotated, Any
+
+from msgspec import UNSET, Meta, Struct, UnsetType
+
+from motionstereo_cli.errors import SettingsError
+from motionstereo_cli.files.records import Record
+from motionstereo_cli.method.settings import Settings
+from motionstereo_cli.params import params
+from motionstereo_cli.rig.settings import PoseSettings, RigSettings
+from motionstereo_cli.sinks.settings import OutputSettings
+from motionstereo_cli.sources.settings import InputSettings
+from motionstereo_cli.types import Rig
+
+#: A year has fewer frames, and an image fewer px a side.
+Count = Annotated[int, Meta(ge=0, le=1_000_000_000)]
+Px = Annotated[int, Meta(ge=1, le=1_000_000)]
+Share = Annotated[float, Meta(ge=0, le=1)]
+Positive = Annotated[float, Meta(gt=0)]
+Seconds = Annotated[float, Meta(ge=0, le=1e12)]
+Ratio = Annotated[str, Meta(pattern=r"^\d{1,18}(/[1-9]\d{0,17})?$")]
+#: A name under a folder; no system has longer ones.
+Name = Annotated[str, Meta(min_length=1, max_length=4096, pattern=r"^[^\x00]*$")]
+Plain = bool | int | float | str
+
+#: The parameters of a run by their place in its record.
+GROUPS: Mapping[str, type] = {
+    "input_settings": InputSettings,
+    "settings": Settings,
+    "output_settings": OutputSettings,
+    "rig_settings": RigSettings,
+    "pose_settings": PoseSettings,
+}
+
+
+class OutputRecord(Struct, frozen=True):
+    """An output: its first file, and what it holds."""
+
+    path: str
+    what: str = ""
+
+
+class Counts(Struct, kw_only=True, frozen=True):
+    """Numbers of frames: written, left out by options, and of the images of each side."""
+
+    written: Count
+    skipped: Count | UnsetType = UNSET
+    left: dict[str, Count | None] | UnsetType = UNSET
+    right: dict[str, Count | None] | UnsetType = UNSET
+
+
+class FolderRecord(Record, kw_only=True, frozen=True):
+    """What every record of an output folder says.
+
+    Attributes:
+        program: who wrote the folder.
+        outputs: what is in it, by name.
+        first: number of the first frame, 0 if not set.
+        counts: not set before all is done.
+    """
+
+    program: str = ""
+    outputs: Mapping[str, OutputRecord | None] | tuple[str, ...] | UnsetType = UNSET
+    first: Count | UnsetType = UNSET
+    counts: Counts | UnsetType = UNSET
+
+
+class InputRecord(Struct, kw_only=True, frozen=True):
+    """A recording, as :meth:`~motionstereo_cli.sources.StereoSource.describe` has it."""
+
+    path: Name
+    topic: str | UnsetType = UNSET
+    track: Count | UnsetType = UNSET
+    kind: str | UnsetType = UNSET
+    codec: str | UnsetType = UNSET
+    pixel_format: str | UnsetType = UNSET
+    range: str | UnsetType = UNSET
+    rotation_deg: int | UnsetType = UNSET
+    width: Px | UnsetType = UNSET
+    height: Px | UnsetType = UNSET
+    frame_rate: Ratio | UnsetType | None = UNSET
+    images: Count | UnsetType | None = UNSET
+    camera_info: bool | UnsetType = UNSET
+    bytes: Annotated[int, Meta(ge=0)] | UnsetType = UNSET
+    sha256: str | UnsetType = UNSET
+    times_sha256: str | UnsetType = UNSET
+    serial_number: str | UnsetType = UNSET
+
+
+class FileRecord(Struct, frozen=True):
+    """A further file that the results follow from."""
+
+    path: str
+    sha256: str
+
+
+class RigRecord(Struct, kw_only=True, frozen=True):
+    """A :class:`~motionstereo_cli.types.Rig`."""
+
+    width: Px
+    height: Px
+    focal_px: Positive
+    baseline_m: Positive
+    cx: float
+    cy: float
+    doffs: float = 0.0
+    focal_y_px: Positive | UnsetType | None = UNSET
+
+
+class Shares(Struct, frozen=True):
+    """Mean shares of the image that carry charge, have a disparity, and may be beyond the range."""
+
+    charged: Share
+    matched: Share
+    at_limit: Share = 0.0
+
+
+class Timing(Struct, frozen=True):
+    """How long a run took."""
+
+    wall_s: Seconds
+    frames_per_second: Annotated[float, Meta(ge=0)] | UnsetType = UNSET
+
+
+class SumRecord(Struct, frozen=True):
+    """Size and SHA-256 of an output's files."""
+
+    bytes: Annotated[int, Meta(ge=0)]
+    sha256: str
+
+
+class RunRecord(FolderRecord, kw_only=True, frozen=True):
+    """``run.json``: what a run is and, once it is done, what came of it.
+
+    Raises:
+        ValueError: a setting is of another kind or out of range.
+    """
+
+    outputs: Mapping[str, OutputRecord | None] | UnsetType = UNSET
+    table: str | UnsetType = UNSET
+    versions: dict[str, str] | UnsetType = UNSET
+    settings: dict[str, Plain] | UnsetType = UNSET
+    input_settings: dict[str, Plain] | UnsetType = UNSET
+    output_settings: dict[str, Plain] | UnsetType = UNSET
+    rig_settings: dict[str, Plain] | UnsetType = UNSET
+    pose_settings: dict[str, Plain] | UnsetType = UNSET
+    inputs: dict[str, InputRecord] | UnsetType = UNSET
+    files: list[FileRecord] | UnsetType = UNSET
+    rig: RigRecord | UnsetType | None = UNSET
+    time_base: Ratio | UnsetType | None = UNSET
+    grey: str | UnsetType = UNSET
+    poses: str | UnsetType = UNSET
+    motion_offset_px: float | UnsetType = UNSET
+    options: list[str] | UnsetType = UNSET
+    shares: Shares | UnsetType = UNSET
+    warnings: list[str] | UnsetType = UNSET
+    damage: list[str] | UnsetType = UNSET
+    timing: Timing | UnsetType = UNSET
+    sums: dict[str, SumRecord] | UnsetType = UNSET
+
+    def __post_init__(self) -> None:
+        for group, kind in GROUPS.items():
+            values = getattr(self, group) or {}
+            for item in params(kind):
+                try:
+                    if item.name in values:
+                        item.parse(values[item.name])
+                except SettingsError as error:
+                    said = str(error).replace(item.flag, f"{group}.{item.name}", 1)
+                    raise ValueError(said) from None
+
+    def values(self, group: str) -> Mapping[str, Any]:
+        """Return the settings of a group of :data:`GROUPS`, as far as they are recorded."""
+        return getattr(self, group) or {}
+
+    @property
+    def camera(self) -> Rig | None:
+        """The rig, None where none is recorded."""
+        if not self.rig:
+            return None
+        values = {name: getattr(self.rig, name) for name in self.rig.__struct_fields__}
+        return Rig(**values | {"focal_y_px": self.rig.focal_y_px or None})
+
+
+class Status(Record, frozen=True):
+    """Status of a recording: a file beside its folder, and a row of the table of its batch.
+
+    Attributes:
+        name: its folder under that of the batch.
+        status: ``done``; ``damaged``: done, but the input was; ``failed``; ``lost``: its worker
+            died; ``interrupted``; ``running``; ``waiting``.
+        frames: frames processed.
+        seconds: how long that took, in s.
+        charged, matched: mean shares of the image, 0..1, with charge and with a disparity.
+        damage: lines that say what was lost of the input.
+        reason: why it failed, in one line.
+        worker: where it was processed.
+        plan: hash of what was to be done.
+    """
+
+    name: Name
+    status: str = "waiting"
+    frames: Count = 0
+    seconds: Seconds = 0.0
+    charged: Share | None = None
+    matched: Share | None = None
+    damage: Count = 0
+    reason: str = ""
+    worker: str = ""
+    plan: str = ""
