@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import re
 import tomllib
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +15,7 @@ import numpy as np
 import pytest
 
 from motionstereo_cli.__main__ import main
+from motionstereo_cli.check import features, mounting
 from motionstereo_cli.check.advice import advised, as_toml
 from motionstereo_cli.check.findings import CheckReport, Finding
 from motionstereo_cli.check.measure import WINDOW_FRAMES, check, watched
@@ -29,6 +32,24 @@ FRAMES = 36
 SHORT = 20
 
 Views = tuple[np.ndarray, np.ndarray]
+
+
+@pytest.fixture(scope="module", autouse=True)
+def keypoints_found_once() -> Iterator[None]:
+    """The same images are checked again and again, spoilt in other ways: most time goes there."""
+    found: dict[tuple[tuple[int, ...], bytes], features.Keypoints] = {}
+    find = features.keypoints
+
+    def once(image: np.ndarray) -> features.Keypoints:
+        key = image.shape, hashlib.sha256(np.ascontiguousarray(image)).digest()
+        if key not in found:
+            found[key] = find(image)
+        return found[key]
+
+    with pytest.MonkeyPatch.context() as patch:
+        for module in (features, mounting):
+            patch.setattr(module, "keypoints", once)
+        yield
 
 
 def simulated(trial: int, frames: int = FRAMES) -> Views:

@@ -83,7 +83,8 @@ def test_frames_of_any_size_have_results_of_that_size(
     for result in results:
         known = result.disparity_px[~np.isnan(result.disparity_px)]
         assert result.disparity_px.shape == result.charge.shape == shape
-        assert ((known >= 0) & (known <= reach)).all()
+        # A step between whole px may go beyond the last one.
+        assert ((known >= 0) & (known < reach + 1)).all()
         assert np.isnan(result.disparity_px[result.charge == 0]).all()
         assert content != "at rest" or not result.charge.any()
         if more.get("bands") != 256 and content == "all moves" and result.frame.index:
