@@ -189,6 +189,7 @@ def test_nothing_heavy_loads_before_it_is_used():
 def test_only_known_files_stand_at_the_top():
     allowed = {"pyproject.toml", "motionstereo_cli", "tests", "sample_data", "Makefile"}
     allowed |= {"README.md", "LICENSE", "CHANGELOG.md", "out", "build"}
+    allowed |= {"PKG-INFO", "setup.cfg"}  # of an unpacked source distribution
     found = {path.name for path in PACKAGE.parent.iterdir() if not path.name.startswith(".")}
     assert {name for name in found if not name.endswith(".egg-info")} <= allowed
 
