@@ -42,7 +42,10 @@ def test_peers_say_unknown_and_never_a_negative_disparity(peer, views):
 def test_the_bench_prints_every_matcher_on_every_scene(tmp_path, capsys):
     accuracy.main(["--quick", "--json", str(tmp_path / "scores.json")])
     table = [line for line in capsys.readouterr().out.splitlines() if line.startswith("| ")]
-    assert [line.split(" | ")[0] for line in table[2:]] == [f"| {m}" for m in accuracy.MATCHERS]
+    named = [f"| {m}" for m in accuracy.MATCHERS]
+    rest = 2 + len(named)
+    assert [line.split(" | ")[0] for line in table[2:rest]] == named
+    assert [line.split(" | ")[0] for line in table[rest + 2 :]] == named  # bias, and what both see
     assert "corridor straight, charged" in table[0]
     assert "cards, moved" in table[0]
 

@@ -82,6 +82,32 @@ def test_disparity_measures_worked_out_by_hand():
     assert math.isnan(score.rmse_m)
 
 
+def test_bias_is_told_apart_by_disparity_and_cut():
+    score = tally(FramePair(row(0.7, 2.5, 2, 14, 9), row(0.5, 1, 2.5, 4, 10))).score()
+    biases = score.bias_0_1_px, score.bias_1_3_px, score.bias_3_10_px, score.bias_10_px
+    assert biases == pytest.approx((0.2, 0.5, 3, -1))
+
+
+@pytest.mark.parametrize("reference", ["right", "left"])
+def test_what_both_cameras_see_is_neither_hidden_nor_outside(reference):
+    truth = row(1, 4, 1, 1, 1, 1, 1, 4)  # the second hides the fifth, the last two look outside
+    found = row(1, 4, NAN, 1, NAN, 1, NAN, NAN)
+    if reference == "left":
+        truth, found = truth[:, ::-1], found[:, ::-1]
+    score = tally(FramePair(found, truth, reference=reference)).score()
+    assert score.coverage_seen == pytest.approx(4 / 6)
+
+
+def test_changes_from_frame_to_frame_worked_out_by_hand():
+    # Errors 0, 0.5, 0, 3 then 0.25, 0.5, 2, unknown; the truth of the third and fourth moves.
+    before = FramePair(row(5, 5.5, 5, 8, NAN), row(5, 5, 5, 5, 5))
+    after = FramePair(row(5.25, 5.5, 8, NAN, 5), row(5, 5, 6, 6, 5))
+    score = tally(after, before).score()
+    assert score.tepe_px == pytest.approx((0.25 + 0 + 2) / 3)
+    assert score.tepe_1 == pytest.approx(1 / 3)
+    assert (score.flicker_px, score.flicker_1) == (0.125, 0)
+
+
 def test_an_error_of_exactly_the_limit_is_not_bad():
     score = tally(FramePair(row(10.5, 11, 12, 13), row(10, 10, 10, 10))).score()
     assert (score.bad_0_5, score.bad_1, score.bad_2, score.bad_3) == (0.75, 0.5, 0.25, 0)
@@ -123,7 +149,8 @@ def test_the_sum_of_two_tallies_is_that_of_all_their_pixels(one, other):
         (tally(pair(one)) + tally(pair(other))).score(),
         tally(pair(one + other)).score(),
     )
-    for name in at_once.__slots__[1:]:
+    # Which pixels both cameras see depends on where they are.
+    for name in set(at_once.__slots__) - {"frame", "coverage_seen"}:
         assert getattr(added, name) == pytest.approx(getattr(at_once, name), nan_ok=True), name
     errors = [abs(f - t) for f, t in one + other if not math.isnan(f - t)]
     assert at_once.median_px == pytest.approx(np.median(errors) if errors else NAN, nan_ok=True)

@@ -35,18 +35,25 @@ _BINS_PER_PX = 256
 _BINS = 65536
 
 
+#: Ranges of true disparity, in px, whose bias is told apart; an error counts as this much at most.
+BIAS_FROM_PX = (0, 1, 3, 10)
+_MAX_BIAS_PX = 3.0
+
+
 class FramePair(NamedTuple):
     """One frame of both sides, (height, width) float32 each, NaN = unknown or not counted.
 
     Attributes:
         found_px, truth_px: disparity in px.
         found_m, truth_m: depth in m; None where no rig is known.
+        reference: the camera whose view it is.
     """
 
     found_px: Real
     truth_px: Real
     found_m: Real | None = None
     truth_m: Real | None = None
+    reference: str = "right"
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,6 +78,14 @@ class Score:
         abs_rel: mean of abs(depth - truth) / truth, of depths up to :data:`FAR_M`: Eigen et al.,
             "Depth Map Prediction from a Single Image using a Multi-Scale Deep Network" (2014).
         rmse_m: root of the mean square of depth - truth, of the same pixels and source.
+        coverage_seen: coverage of the pixels that both cameras see, by the truth: the others have
+            no partner.
+        bias_0_1_px, bias_1_3_px, bias_3_10_px, bias_10_px: mean of disparity - truth, each error
+            cut to 3 px, where the truth is 0 to 1, 1 to 3, 3 to 10, and 10 px or more.
+        tepe_px, tepe_1: temporal end-point error: mean change of the error from the frame before at
+            the same pixel, and the share that changes by over 1 px.
+        flicker_px, flicker_1: median change of the disparity where the truth has not changed, and
+            the share that changes by over 1 px.
     """
 
     frame: int | None
@@ -87,6 +102,15 @@ class Score:
     rms_px: float
     abs_rel: float
     rmse_m: float
+    coverage_seen: float
+    bias_0_1_px: float
+    bias_1_3_px: float
+    bias_3_10_px: float
+    bias_10_px: float
+    tepe_px: float
+    tepe_1: float
+    flicker_px: float
+    flicker_1: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -101,6 +125,13 @@ class Tally:
         histogram: number of pixels by absolute error in steps of 1/256 px, int64.
         depths: number of pixels where both depths are known and the true one is at most FAR_M.
         error_rel, error_m2: sums of the relative absolute and of the squared error of the depth.
+        seen, seen_both: number of pixels that both cameras see, and of those with a result.
+        biased, bias_px: number of pixels, and the sum of their errors, from each of
+            :data:`BIAS_FROM_PX` on, (4,) each.
+        pairs, pairs_over, pairs_px: number of pixels with an error in this frame and the one
+            before, of those whose error changed by over 1 px, and the sum of the changes.
+        changes: number of pixels whose truth has not changed by the change of their disparity, in
+            steps of 1/256 px, int64.
     """
 
     truth: int
@@ -113,6 +144,14 @@ class Tally:
     depths: int
     error_rel: float
     error_m2: float
+    seen: int
+    seen_both: int
+    biased: NDArray[np.int64]
+    bias_px: NDArray[np.float64]
+    pairs: int
+    pairs_over: int
+    pairs_px: float
+    changes: NDArray[np.int64]
 
     def __add__(self, other: Tally) -> Tally:
         return Tally(*(getattr(self, f.name) + getattr(other, f.name) for f in fields(self)))
@@ -120,6 +159,11 @@ class Tally:
     def score(self, frame: int | None = None) -> Score:
         """Return the measures of the pixels counted."""
         bad_0_5, bad_1, bad_2, bad_3 = (_ratio(int(count), self.both) for count in self.bad)
+        near_0, near_1, near_3, near_10 = (
+            _ratio(float(total), int(count))
+            for total, count in zip(self.bias_px, self.biased, strict=True)
+        )
+        still = int(self.changes.sum())
         return Score(
             frame=frame,
             truth_pixels=self.truth,
@@ -131,27 +175,80 @@ class Tally:
             bad_3=bad_3,
             d1=_ratio(self.outliers, self.both),
             mean_px=_ratio(self.error_px, self.both),
-            median_px=self._median_px(),
+            median_px=_median(self.histogram),
             rms_px=math.sqrt(_ratio(self.error_px2, self.both)),
             abs_rel=_ratio(self.error_rel, self.depths),
             rmse_m=math.sqrt(_ratio(self.error_m2, self.depths)),
+            coverage_seen=_ratio(self.seen_both, self.seen),
+            bias_0_1_px=near_0,
+            bias_1_3_px=near_1,
+            bias_3_10_px=near_3,
+            bias_10_px=near_10,
+            tepe_px=_ratio(self.pairs_px, self.pairs),
+            tepe_1=_ratio(self.pairs_over, self.pairs),
+            flicker_px=_median(self.changes),
+            flicker_1=_ratio(int(self.changes[_BINS_PER_PX + 1 :].sum()), still),
         )
 
-    def _median_px(self) -> float:
-        if not self.both:
-            return math.nan
-        middle = [(self.both + 1) // 2, self.both // 2 + 1]  # two where their number is even
-        steps = np.searchsorted(np.cumsum(self.histogram), middle)
-        return float(steps.mean()) / _BINS_PER_PX
+
+def _median(histogram: NDArray[np.int64]) -> float:
+    """Return the median of what is counted in steps of 1/256 px, NaN of nothing."""
+    count = int(histogram.sum())
+    if not count:
+        return math.nan
+    middle = [(count + 1) // 2, count // 2 + 1]  # two where their number is even
+    return float(np.searchsorted(np.cumsum(histogram), middle).mean()) / _BINS_PER_PX
 
 
-def tally(pair: FramePair) -> Tally:
-    """Return the sums over the pixels of a frame."""
+def _counted(values_px: Real) -> NDArray[np.int64]:
+    """Return how many absolute values there are of each step of 1/256 px."""
+    steps = np.minimum(np.rint(np.abs(values_px) * _BINS_PER_PX), _BINS - 1).astype(np.int64)
+    return np.bincount(steps, minlength=_BINS)
+
+
+def seen_by_both(truth_px: Real, reference: str = "right") -> NDArray[np.bool_]:
+    """Return which pixels the other camera sees, too, by the truth, (height, width) bool.
+
+    Their partner lies within the other view, and nothing nearer has the same one.
+    """
+    if reference == "left":
+        return seen_by_both(truth_px[:, ::-1])[:, ::-1]
+    width = truth_px.shape[1]
+    known = ~np.isnan(truth_px)
+    rows, columns = np.nonzero(known)
+    partner = np.rint(columns + truth_px[known]).astype(np.int64)
+    inside = (partner >= 0) & (partner < width)
+    rows, columns, partner = rows[inside], columns[inside], partner[inside]
+    nearest = np.full(truth_px.shape, -np.inf, np.float32)
+    disparity = truth_px[rows, columns]
+    np.maximum.at(nearest, (rows, partner), disparity)
+    result = np.zeros(truth_px.shape, np.bool_)
+    result[rows, columns] = disparity > nearest[rows, partner] - 1
+    return result
+
+
+def tally(pair: FramePair, before: FramePair | None = None) -> Tally:
+    """Return the sums over the pixels of a frame.
+
+    Args:
+        pair: the frame.
+        before: the frame before it, for what changes; None where there is none.
+    """
     has_truth = ~np.isnan(pair.truth_px)
     both = has_truth & ~np.isnan(pair.found_px)
     truth_px = pair.truth_px[both]
-    error_px = np.abs(pair.found_px[both] - truth_px)
-    steps = np.minimum(np.rint(error_px * _BINS_PER_PX), _BINS - 1).astype(np.int64)
+    signed_px = pair.found_px[both] - truth_px
+    error_px = np.abs(signed_px)
+    ranges = np.searchsorted(BIAS_FROM_PX, truth_px, side="right") - 1
+    ranges = np.maximum(ranges, 0)
+    cut_px = np.clip(signed_px, -_MAX_BIAS_PX, _MAX_BIAS_PX)
+    seen = seen_by_both(pair.truth_px, pair.reference)
+    error_change, still_change = np.zeros((2, 0), np.float32)
+    if before is not None:
+        change = pair.found_px - before.found_px
+        error_change = change - (pair.truth_px - before.truth_px)
+        error_change = np.abs(error_change[~np.isnan(error_change)])
+        still_change = change[(pair.truth_px == before.truth_px) & ~np.isnan(change)]
     depths, error_rel, error_m2 = 0, 0.0, 0.0
     if pair.found_m is not None and pair.truth_m is not None:
         compared = ~np.isnan(pair.found_m) & (pair.truth_m <= FAR_M)
@@ -166,10 +263,18 @@ def tally(pair: FramePair) -> Tally:
         outliers=int(np.count_nonzero((error_px > 3) & (error_px > 0.05 * truth_px))),
         error_px=float(error_px.sum(dtype=np.float64)),
         error_px2=float(np.square(error_px, dtype=np.float64).sum()),
-        histogram=np.bincount(steps, minlength=_BINS),
+        histogram=_counted(error_px),
         depths=depths,
         error_rel=error_rel,
         error_m2=error_m2,
+        seen=int(np.count_nonzero(seen)),
+        seen_both=int(np.count_nonzero(seen & both)),
+        biased=np.bincount(ranges, minlength=len(BIAS_FROM_PX)),
+        bias_px=np.bincount(ranges, cut_px, len(BIAS_FROM_PX)).astype(np.float64),
+        pairs=len(error_change),
+        pairs_over=int(np.count_nonzero(error_change > 1)),
+        pairs_px=float(error_change.sum(dtype=np.float64)),
+        changes=_counted(still_change),
     )
 
 
@@ -247,7 +352,7 @@ class Comparison:
         truth_px, truth_m = _both_kinds(truth, self._truth.kind, self._truth_rig)
         assert found_px is not None
         assert truth_px is not None
-        return FramePair(found_px, truth_px, found_m, truth_m)
+        return FramePair(found_px, truth_px, found_m, truth_m, self.views[1] or "right")
 
     def _check_size(self, path: Path, image: Real) -> None:
         for rig in (self._out_rig, self._truth_rig):
@@ -294,8 +399,11 @@ def evaluate(comparison: Comparison, progress: Callable[[], object] = lambda: No
     """
     total: Tally | None = None
     frames = []
+    before: tuple[int, FramePair] | None = None
     for number in comparison.numbers:
-        sums = tally(comparison.pair(number))
+        pair = comparison.pair(number)
+        sums = tally(pair, None if before is None or before[0] != number - 1 else before[1])
+        before = number, pair
         frames.append(sums.score(number))
         total = sums if total is None else total + sums
         progress()

@@ -10,6 +10,7 @@ import itertools
 import json
 import math
 import tempfile
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from fractions import Fraction
@@ -23,9 +24,10 @@ from bench.markdown import table
 from motionstereo_cli.evaluation.evaluate import FramePair, Score, Tally, tally
 from motionstereo_cli.files.video import VideoWriter
 from motionstereo_cli.method.block_matching import stereo_bm, stereo_sgbm
-from motionstereo_cli.method.memory import Memory, mirrored, see
+from motionstereo_cli.method.memory import Memory, Sighting, age_of, mirrored, see
 from motionstereo_cli.method.settings import Settings
-from motionstereo_cli.pipeline import match
+from motionstereo_cli.method.steady import averaged
+from motionstereo_cli.pipeline import match, recent_frames
 from motionstereo_cli.simulate.scenes import render_scene
 from motionstereo_cli.simulate.settings import SimulateSettings
 from motionstereo_cli.sinks.read_back import Maps
@@ -202,36 +204,41 @@ def _recorded(
 
 def unsteadiness(
     seeds: Sequence[int], frames: int = _STEADY_FRAMES, width: int = 480
-) -> dict[str, tuple[float, float]]:
-    """Return how the disparity of what stands still changes from frame to frame, by matcher.
+) -> dict[str, Score]:
+    """Return how charged disparity changes from frame to frame, by matcher, on ``layers``.
 
-    On the charged wall and cards of ``layers`` whose true disparity has not changed: the median
-    change in px, and the share of the pixels that change by more than 1 px.
+    That of ours is averaged in time, as in a run.
 
     Args:
         seeds: of the scene.
         frames: how many frames are compared with the one before.
         width: of the images in px.
     """
-    changes: dict[str, list[Real]] = {matcher: [] for matcher in MATCHERS}
+    sums: dict[str, Tally] = {}
     for seed in seeds:
-        before: tuple[Real, dict[str, Real]] | None = None
+        before: dict[str, FramePair] = {}
+        recent = {
+            name: deque[tuple[Real, Grey]](maxlen=recent_frames(s)) for name, s in OURS.items()
+        }
         last = RUN_IN + frames + 1
         scene = _recorded("layers", HARD_NOISE, seed, f"0:{last}", width)
         for look, truth_px in _looks(scene, 1):
             charged = look.memory.charge > DEFAULT.charge_min
-            found = {matcher: find(look) for matcher, find in MATCHERS.items()}
-            if before is not None:
-                still = charged & (truth_px == before[0])
-                for matcher, found_px in found.items():
-                    change = np.abs(found_px - before[1][matcher])[still]
-                    changes[matcher].append(change[~np.isnan(change)])
-            before = truth_px, found
-    together = {matcher: np.concatenate(parts) for matcher, parts in changes.items()}
-    return {
-        matcher: (float(np.median(all_px)), float((all_px > 1).mean()))
-        for matcher, all_px in together.items()
-    }
+            wanted_px = np.where(charged, truth_px, np.float32(np.nan))
+            for matcher, find in MATCHERS.items():
+                found_px = find(look)
+                if matcher in OURS:
+                    memory = look.memories[matcher][0]
+                    now = Sighting.of(found_px, memory.grey)
+                    age = age_of(memory, OURS[matcher])
+                    found_px = averaged(found_px, now.grey, age, recent[matcher])
+                    recent[matcher].append((now.disparity_px, now.grey))
+                pair = FramePair(found_px, wanted_px)
+                if matcher in before:
+                    one = tally(pair, before[matcher])
+                    sums[matcher] = sums[matcher] + one if matcher in sums else one
+                before[matcher] = pair
+    return {matcher: total.score() for matcher, total in sums.items()}
 
 
 def _looks(scene: SimulateSettings, every: int) -> Iterator[tuple[Look, Real]]:
@@ -311,11 +318,26 @@ def format_markdown(cells: Sequence[Cell]) -> str:
             for matcher in matchers
         ]
         lines += [table(head, rows), ""]
+        lines.append(
+            "Coverage of what both cameras see / bias in px where the truth is 0 to 1, 1 to 3,"
+        )
+        lines.append("3 to 10, over 10 px:\n")
+        rows = [
+            [matcher, *(_more(scores[scene, noise, kind, matcher]) for scene, kind in columns)]
+            for matcher in matchers
+        ]
+        lines += [table(head, rows), ""]
     return "\n".join(lines)
 
 
 def _cell(score: Score) -> str:
     return f"{score.coverage:.2f} / {score.bad_1:.3f} / {score.median_px:.2f}"
+
+
+def _more(score: Score) -> str:
+    biases = score.bias_0_1_px, score.bias_1_3_px, score.bias_3_10_px, score.bias_10_px
+    shown = ("-" if math.isnan(bias) else f"{bias:+.2f}" for bias in biases)
+    return " / ".join((f"{score.coverage_seen:.2f}", *shown))
 
 
 def main(args: Sequence[str] | None = None) -> None:
@@ -364,9 +386,21 @@ def main(args: Sequence[str] | None = None) -> None:
     print(format_markdown(cells))
     if hard:
         steady = unsteadiness(size.get("seeds", (0,)), *((2, 240) if given.quick else ()))
-        print("What stands still: median change a frame in px / share that changes by over 1 px:\n")
-        rows_of = [[name, f"{px:.3f} / {share:.3f}"] for name, (px, share) in steady.items()]
-        print(table(["matcher", "layers, charged and still"], rows_of))
+        print("From frame to frame, layers, charged pixels:\n")
+        head = [
+            "matcher",
+            "still: median change in px / share over 1 px",
+            "error (TEPE): mean change in px / share over 1 px",
+        ]
+        rows_of = [
+            [
+                name,
+                f"{one.flicker_px:.3f} / {one.flicker_1:.3f}",
+                f"{one.tepe_px:.3f} / {one.tepe_1:.3f}",
+            ]
+            for name, one in steady.items()
+        ]
+        print(table(head, rows_of))
     _write(given.json, cells)
 
 

@@ -98,7 +98,7 @@ def _of_accuracy(rows: Sequence[Goal], quick: bool) -> dict[str, float]:
 def _of_steadiness(_: Sequence[Goal], quick: bool) -> dict[str, float]:
     size = (2, 240) if quick else ()
     steady = accuracy.unsteadiness(accuracy.HELD_OUT_SEEDS, *size)
-    return {matcher: median_px for matcher, (median_px, _) in steady.items()}
+    return {matcher: score.flicker_px for matcher, score in steady.items()}
 
 
 def _of_speed(rows: Sequence[Goal], quick: bool) -> dict[str, float]:
