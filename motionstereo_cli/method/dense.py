@@ -53,7 +53,7 @@ _TILE, _CHUNK, _REACH_PX = (8, 16), 16, 6
 _TILED_MARGIN, _TILED_SHARE = 86, 0.055
 
 #: What the costs of a frame and those of its paths may take, in each thread.
-_STRIP_BYTES = 48 << 20
+_STRIP_BYTES = 24 << 20
 
 #: The same for the loops.
 _PENALTIES = _MAX_GREY, _MAX_SLOPE, _STEP, _LEAP, _MIN_LEAP, _PER_GREY_LEVEL

@@ -18,8 +18,9 @@ _QUOTAS = (
     ("/sys/fs/cgroup/cpu/cpu.cfs_quota_us", "/sys/fs/cgroup/cpu/cpu.cfs_period_us"),
 )
 
-#: Options of glibc's malloc: M_MMAP_THRESHOLD, M_TRIM_THRESHOLD and M_TOP_PAD, in bytes.
-_MALLOC = {-3: 1 << 28, -1: 1 << 30, -2: 1 << 22}
+#: Options of glibc's malloc. Arrays of up to 16 MB (M_MMAP_THRESHOLD) are taken from memory that is
+#: kept, of which 64 MB may lie idle (M_TRIM_THRESHOLD), in two pools for all threads (M_ARENA_MAX).
+_MALLOC = {-3: 1 << 24, -1: 1 << 26, -8: 2}
 
 
 def usable_cores() -> int:

@@ -52,7 +52,7 @@ DEFAULT_TIME_BASE = Fraction(1, 25)
 
 #: What frames under way may take together by default, and what a pixel of each takes: memories of
 #: both views, disparity, depth, and the workspace of a thread.
-_IN_FLIGHT_BYTES, _BYTES_PER_PX = 1 << 30, 40
+_IN_FLIGHT_BYTES, _BYTES_PER_PX = 1 << 30, 110
 
 _Step = tuple[StereoFrame, Step, State]
 

@@ -65,6 +65,7 @@ class Plan:
         sizes: widths and heights in px of the growth.
         ranges: disparities in px, of the matching and of the growth.
         lengths: numbers of frames of the growth.
+        large: widths, heights and ranges in px of whole runs with the default matcher.
     """
 
     width: int = 640
@@ -80,6 +81,11 @@ class Plan:
     )
     ranges: tuple[tuple[int, ...], tuple[int, ...]] = (64, 128, 256), (32, 64, 128, 256, 512)
     lengths: tuple[int, ...] = (100, 500, 10_000)
+    large: tuple[tuple[int, int, int], ...] = (
+        (640, 480, 256),
+        (1920, 1080, 256),
+        (3840, 2160, 512),
+    )
 
 
 QUICK = Plan(
@@ -90,6 +96,7 @@ QUICK = Plan(
     sizes=((80, 60), (160, 120)),
     ranges=((64, 96), (16, 32)),
     lengths=(20, 40),
+    large=((160, 120, 32),),
 )
 
 
@@ -388,6 +395,24 @@ def bench_growth(bench: Bench) -> None:
         bench.samples.add("growth", f"{count} frames", "run", bench.all_cores, cost)
 
 
+def bench_large(bench: Bench) -> None:
+    """Time whole default runs on the images of today's cameras, a frame, without the start."""
+    out = bench.folder / "large_out"
+    for width, height, px in bench.plan.large:
+        case = f"{width}x{height}, {px} px"
+        clip = bench.clip(case, width=width, height=height, frames=f"250:{250 + FRAMES}")
+        run = run_command(clip, out, "--max-disparity", str(px), "--no-check")
+        for _ in range(bench.rounds):
+            few, all_ = python(*run, "--end", str(FRAMES // 2)), python(*run)
+            frames = FRAMES - FRAMES // 2
+            cost = Cost(
+                (all_.seconds - few.seconds) / frames,
+                all_.peak_mb,
+                ((all_.cpu_s or 0) - (few.cpu_s or 0)) / frames,
+            )
+            bench.samples.add("large", case, "motionstereo, a frame", bench.all_cores, cost)
+
+
 def bench_startup(bench: Bench) -> None:
     """Time what it takes to begin."""
     two = run_command(bench.corridor, bench.folder / "two_out", "--end", "2", "--preset", "fast")
@@ -409,6 +434,7 @@ PARTS: dict[str, Callable[[Bench], None]] = {
     "run": bench_run,
     "jobs": bench_jobs,
     "growth": bench_growth,
+    "large": bench_large,
     "startup": bench_startup,
 }
 
