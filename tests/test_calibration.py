@@ -430,3 +430,10 @@ def test_a_focal_length_that_is_hardly_in_px_is_named(
     )
     said = " ".join(read_calibration([path]).warnings)
     assert ("degrees: see that it is in px" in said) == warned
+
+
+def test_a_principal_point_outside_the_images_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "calib.txt"
+    path.write_text(KITTI)
+    said = " ".join(read_calibration([path], (320, 240)).warnings)
+    assert "principal point 607, 185 lies outside the images of 320x240 px" in said

@@ -17,6 +17,7 @@ from motionstereo_cli.errors import InputError, MotionStereoError
 from motionstereo_cli.files.reading import read_text
 from motionstereo_cli.params import near_match
 from motionstereo_cli.report import PAGE
+from motionstereo_cli.rig.settings import NO_RIG
 from motionstereo_cli.runs.plan import RunPlan
 
 #: Columns that are no options of ``run``.
@@ -121,7 +122,8 @@ def _entry(
         values = cell.split(_BETWEEN) if name == "rig" else [cell]
         for value in values:
             shown = value.strip()
-            arguments += [f"--{name}", str(folder / shown) if name in files else shown]
+            is_file = name in files and Path(shown) != NO_RIG
+            arguments += [f"--{name}", str(folder / shown) if is_file else shown]
     inputs = [str(folder / row[name]) for name in ("left", "right") if name in row]
     return Entry(str(PurePosixPath(row["out"])), tuple(arguments), tuple(inputs), place)
 

@@ -85,6 +85,8 @@ def check(
             rig=adapted_rig(calibration.rig, input_settings) if calibration else None,
             progress=bar.update,
         )
+    for line in calibration.notes if calibration else ():
+        say("note", line)
     for line in (*source.warnings, *(calibration.warnings if calibration else ()), *source.damage):
         say("warning", line)
     if not report.frames:

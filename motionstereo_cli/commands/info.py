@@ -51,6 +51,8 @@ def info(
             calibration = rectify_source(source, rig, rig_settings)
             if calibration is not None:
                 facts["rig"] = rig_values(adapted_rig(calibration.rig, input_settings))
+                for line in calibration.notes:
+                    say("note", line)
         warnings = (*source.warnings, *(calibration.warnings if calibration else ()))
     except LoneRecordingError as lone:
         facts, warnings = {"recording": lone.described}, (*lone.warnings, str(lone))

@@ -156,7 +156,8 @@ def rig_options(command: Callable[..., Any]) -> Callable[..., Any]:
         help="Calibration of the cameras; needed for results in m and rad. A rig.yaml, OpenCV, "
         "KITTI, Middlebury, kalibr, ORB-SLAM, DepthAI or ZED file; given twice, left first, for a "
         "pair of files (ROS camera_info, EuRoC sensor.yaml, OpenCV intrinsics and extrinsics). It "
-        "also tells how to rectify the images.",
+        "also tells how to rectify the images. Left out, the calibration of a bag or in the folder "
+        "of image folders is taken (calib.txt, sensor.yaml ...); none: without one.",
     )
     return files(calibration_options(command))
 

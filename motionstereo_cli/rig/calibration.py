@@ -16,6 +16,7 @@ import numpy as np
 
 from motionstereo_cli.errors import InputError
 from motionstereo_cli.files.reading import MAX_PIXELS
+from motionstereo_cli.rig.beside import calibration_beside
 from motionstereo_cli.rig.cameras import SHAPES, Pair
 from motionstereo_cli.rig.formats import read_files
 from motionstereo_cli.rig.lenses import maps_of
@@ -28,7 +29,7 @@ from motionstereo_cli.rig.rectify import (
     transforms_of,
 )
 from motionstereo_cli.rig.ros_and_orbslam import read_ros
-from motionstereo_cli.rig.settings import RigSettings
+from motionstereo_cli.rig.settings import NO_RIG, RigSettings
 from motionstereo_cli.rig.turned import is_vertical, turned
 from motionstereo_cli.types import Rig
 
@@ -65,6 +66,7 @@ class Calibration:
         warnings: what was guessed, one line each.
         body_from_left: (4, 4), takes points of the rectified left camera's optical frame to that
             of the body of EuRoC's and kalibr's files, in m; None where the files have none.
+        found: the files, where they were not given but found beside the recording.
     """
 
     rig: Rig
@@ -74,6 +76,15 @@ class Calibration:
     coverage: float = 1.0
     warnings: tuple[str, ...] = ()
     body_from_left: Matrix | None = None
+    found: tuple[Path, ...] = ()
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What a user should know, one line each: which files were found."""
+        if not self.found:
+            return ()
+        names = " and ".join(str(path) for path in self.found)
+        return (f"the calibration is that of {names} ({self.kind}): --rig none goes without",)
 
     def rectifiers(self) -> tuple[Rectifier, Rectifier]:
         """Return what rectifies the left and the right images.
@@ -149,8 +160,14 @@ def read_calibration(
 
 
 def _judged(calibration: Calibration, name: str) -> Calibration:
-    """Return a calibration with a warning where its focal length is an unlikely one."""
-    focal_px, width = calibration.rig.focal_px, calibration.rig.width
+    """Return a calibration with a warning where its view is an unlikely one."""
+    rig, focal_px, width = calibration.rig, calibration.rig.focal_px, calibration.rig.width
+    if not (0 <= rig.cx <= rig.width and 0 <= rig.cy <= rig.height):
+        warning = (
+            f"{name}: the principal point {rig.cx:.0f}, {rig.cy:.0f} lies outside the images of "
+            f"{rig.width}x{rig.height} px: see that the calibration is of images of this size"
+        )
+        calibration = dataclasses.replace(calibration, warnings=(*calibration.warnings, warning))
     if _FOCAL_SHARES[0] < focal_px / width < _FOCAL_SHARES[1]:
         return calibration
     degrees = 2 * math.degrees(math.atan(width / 2 / focal_px))
@@ -231,36 +248,48 @@ def rectify_source(
 
     Args:
         source: not yet iterated.
-        paths: calibration files; None is returned where there is none.
+        paths: calibration files; where there is none, that of a bag or spatial video counts, or
+            the files that :func:`~motionstereo_cli.rig.beside.calibration_beside` finds; None is
+            returned if there is none either, or if the path is ``none``.
         settings: as in :func:`read_calibration`.
 
     Raises:
         InputError: as in :func:`read_calibration`.
     """
+    if tuple(paths) == (NO_RIG,):
+        return None
     size = (source.view_width, source.view_height)
     if not paths and source.camera_infos:
         calibration = _recorded(source, size, settings or RigSettings())
         if calibration.maps is not None:
             source.rectify(*calibration.rectifiers())
         return calibration
-    if not paths:
+    found = () if paths else calibration_beside(source.paths)
+    if not (paths or found):
         return None
     s = source.settings
     numbers = [re.findall(r"image_0?(\d)", str(path)) for path in source.paths]
     pair = (
         (int(numbers[0][-1]), int(numbers[1][-1])) if len(numbers) == 2 and all(numbers) else None
     )
-    calibration = read_calibration(
-        paths,
-        size,
-        settings,
-        pair=pair,
-        max_pixels=s.max_pixels,
-        turned_deg=s.rotate_left if s.rotate_left == s.rotate_right else 0,
-    )
+    try:
+        calibration = read_calibration(
+            paths or found,
+            size,
+            settings,
+            pair=pair,
+            max_pixels=s.max_pixels,
+            turned_deg=s.rotate_left if s.rotate_left == s.rotate_right else 0,
+        )
+    except InputError as error:
+        if not found:
+            raise
+        raise InputError(
+            f"{error}; it was found beside the recording: give another to --rig, or --rig none"
+        ) from None
     if calibration.maps is not None:
         source.rectify(*calibration.rectifiers())
-    return calibration
+    return dataclasses.replace(calibration, found=found)
 
 
 def _recorded(source: StereoSource, size: tuple[int, int], settings: RigSettings) -> Calibration:

@@ -8,6 +8,7 @@ of what OpenCV writes. It is read here line by line, so that errors name the lin
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import MISSING, fields
 from pathlib import Path
 
@@ -24,10 +25,16 @@ def read_rig(path: str | Path) -> Rig:
     """Read a rig file.
 
     Raises:
-        InputError: the file cannot be read, or a value is missing, unknown, given twice, not a
-            finite number, or not positive where it must be.
+        InputError: the file cannot be read or has another format, or a value is missing, unknown,
+            given twice, not a finite number, or not positive where it must be.
     """
-    return parse_rig(path, read_text(path, "the rig", MAX_CALIBRATION_BYTES))
+    text = read_text(path, "the rig", MAX_CALIBRATION_BYTES)
+    if text.strip() and not re.search(r"^(focal_px|baseline_m|width)\s*:", text, re.MULTILINE):
+        raise InputError(
+            f"{path} is no rig.yaml: rectify_source(source, [path]) reads calibrations of other "
+            f"formats, and 'motionstereo rig {path} -o rig.yaml' makes a rig.yaml of it"
+        )
+    return parse_rig(path, text)
 
 
 def parse_rig(path: str | Path, text: str) -> Rig:

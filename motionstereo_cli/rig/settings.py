@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
+from pathlib import Path
 
 from motionstereo_cli.errors import SettingsError
 from motionstereo_cli.params import checked, param
+
+#: What stands for no calibration where one would be found.
+NO_RIG = Path("none")
 
 #: Units of length that a calibration may have, in m.
 LENGTHS_M = {"m": 1.0, "cm": 0.01, "mm": 0.001}

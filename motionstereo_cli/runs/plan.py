@@ -12,7 +12,7 @@ from motionstereo_cli.errors import SettingsError
 from motionstereo_cli.files.targets import is_stream
 from motionstereo_cli.method.settings import Settings
 from motionstereo_cli.params import near_match
-from motionstereo_cli.rig.settings import PoseSettings, RigSettings
+from motionstereo_cli.rig.settings import NO_RIG, PoseSettings, RigSettings
 from motionstereo_cli.sinks.outputs import DEFAULT_OUTPUTS, OUTPUTS
 from motionstereo_cli.sinks.settings import OutputSettings
 from motionstereo_cli.sources.settings import InputSettings
@@ -158,7 +158,8 @@ class RunPlan:
     def inputs(self) -> tuple[str, ...]:
         """What is read besides the plan itself, as it was given."""
         poses = self.poses_file and str(self.poses_file)
-        named = (self.left, self.right, *map(str, self.rig), poses)
+        rig = (str(path) for path in self.rig if path != NO_RIG)
+        named = (self.left, self.right, *rig, poses)
         return tuple(name for name in named if name)
 
     @property

@@ -27,8 +27,9 @@ from motionstereo_cli.files.reading import damage_of
 from motionstereo_cli.files.targets import check_target, is_stream, open_stream
 from motionstereo_cli.method.settings import FOREVER
 from motionstereo_cli.pipeline import State, steps
-from motionstereo_cli.rig.calibration import rectify_source
-from motionstereo_cli.rig.poses import read_poses
+from motionstereo_cli.rig.calibration import Calibration, rectify_source
+from motionstereo_cli.rig.poses import Trajectory, read_poses
+from motionstereo_cli.rig.settings import NO_RIG
 from motionstereo_cli.runs.checkpoint import check_state
 from motionstereo_cli.runs.cores import usable_cores
 from motionstereo_cli.runs.disparity_offset import with_measured_offset
@@ -149,8 +150,12 @@ def job_of(plan: RunPlan, source: StereoSource, watcher: Watcher) -> Job:
     for line in source.warnings:
         watcher.say("warning", line)
     calibration = rectify_source(source, plan.rig, plan.rig_settings)
-    for line in calibration.warnings if calibration else ():
-        watcher.say("warning", line)
+    if calibration is not None:
+        for line in calibration.notes:
+            watcher.say("note", line)
+        for line in calibration.warnings:
+            watcher.say("warning", line)
+        plan = dataclasses.replace(plan, rig=calibration.found or plan.rig)
     rig, poses = None, None
     if calibration is None:
         _do_without_rig(plan, watcher)
@@ -160,13 +165,7 @@ def job_of(plan: RunPlan, source: StereoSource, watcher: Watcher) -> Job:
         check_size(calibration.rig, source)
         rig = adapted_rig(calibration.rig, source.settings)
         if plan.poses_file:
-            poses = read_poses(
-                *(plan.poses_file, plan.pose_settings, calibration.rig, calibration.body_from_left)
-            )
-            first, last = source.numbers if poses.by_number else source.span_s
-            whole = source.last_number if poses.by_number else source.last_s
-            for line in poses.check_covers(first, last, whole):
-                watcher.say("warning", line)
+            poses = _poses(plan.poses_file, plan, calibration, source, watcher)
     time_base = source.time_base or DEFAULT_TIME_BASE
     frames: Iterable[StereoFrame] = source
     if source.rereadable:
@@ -181,6 +180,18 @@ def job_of(plan: RunPlan, source: StereoSource, watcher: Watcher) -> Job:
         asking = ", ".join(name for name in job.save if OUTPUTS[name].needs_poses)
         watcher.say("note", f"{asking}: poses are found from the recording, as --poses auto does")
     return job
+
+
+def _poses(
+    path: Path, plan: RunPlan, calibration: Calibration, source: StereoSource, watcher: Watcher
+) -> Trajectory:
+    """Return the poses of a file that covers a source."""
+    poses = read_poses(path, plan.pose_settings, calibration.rig, calibration.body_from_left)
+    first, last = source.numbers if poses.by_number else source.span_s
+    whole = source.last_number if poses.by_number else source.last_s
+    for line in poses.check_covers(first, last, whole):
+        watcher.say("warning", line)
+    return poses
 
 
 def _do_without_rig(plan: RunPlan, watcher: Watcher) -> None:
@@ -215,7 +226,7 @@ def inputs_of(job: Job) -> list[Path]:
     plan = job.plan
     return [
         *job.source.paths,
-        *plan.rig,
+        *(path for path in plan.rig if path != NO_RIG),
         *([plan.poses_file] if plan.poses_file else []),
         *plan.reads,
     ]
