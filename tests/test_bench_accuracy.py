@@ -69,10 +69,11 @@ def test_the_harder_scenes_have_tables_of_accuracy_and_of_steadiness(capsys):
     heads = [line for line in lines if line.startswith("| matcher |")]
     assert [head.split(" | ")[1] for head in heads] == [
         "layers, charged",
-        "layers, charged and still |",
+        "layers, charged",
+        "still: median change in px / share over 1 px",
     ]
     for matcher in accuracy.MATCHERS:
-        assert sum(line.startswith(f"| {matcher} |") for line in lines) == 2
+        assert sum(line.startswith(f"| {matcher} |") for line in lines) == 3
 
 
 def test_every_harder_scene_can_be_rendered_and_no_seed_is_in_both_sets():
