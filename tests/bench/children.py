@@ -38,8 +38,8 @@ class Ended:
     said: str
     wall_s: float
     cpu_s: float
-    rss_bytes: int
     killed: bool
+    rss_bytes: int = 0
 
     @property
     def errors(self) -> list[str]:
@@ -115,8 +115,8 @@ def fork(child: Callable[[], int], *, seconds: float) -> Ended:
         said.decode(errors="replace"),
         time.monotonic() - started_s,
         usage.ru_utime + usage.ru_stime,
-        usage.ru_maxrss * 1024,
         killed,
+        usage.ru_maxrss * 1024,
     )
 
 
