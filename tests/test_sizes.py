@@ -109,8 +109,8 @@ def stage_calls(shape, reach, seed):
     def mask():
         return random.random(shape) < share
 
-    def shorts():
-        return random.integers(0, 80, shape).astype(np.int16)
+    def slopes():
+        return random.integers(-40, 41, shape).astype(np.int8)
 
     def keys():
         return random.integers(0, 1 + int(4 * share), shape).astype(np.uint16) * 257
@@ -119,12 +119,12 @@ def stage_calls(shape, reach, seed):
     block = {"block_px": tuple(random.integers(1, 20, 2).tolist()), "min_votes": 1}
     strips = int(random.integers(1, shape[1] + 1))
     ground = find_ground(reals(), shape[0] / 2)
-    weights = shorts() // 6
+    weights = random.integers(0, 14, shape).astype(np.int16)
     proposed = np.where(weights > 0, np.nan_to_num(reals()), np.float32(np.nan))
     proposed, weights = proposed.astype(np.float32), np.where(weights > 0, weights, np.int16(0))
     return [
         (match_trails, [keys(), keys(), reach], block),
-        (semi_global, [*(shorts() for _ in range(4)), mask(), proposed, weights, reach], {}),
+        (semi_global, [grey(), grey(), slopes(), slopes(), mask(), proposed, weights, reach], {}),
         (trimmed, [reals(), grey(), grey()], {}),
         (hidden_filled, [reals(), mask()], {}),
         (without_speckles, [reals(), mask(), int(random.integers(0, 300))], {}),
