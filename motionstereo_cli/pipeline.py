@@ -21,7 +21,6 @@ from numpy.typing import NDArray
 
 from motionstereo_cli.compiled import checked_array
 from motionstereo_cli.errors import InputError, SettingsError
-from motionstereo_cli.method.depth import depth
 from motionstereo_cli.method.matching import matcher_of
 from motionstereo_cli.method.memory import Memory, Sighting, age_of, in_mirror, mirrored, see
 from motionstereo_cli.method.settings import AUTO, FOREVER, MATCHERS, Settings
@@ -493,8 +492,18 @@ def described(
 
 
 def depth_of(disparity_px: Real, rig: Rig | None) -> Real | None:
-    """Return depth in m of disparity in px, NaN = unknown; None without a rig."""
-    return None if rig is None else depth(disparity_px, rig.focal_px, rig.baseline_m, rig.doffs)
+    """Return depth in m, (height, width) float32, NaN = unknown; None without a rig.
+
+    Where nearness is not positive the point would lie at or beyond infinity: unknown.
+
+    Args:
+        disparity_px: x in the left image minus x in the right one, float32, NaN = unknown.
+        rig: the camera.
+    """
+    if rig is None:
+        return None
+    before_infinity = rig.nearness_px(disparity_px) > 0
+    return rig.depth_m(np.where(before_infinity, disparity_px, np.float32(np.nan)))
 
 
 class Match(NamedTuple):

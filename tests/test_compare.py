@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from motionstereo_cli.errors import InputError, SettingsError
 from motionstereo_cli.evaluation.compare import (
     Compared,
-    Report,
+    CompareReport,
     WorstImage,
     compare,
 )
@@ -469,7 +469,7 @@ def test_junit_has_a_case_for_each_output_and_counts_failures(sides):
 def test_junit_is_xml_whatever_the_values(what, words):
     output = Compared("run.json", "values")
     output.differ(what, words)
-    suite = ET.fromstring(format_junit(Report((output,), (), None)))
+    suite = ET.fromstring(format_junit(CompareReport((output,), (), None)))
     assert suite.find("testcase/failure") is not None
 
 

@@ -20,8 +20,8 @@ from motionstereo_cli.robot.local_map import (
     CELLS,
     CERTAIN,
     HALF_LIFE_FRAMES,
+    FloorView,
     LocalMap,
-    View,
     moved,
     profile,
     seen,
@@ -37,7 +37,7 @@ BEARINGS = 80
 
 
 def view(x_m=0.0, y_m=0.0, yaw_rad=0.0):
-    return View(x_m, y_m, yaw_rad, RIG.focal_px, RIG.focal_px, RIG.cx, RIG.cy, FB)
+    return FloorView(x_m, y_m, yaw_rad, RIG.focal_px, RIG.focal_px, RIG.cx, RIG.cy, FB)
 
 
 def pose(x_m=0.0, y_m=0.0, yaw_rad=0.0):

@@ -206,3 +206,15 @@ def test_a_command_says_what_happens_and_leaves_the_work_to_others():
                 if isinstance(node, ast.FunctionDef):
                     code = node.body[1:] if ast.get_docstring(node) else node.body
                     assert not code or node.end_lineno - code[0].lineno < 40, node.name
+
+
+def test_no_two_classes_have_one_name():
+    # Loops compile apart: each file declares what it works with.
+    found = [
+        node.name
+        for path in MODULES
+        if room(path) != "compiled"
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.ClassDef)
+    ]
+    assert sorted(name for name in set(found) if found.count(name) > 1) == []

@@ -28,7 +28,7 @@ from motionstereo_cli.robot.odometry import (
     BLOCK_FRAMES,
     ERROR_SIGMA_PX,
     NO_ERROR_SIGMA_PX,
-    Pair,
+    ViewPair,
     setting_out,
     step,
     travelled,
@@ -79,7 +79,7 @@ def path_of(found):
 def scene(**given):
     settings = SimulateSettings(**{"width": 320, "height": 240, "noise_sigma": 1.5, **given})
     shots = list(render_scene(settings))
-    pairs = [Pair(shot.right, shot.left) for shot in shots]
+    pairs = [ViewPair(shot.right, shot.left) for shot in shots]
     return settings.rig, pairs, [of_right_camera(s.pose.rig_pose, settings.rig) for s in shots]
 
 
@@ -153,7 +153,7 @@ class TestMotion:
     def test_is_unknown_before_a_blank_wall_and_known_again_behind_it(self, street):
         rig, pairs, true = street
         blank = np.full_like(pairs[0].right, 120)
-        shown = [*pairs[:4], Pair(blank, blank), Pair(blank, blank), *pairs[4:8]]
+        shown = [*pairs[:4], ViewPair(blank, blank), ViewPair(blank, blank), *pairs[4:8]]
         found = motions(shown, lens_of(rig))
         assert [motion is None for motion in found] == [False] * 4 + [True] * 3 + [False] * 3
         assert path_of(found[:6])[0].lost == 2
@@ -164,7 +164,7 @@ class TestMotion:
     def test_of_a_blank_recording_is_unknown(self):
         blank = np.full((60, 80), 90, np.uint8)
         lens = Lens((70.0, 70.0), 39.5, 39.5, 29.5, 0.1)
-        assert motions([Pair(blank, blank)] * 3, lens)[1:] == [None, None]
+        assert motions([ViewPair(blank, blank)] * 3, lens)[1:] == [None, None]
 
     def test_a_jump_to_another_place_is_no_motion(self, street):
         rig, pairs, _ = street

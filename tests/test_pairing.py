@@ -15,7 +15,7 @@ from motionstereo_cli.sources import open_stereo
 from motionstereo_cli.sources.names import stamps_in
 from motionstereo_cli.sources.pairing import _Step, pair
 from motionstereo_cli.sources.settings import InputSettings
-from motionstereo_cli.sources.sides import Loss, Shot
+from motionstereo_cli.sources.sides import Loss, SideImage
 
 ALL = range(COUNT)
 
@@ -206,8 +206,8 @@ def test_rates_of_a_whole_ratio_are_paired_by_time(tmp_path: Path) -> None:
             assert [number_in(getattr(frame, view)) for frame in frames] == list(ALL)[::2]
 
 
-def shot(number: int, time_s: float) -> Shot:
-    return Shot(number, number, number, Fraction(time_s), (), False, Loss(0, 0, ()))
+def shot(number: int, time_s: float) -> SideImage:
+    return SideImage(number, number, number, Fraction(time_s), (), False, Loss(0, 0, ()))
 
 
 @pytest.mark.parametrize("drift", [0.0, 0.01, -0.04])

@@ -18,7 +18,7 @@ from motionstereo_cli.compiled.surfaces import mean_grey
 from motionstereo_cli.errors import OutputError, SettingsError
 from motionstereo_cli.rig import read_rig
 from motionstereo_cli.simulate import write as write_module
-from motionstereo_cli.simulate.camera import EYE_HEIGHT_M, Camera, FloorPose, stereo_cameras
+from motionstereo_cli.simulate.camera import EYE_HEIGHT_M, FloorPose, SceneCamera, stereo_cameras
 from motionstereo_cli.simulate.cards import CARDS, WALL_M, Cards, card_state, pan_pose
 from motionstereo_cli.simulate.corridor import HEIGHT_M, Corridor
 from motionstereo_cli.simulate.layers import Layers
@@ -46,9 +46,9 @@ def warped(left, disparity_px):
     return np.where(source_u <= width - 1, seen, np.nan)
 
 
-def finer(camera: Camera, times: int) -> Camera:
+def finer(camera: SceneCamera, times: int) -> SceneCamera:
     """The same camera with each pixel cut into times x times."""
-    return Camera(
+    return SceneCamera(
         camera.width * times,
         camera.height * times,
         camera.focal_px * times,
@@ -323,7 +323,7 @@ def test_a_wall_seen_squarely_has_its_depth_and_its_texture_where_they_belong():
 def test_the_nearest_of_surfaces_in_any_position_wins(seed):
     rng = np.random.default_rng(seed)
     pose = FloorPose(*rng.uniform(-1, 1, 2), rng.uniform(-3, 3))
-    camera = Camera(40, 30, 35.0, 19.5, 14.5, 0.1)
+    camera = SceneCamera(40, 30, 35.0, 19.5, 14.5, 0.1)
     eye = np.array([*camera.eye(pose), EYE_HEIGHT_M])
     surfaces = []
     for _ in range(4):

@@ -9,11 +9,12 @@ from hypothesis.extra.numpy import arrays
 from motionstereo_cli.method.bands import band_table, bands, blur
 from motionstereo_cli.method.charge import accumulate, age, permanency
 from motionstereo_cli.method.confidence import confidence
-from motionstereo_cli.method.depth import depth
 from motionstereo_cli.method.match_keys import match_keys
 from motionstereo_cli.method.motion import motion
 from motionstereo_cli.method.residual import residual
+from motionstereo_cli.pipeline import depth_of
 from motionstereo_cli.robot.free_space import quantiles, strip_borders
+from motionstereo_cli.types import Rig
 
 NAN = float("nan")
 
@@ -220,11 +221,11 @@ class TestUnits:
 
 class TestDepth:
     def test_by_hand(self):
-        z = depth(f32([10, 20, NAN, 0]), focal_px=500, baseline_m=0.1)
+        z = depth_of(f32([10, 20, NAN, 0]), Rig(4, 1, 500, 0.1, 2, 0))
         assert np.array_equal(z, f32([5, 2.5, NAN, NAN]), equal_nan=True)
 
     def test_doffs_are_added_to_the_disparity(self):
-        z = depth(f32([10, -40, 0]), focal_px=500, baseline_m=0.1, doffs_px=40)
+        z = depth_of(f32([10, -40, 0]), Rig(3, 1, 500, 0.1, 2, 0, doffs=40))
         assert np.array_equal(z, f32([1.0, NAN, 1.25]), equal_nan=True)
 
 

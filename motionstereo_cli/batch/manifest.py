@@ -38,7 +38,7 @@ _FLAGS = {"yes": True, "true": True, "on": True, "1": True} | {
 
 
 @dataclass(frozen=True, slots=True)
-class Entry:
+class ManifestRow:
     """A recording of a batch.
 
     Attributes:
@@ -54,7 +54,9 @@ class Entry:
     place: str
 
 
-def read_manifest(path: Path, options: Mapping[str, bool], files: Collection[str]) -> list[Entry]:
+def read_manifest(
+    path: Path, options: Mapping[str, bool], files: Collection[str]
+) -> list[ManifestRow]:
     """Read a manifest: CSV with a header, a row a recording, paths relative to the manifest.
 
     Args:
@@ -111,7 +113,7 @@ def _entry(
     folder: Path,
     options: Mapping[str, bool],
     files: Collection[str],
-) -> Entry:
+) -> ManifestRow:
     arguments: list[str] = []
     for name, cell in row.items():
         if name in _OWN:
@@ -125,10 +127,10 @@ def _entry(
             is_file = name in files and Path(shown) != NO_RIG
             arguments += [f"--{name}", str(folder / shown) if is_file else shown]
     inputs = [str(folder / row[name]) for name in ("left", "right") if name in row]
-    return Entry(str(PurePosixPath(row["out"])), tuple(arguments), tuple(inputs), place)
+    return ManifestRow(str(PurePosixPath(row["out"])), tuple(arguments), tuple(inputs), place)
 
 
-def matched(left: str, right: str | None) -> list[Entry]:
+def matched(left: str, right: str | None) -> list[ManifestRow]:
     """Return the recordings that patterns find, one for each match, paired by what differs.
 
     ``archive/*/left.mp4`` and ``archive/*/right.mp4`` give a recording for each folder that both
@@ -148,7 +150,8 @@ def matched(left: str, right: str | None) -> list[Entry]:
         wrong = [f"nothing matches {left}"]
     _refuse(left, list(dict.fromkeys(wrong)))
     return [
-        Entry(name, (), tuple(side[name] for side in sides), sides[0][name]) for name in sides[0]
+        ManifestRow(name, (), tuple(side[name] for side in sides), sides[0][name])
+        for name in sides[0]
     ]
 
 
@@ -168,7 +171,7 @@ def _found(pattern: str) -> dict[str, str]:
 
 
 def plans(
-    entries: Iterable[Entry], out: Path, plan_of: Callable[[Sequence[str]], RunPlan]
+    entries: Iterable[ManifestRow], out: Path, plan_of: Callable[[Sequence[str]], RunPlan]
 ) -> dict[str, RunPlan]:
     """Return what to do for each recording, by name.
 

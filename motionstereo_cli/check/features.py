@@ -87,7 +87,7 @@ class Keypoints(NamedTuple):
     descriptors: NDArray[np.float32]
 
 
-class Window:
+class FrameWindow:
     """Consecutive frames; images are (height, width) uint8."""
 
     def __init__(self, start: int, moments: Sequence[int]) -> None:

@@ -17,11 +17,11 @@ from typing import TYPE_CHECKING, Any
 import cv2
 import numpy as np
 
-from motionstereo_cli.check.features import NO_MATCHES, Matches, Window, joined
+from motionstereo_cli.check.features import NO_MATCHES, FrameWindow, Matches, joined
 from motionstereo_cli.check.findings import DARK_GREY, CheckReport, Finding
 from motionstereo_cli.check.lag import BANDS, lag_of, profile, small
 from motionstereo_cli.check.mounting import Mounting, mounted
-from motionstereo_cli.check.synchrony import MAX_STEP, Fit, Step, fit_rows, step_or_drift
+from motionstereo_cli.check.synchrony import MAX_STEP, Fit, PairingStep, fit_rows, step_or_drift
 from motionstereo_cli.method.settings import MAX_DISPARITY
 from motionstereo_cli.types import StereoFrame
 
@@ -161,7 +161,7 @@ class _Checker:
         self._starts = starts
         self._moments = moments
         self._quick = quick
-        self._windows: list[Window] = []
+        self._windows: list[FrameWindow] = []
         self._moved: tuple[list[float], list[float]] = ([], [])
         self._last: tuple[tuple[Grey, Grey], ...] = ()
         self._frames = 0
@@ -183,7 +183,7 @@ class _Checker:
                 rows.append(profile(one, before))
             self._last_small = shown
         if number in self._starts:
-            self._windows.append(Window(number, self._moments))
+            self._windows.append(FrameWindow(number, self._moments))
         if self._windows and number < self._windows[-1].start + WINDOW_FRAMES:
             left, right = (_shrunk(side, self._feature_width(frame)) for side in sides)
             self._scale = frame.left.shape[1] / left.shape[1]
@@ -227,13 +227,13 @@ class _Checker:
             **_disparities(agreed, self._scale, max_disparity, rig.doffs if rig else 0.0),
         )
 
-    def _step_by_motion(self) -> Step | None:
+    def _step_by_motion(self) -> PairingStep | None:
         """Return the step at which the motion of whole rows agrees, where that is certain."""
         left, right = (np.array(rows, np.float32).reshape(-1, BANDS) for rows in self._profiles)
         found = lag_of(left, right, len(left) // 2)
         if found is None or not found.is_certain:
             return None
-        return Step(-found.images, float(-found.images))
+        return PairingStep(-found.images, float(-found.images))
 
     def _mounted(self) -> Mounting | None:
         """Look at one pair of images of the first windows."""
@@ -243,7 +243,7 @@ class _Checker:
         )
 
 
-def _light(windows: Sequence[Window]) -> dict[str, Any]:
+def _light(windows: Sequence[FrameWindow]) -> dict[str, Any]:
     """Return how bright images are, and how much alike the views."""
     pairs = [(window.left[-1], window.right[-1]) for window in windows]
     brightest = max(int(np.percentile(image, 99.9)) for pair in pairs for image in pair)

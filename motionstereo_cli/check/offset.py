@@ -39,7 +39,7 @@ _LIKELY = 0.6
 _DRIFT_S = 0.01
 
 
-class _Seen(NamedTuple):
+class _Sighted(NamedTuple):
     """One side: profiles of its images, (n, bands), and the number of each, (n,)."""
 
     profiles: NDArray[np.float32]
@@ -129,7 +129,7 @@ def _by_motion(
     return settled
 
 
-def _seen(source: StereoSource, view: int, most: int) -> _Seen:
+def _seen(source: StereoSource, view: int, most: int) -> _Sighted:
     rows, numbers = [], []
     last = None
     for number, grey in itertools.islice(source.unpaired(view), most):
@@ -139,10 +139,10 @@ def _seen(source: StereoSource, view: int, most: int) -> _Seen:
             numbers.append(number)
         last = image
     profiles = np.array(rows, np.float32).reshape(-1, BANDS)
-    return _Seen(profiles, np.array(numbers, np.int64))
+    return _Sighted(profiles, np.array(numbers, np.int64))
 
 
-def _in_numbers(lag: int, left: _Seen, right: _Seen) -> int:
+def _in_numbers(lag: int, left: _Sighted, right: _Sighted) -> int:
     """Return a lag in images as one of numbers, which leave lost images out."""
     begin, end = max(0, -lag), min(len(left.numbers), len(right.numbers) - lag)
     apart = right.numbers[begin + lag : end + lag] - left.numbers[begin:end]

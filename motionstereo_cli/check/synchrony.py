@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from motionstereo_cli.check.features import Matches, Window, joined
+from motionstereo_cli.check.features import FrameWindow, Matches, joined
 from motionstereo_cli.check.findings import Drift
 
 if TYPE_CHECKING:
@@ -137,14 +137,14 @@ def _roughly(lower: Column, down: Column) -> float:
     return float(steps[np.minimum(off, 1).sum(axis=1).argmin()])
 
 
-class Step(NamedTuple):
+class PairingStep(NamedTuple):
     """By how many frames the right view is ahead: as a whole number, and measured."""
 
     whole: int
     frames: float
 
 
-def _walk(windows: Sequence[Window], matches: Matches) -> Step | None:
+def _walk(windows: Sequence[FrameWindow], matches: Matches) -> PairingStep | None:
     """Return the step of some windows, from their matches in step on; None if nothing tells it.
 
     Speeds change, and that of slow objects is known badly, so a fit gives little more than the
@@ -185,13 +185,13 @@ def _walk(windows: Sequence[Window], matches: Matches) -> Step | None:
         and abs(best + tried[best].step) > _CERTAIN_SIGMAS * tried[best].sigma
     )
     if best and certain:
-        return Step(best, best + tried[best].step)
-    return Step(0, tried[0].step) if abs(tried[0].step) < _MIN_REST else None
+        return PairingStep(best, best + tried[best].step)
+    return PairingStep(0, tried[0].step) if abs(tried[0].step) < _MIN_REST else None
 
 
 def step_or_drift(
-    windows: Sequence[Window], matches: Sequence[Matches]
-) -> tuple[Step | None, Drift | None]:
+    windows: Sequence[FrameWindow], matches: Sequence[Matches]
+) -> tuple[PairingStep | None, Drift | None]:
     """Return the step of a whole recording, or how it changes; None where that is not known.
 
     Args:

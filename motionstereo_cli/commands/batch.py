@@ -19,7 +19,7 @@ from motionstereo_cli.errors import DAMAGED_EXIT_CODE, INTERRUPTED_EXIT_CODE, Se
 from motionstereo_cli.runs.plan import RunPlan
 
 if TYPE_CHECKING:
-    from motionstereo_cli.batch.manifest import Entry
+    from motionstereo_cli.batch.manifest import ManifestRow
     from motionstereo_cli.sinks.records import Status
 
 
@@ -157,7 +157,7 @@ def _apart(given: Sequence[str]) -> tuple[list[str], list[str]]:
     return shared, [*inputs, *rest]
 
 
-def _entries(inputs: Sequence[str], shared: Sequence[str]) -> list[Entry]:
+def _entries(inputs: Sequence[str], shared: Sequence[str]) -> list[ManifestRow]:
     import dataclasses
 
     from motionstereo_cli.batch.manifest import matched, read_manifest
@@ -188,7 +188,7 @@ def _entries(inputs: Sequence[str], shared: Sequence[str]) -> list[Entry]:
 def _bar(recordings: int) -> Any:
     from tqdm import tqdm
 
-    class Bar(tqdm):  # type: ignore[misc]
+    class RecordingsBar(tqdm):  # type: ignore[misc]
         """Recordings, with frames beside them."""
 
         frames = 0
@@ -200,7 +200,7 @@ def _bar(recordings: int) -> Any:
             return f"{self.frames} frames"
 
     hidden = (told := lines()) is not None and not told.aside
-    return Bar(total=recordings, unit="recording", disable=hidden or None)
+    return RecordingsBar(total=recordings, unit="recording", disable=hidden or None)
 
 
 def _say_ended(status: Status, *, as_json: bool, quiet: bool) -> None:

@@ -13,7 +13,7 @@ OF_ONE = cython.declare(cython.Py_ssize_t, 9)
 
 @cython.cclass
 @cython.dataclasses.dataclass
-class Camera:
+class RigLevel:
     """A rig at one level of a pyramid; px are of that level.
 
     Attributes:
@@ -89,7 +89,7 @@ class Workspace:
 
 def align(
     views: Views,
-    camera: Camera,
+    camera: RigLevel,
     weights: Weights,
     prior: cython.const[cython.double][:, ::1],
     iterations: cython.int,
@@ -134,7 +134,7 @@ def align(
 
 def residuals(
     views: Views,
-    camera: Camera,
+    camera: RigLevel,
     weights: Weights,
     state: cython.const[cython.double][::1],
     work: Workspace,
@@ -151,7 +151,7 @@ def residuals(
 @cython.exceptval(check=False)
 def equations(
     views: Views,
-    camera: Camera,
+    camera: RigLevel,
     weights: Weights,
     prior: cython.const[cython.double][:, ::1],
     state: cython.double[::1],
@@ -195,7 +195,7 @@ def add(work: Workspace, shift: cython.Py_ssize_t, normal: cython.double[:, ::1]
 @cython.exceptval(check=False)
 def one_view(
     views: Views,
-    camera: Camera,
+    camera: RigLevel,
     weights: Weights,
     m: cython.const[cython.double][::1],
     side: cython.int,
@@ -244,7 +244,7 @@ def one_view(
 @cython.exceptval(check=False)
 def look_at(
     view: cython.const[cython.float][:, ::1],
-    camera: Camera,
+    camera: RigLevel,
     points: cython.const[cython.float][:, ::1],
     p: cython.Py_ssize_t,
     m: cython.const[cython.double][::1],
@@ -390,7 +390,7 @@ def solved(normal: cython.const[cython.double][:, ::1], work: Workspace) -> cyth
 @cython.exceptval(check=False)
 def take_step(
     state: cython.double[::1],
-    camera: Camera,
+    camera: RigLevel,
     points: cython.const[cython.float][:, ::1],
     work: Workspace,
 ) -> cython.double:

@@ -105,7 +105,7 @@ class WorstImage(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Report:
+class CompareReport:
     """The result of a comparison.
 
     Attributes:
@@ -131,7 +131,7 @@ def compare(
     *,
     tolerances: Mapping[str, float] | None = None,
     progress: Callable[[], object] = lambda: None,
-) -> Report:
+) -> CompareReport:
     """Compare the results of a run with golden ones, one image of each in memory at a time.
 
     Args:
@@ -190,7 +190,7 @@ class _Comparison:
         self._worst: WorstImage | None = None
         self.columns: set[str] = set()
 
-    def report(self) -> Report:
+    def report(self) -> CompareReport:
         outputs = {}
         self._check_regular(RECORD)
         self._frames = _frames_of(self._golden)
@@ -206,7 +206,7 @@ class _Comparison:
                 outputs[save.shown] = self._presence(save.shown, files)
         if os.path.lexists(self._golden / RECORD):
             outputs[RECORD] = self._record()
-        return Report(tuple(outputs.values()), tuple(self._notes), self._worst)
+        return CompareReport(tuple(outputs.values()), tuple(self._notes), self._worst)
 
     def _check_regular(self, name: str) -> None:
         """Make sure that an output is no FIFO, folder or link to elsewhere, which ends it all."""

@@ -9,10 +9,10 @@ import xml.etree.ElementTree as ET
 from dataclasses import asdict
 from typing import Any
 
-from motionstereo_cli.evaluation.compare import Difference, Report
+from motionstereo_cli.evaluation.compare import CompareReport, Difference
 
 
-def format_table(report: Report) -> str:
+def format_table(report: CompareReport) -> str:
     """Return the differences as a table, or one line if there are none."""
     if not report.differs:
         facts = (f"{output.name} ({output.compared} {output.unit})" for output in report.outputs)
@@ -33,7 +33,7 @@ def format_table(report: Report) -> str:
     )
 
 
-def format_json(report: Report) -> str:
+def format_json(report: CompareReport) -> str:
     """Return the report as JSON; null if a difference is not a number or not in a frame."""
 
     def known(item: Difference) -> dict[str, Any]:
@@ -55,7 +55,7 @@ def format_json(report: Report) -> str:
     return json.dumps(content, indent=2, allow_nan=False) + "\n"
 
 
-def format_junit(report: Report) -> str:
+def format_junit(report: CompareReport) -> str:
     """Return the report as JUnit XML, a test case for each output."""
     failed = [output for output in report.outputs if output.differences]
     suite = ET.Element(
@@ -71,7 +71,7 @@ def format_junit(report: Report) -> str:
         if output.differences:
             message = f"differs in {', '.join(output.differences)}"
             failure = ET.SubElement(case, "failure", type="difference", message=_xml(message))
-            failure.text = _xml(format_table(Report((output,), (), None)))
+            failure.text = _xml(format_table(CompareReport((output,), (), None)))
     text: bytes = ET.tostring(suite, encoding="utf-8", xml_declaration=True)
     return f"{text.decode()}\n"
 

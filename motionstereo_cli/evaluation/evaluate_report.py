@@ -7,11 +7,11 @@ import math
 from dataclasses import asdict, fields
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from motionstereo_cli.evaluation.evaluate import BAD_PX, FramePair, Report, Score
+from motionstereo_cli.files.lettering import LIGHT, colour_key
 
 
 def format_csv(report: Report) -> str:
@@ -64,10 +64,8 @@ _UNKNOWN_BGR = (0, 0, 0)
 _NO_TRUTH_BGR = (64, 64, 64)
 
 
-_ENTRY_PX = 120
-
-
-_LINE_PX = 18
+#: Narrower pictures are widened for their legend.
+_MIN_WIDTH_PX = 120
 
 
 def draw_errors(pair: FramePair) -> NDArray[np.uint8]:
@@ -86,17 +84,10 @@ def draw_errors(pair: FramePair) -> NDArray[np.uint8]:
     picture[np.isnan(pair.truth_px)] = _NO_TRUTH_BGR
 
     entries = (*_STEPS_BGR, ("unknown", _UNKNOWN_BGR), ("no truth", _NO_TRUTH_BGR))
-    per_line = max(picture.shape[1] // _ENTRY_PX, 1)
-    lines = math.ceil(len(entries) / per_line)
-    width = max(picture.shape[1], _ENTRY_PX)
-    legend = np.full((lines * _LINE_PX + 4, width, 3), 255, np.uint8)
-    for index, (label, bgr) in enumerate(entries):
-        x, y = index % per_line * _ENTRY_PX + 4, index // per_line * _LINE_PX + 5
-        cv2.rectangle(legend, (x, y), (x + 11, y + 11), bgr, cv2.FILLED)
-        origin = (x + 17, y + 10)
-        cv2.putText(legend, label, origin, cv2.FONT_HERSHEY_SIMPLEX, 0.4, (0, 0, 0), 1, cv2.LINE_AA)
+    width = max(picture.shape[1], _MIN_WIDTH_PX)
+    key = colour_key(width, [((r, g, b), text) for text, (b, g, r) in entries], LIGHT)
     widened = np.pad(picture, ((0, 0), (0, width - picture.shape[1]), (0, 0)), constant_values=255)
-    return np.vstack([widened, legend])
+    return np.vstack([widened, key[..., ::-1]])
 
 
 def _is_nan(value: object) -> bool:

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING
 
-import cv2
 import numpy as np
 
 from motionstereo_cli.errors import InputError
+from motionstereo_cli.files.lettering import Label, lettered
 from motionstereo_cli.method.settings import Settings
 from motionstereo_cli.pipeline import process
 from motionstereo_cli.types import FrameResult, StereoFrame
@@ -21,6 +21,7 @@ COLUMNS = ("(a) {} image", "(b) bands", "(c) {} memory", "(d) depth, near = brig
 _GAP_PX = 4
 _HEAD_PX = 24
 _SIDE_PX = 56
+_TEXT_PX = 14
 
 #: Brightness of the farthest depth, brighter than the black of unknown.
 _FARTHEST = 40
@@ -79,14 +80,15 @@ def _framed(panel: Grey) -> Grey:
 def _sheet(titles: Sequence[str], rows: Sequence[tuple[str, Grey]]) -> Grey:
     height, width = rows[0][1].shape
     sheet = np.full((_HEAD_PX + len(rows) * height, _SIDE_PX + width), 255, np.uint8)
-    for column, title in enumerate(titles):
-        _write(sheet, title, _SIDE_PX + column * width // len(titles) + _GAP_PX, _HEAD_PX - 8)
+    lefts = (_SIDE_PX + column * width // len(titles) for column in range(len(titles)))
+    labels = [
+        Label(left + _GAP_PX, _HEAD_PX / 2, title)
+        for left, title in zip(lefts, titles, strict=True)
+    ]
     for index, (label, row) in enumerate(rows):
         top = _HEAD_PX + index * height
         sheet[top : top + height, _SIDE_PX:] = row
-        _write(sheet, label, _GAP_PX, top + height // 2)
-    return sheet
-
-
-def _write(sheet: Grey, text: str, x: int, y: int) -> None:
-    cv2.putText(sheet, text, (x, y), cv2.FONT_HERSHEY_SIMPLEX, 0.5, (0,), 1, cv2.LINE_AA)
+        labels.append(Label(_GAP_PX, top + height / 2, label))
+    return lettered(np.stack([sheet] * 3, axis=-1), labels, size_px=_TEXT_PX, colour=(0, 0, 0))[
+        ..., 0
+    ]

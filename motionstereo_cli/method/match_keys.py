@@ -1,4 +1,4 @@
-"""Units: what has to be equal for a pixel of one view to correspond to one of the other."""
+"""Match keys: what has to be equal for a pixel of one view to correspond to one of the other."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ def match_keys(
     charge_min: int = 0,
     bands: NDArray[np.uint8 | np.uint16] | None = None,
 ) -> NDArray[np.uint16]:
-    """Return the unit of each pixel, (height, width) uint16; 0 = at rest, never matches.
+    """Return the match key of each pixel, (height, width) uint16; 0 = at rest, never matches.
 
-    Pixels of equal unit may correspond. The unit is only the charge, as in the paper, or with
+    Pixels of equal key may correspond. The key is only the charge, as in the paper, or with
     ``bands`` the charge and the grey-level band: on finely textured objects everything is fully
     charged, and the charge says little by itself.
 

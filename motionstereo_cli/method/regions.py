@@ -1,4 +1,4 @@
-"""Disparity by the largest region of equal units: the paper's description read literally."""
+"""Disparity by the largest region of equal match keys: the paper's description read literally."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ def match_regions(
     """Return the disparity of each right pixel, (height, width) float32 px, NaN = unknown.
 
     The right memory stands still, the left one is displaced over it pixel by pixel. At each
-    displacement the pixels of equal unit form connected regions (4-neighbours). Each pixel keeps
+    displacement the pixels of equal key form connected regions (4-neighbours). Each pixel keeps
     the displacement at which its region was largest, the smaller one if two are equal. A pixel
     counts if the left pixel it points at kept the same displacement: one partner per pixel.
 
     Args:
-        right, left: units of the two views, (height, width) uint16, 0 = at rest.
+        right, left: match keys of the two views, (height, width) uint16, 0 = at rest.
         max_disparity: largest x in the left view minus x in the right one, px.
     """
     height, width = right.shape

@@ -1,7 +1,7 @@
 """Disparity by pairing the trails of the right memory with those of the left one.
 
-A *trail* is a maximal run of equal units on one row. Its two ends are where a moving edge was at
-two successive instants, so each end of a pair of corresponding trails has the disparity of that
+A *trail* is a maximal run of equal match keys on one row. Its two ends are where a moving edge was
+at two successive instants, so each end of a pair of corresponding trails has the disparity of that
 edge.
 
 The loops are in :mod:`motionstereo_cli.compiled.trails`.
@@ -28,18 +28,18 @@ def match_trails(
 ) -> tuple[Reals, Reals]:
     """Return the disparity of each right pixel in px, and how many votes agree with it.
 
-    Trails of equal unit are paired; each pair votes at both its ends for the disparity there, and
+    Trails of equal key are paired; each pair votes at both its ends for the disparity there, and
     neighbouring rows agree on the true ones. A pair's support is the votes at its two ends. A
     pair wins if it is the best for both its trails and stands out from the second best. Then the
     only the winners vote again, and each end takes the centroid of the votes around it, which makes
     it sub-pixel. Between the ends disparity runs linearly. Trails without a partner, often split
     by noise or cut by an occlusion, take the disparity that their block elected, pixel by pixel,
-    where the units agree.
+    where the keys agree.
 
     Both images are (height, width) float32, NaN where the disparity is unknown.
 
     Args:
-        right, left: units of the two views, (height, width) uint16, 0 = at rest.
+        right, left: match keys of the two views, (height, width) uint16, 0 = at rest.
         max_disparity: largest x in the left view minus x in the right one, px.
         block_px: height and width of the blocks that vote together.
         max_ratio: largest support of a trail's second best pair as a share of the best's.

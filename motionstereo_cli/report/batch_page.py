@@ -17,7 +17,7 @@ from motionstereo_cli.files.records import typed
 from motionstereo_cli.report import PAGE
 from motionstereo_cli.report.pictures import Picture, address_of, poster
 from motionstereo_cli.report.render import render
-from motionstereo_cli.report.run_folder import Results, Steering, read_results
+from motionstereo_cli.report.run_folder import Results, SteeringTable, read_results
 from motionstereo_cli.report.series import kept_rows
 from motionstereo_cli.sinks.records import Status
 from motionstereo_cli.sinks.writers import cell_text
@@ -36,7 +36,7 @@ _POSTER_PX, _PLOT_ROWS = 144, 160
 
 
 @dataclass(frozen=True, slots=True)
-class Recording:
+class RecordingRow:
     """A row of the page.
 
     Attributes:
@@ -105,7 +105,7 @@ def _rank(status: str) -> int:
     return STATUSES.index(status) if status in STATUSES else -1
 
 
-def _recording(out: Path, row: Status, page: Path, *, with_picture: bool) -> Recording:
+def _recording(out: Path, row: Status, page: Path, *, with_picture: bool) -> RecordingRow:
     folder = out / row.name
     address, picture, plot = None, None, ""
     if _is_folder_in(out, folder):
@@ -114,7 +114,7 @@ def _recording(out: Path, row: Status, page: Path, *, with_picture: bool) -> Rec
         if with_picture:
             with contextlib.suppress(InputError):  # a run that failed early has no results
                 picture, plot = _shown(read_results(folder))
-    return Recording(row, _rank(row.status), address, picture, plot)
+    return RecordingRow(row, _rank(row.status), address, picture, plot)
 
 
 def _is_folder_in(out: Path, folder: Path) -> bool:
@@ -137,7 +137,7 @@ def _shown(run: Results) -> tuple[Picture | None, str]:
     return next(filter(None, pictures), None), _polyline(steering)
 
 
-def _polyline(steering: Steering) -> str:
+def _polyline(steering: SteeringTable) -> str:
     heading = steering.series["steer"]
     kept = kept_rows([heading], np.zeros(len(heading), np.int64), most=_PLOT_ROWS)
     known = kept[~np.isnan(heading[kept])]

@@ -17,6 +17,7 @@ from motionstereo_cli.files.reading import MAX_RESULT_BYTES, read_bytes
 from motionstereo_cli.sinks.outputs import OUTPUTS, RECORD
 from motionstereo_cli.sinks.read_back import read_record, read_table
 from motionstereo_cli.sinks.records import RunRecord
+from motionstereo_cli.sinks.sink import DEFAULT_TIME_BASE
 from motionstereo_cli.sinks.videos import EPOCH_S
 
 if TYPE_CHECKING:
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
 SERIES = ("steer", "steer_rad", "depth_m", "nearest_m", "charged", "matched")
 
 #: Time from frame to frame in the videos where the source has no time, in s.
-FRAME_S = 1 / 25
+FRAME_S = float(DEFAULT_TIME_BASE)
 
 #: Pixel formats of H.264 that browsers play.
 _PLAYED = ("yuv420p", "yuvj420p")
@@ -35,7 +36,7 @@ Rows = list[dict[str, str]]
 
 
 @dataclass(frozen=True, slots=True)
-class Steering:
+class SteeringTable:
     """The steering table.
 
     Attributes:
@@ -137,7 +138,7 @@ class Results:
         known = said.codec == "h264" and said.pixel_format in _PLAYED
         return path, known and path.suffix.lower() in (".mp4", ".m4v", ".mov")
 
-    def steering(self) -> Steering | None:
+    def steering(self) -> SteeringTable | None:
         """Return the steering table, None where there is none or it is empty.
 
         Raises:
@@ -200,9 +201,9 @@ def numbers(texts: Iterable[str]) -> NDArray[np.float64]:
     return np.array([float(text) if text else np.nan for text in texts])
 
 
-def _steering(path: Path, rows: Rows) -> Steering:
+def _steering(path: Path, rows: Rows) -> SteeringTable:
     try:
-        return Steering(
+        return SteeringTable(
             frames=np.array([int(row["frame"]) for row in rows]),
             time_s=numbers(row["time_s"] for row in rows),
             status=tuple(row["status"] for row in rows),

@@ -15,7 +15,7 @@ from motionstereo_cli.files.stills import DamagedImageError, grey_of, read_still
 from motionstereo_cli.report import write_report
 from motionstereo_cli.report.pictures import Picture, address_of, encoded, histogram, poster
 from motionstereo_cli.report.render import render
-from motionstereo_cli.report.run_folder import FRAME_S, Results, Steering, read_results
+from motionstereo_cli.report.run_folder import FRAME_S, Results, SteeringTable, read_results
 from motionstereo_cli.report.series import LATER_S, SOON_S, plotted, tracks
 from motionstereo_cli.report.words import changed, command, troubles
 from motionstereo_cli.sinks.outputs import OUTPUTS
@@ -124,7 +124,7 @@ class Fact(NamedTuple):
     frame: int | None = None
 
 
-def _facts(steering: Steering) -> list[Fact]:
+def _facts(steering: SteeringTable) -> list[Fact]:
     count = len(steering)
     lasts = f"{np.ptp(steering.time_s):.1f} s" if steering.timed else ""
     ok = steering.status.count("ok") / count
@@ -146,7 +146,7 @@ def _facts(steering: Steering) -> list[Fact]:
     return facts
 
 
-def _panels(run: Results, page: Path, steering: Steering | None) -> list[dict[str, Any]]:
+def _panels(run: Results, page: Path, steering: SteeringTable | None) -> list[dict[str, Any]]:
     """Return the three videos with their posters."""
     when_s, number = 0.0, 0
     if steering:
@@ -187,7 +187,7 @@ def _parts(video: Path | None, folder: Path) -> list[Path]:
     return [video, *segments[:1]]
 
 
-def _objects(run: Results, steering: Steering) -> dict[str, Any] | None:
+def _objects(run: Results, steering: SteeringTable) -> dict[str, Any] | None:
     rows = run.objects()
     if rows is None:
         return None

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from motionstereo_cli.report.run_folder import FRAME_S, Steering
+from motionstereo_cli.report.run_folder import FRAME_S, SteeringTable
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -57,7 +57,7 @@ def kept_rows(
     return np.array(sorted(kept), np.intp)
 
 
-def plotted(steering: Steering) -> dict[str, Any]:
+def plotted(steering: SteeringTable) -> dict[str, Any]:
     """Return the steering table for the plots, as JSON-able values."""
     names = list(dict.fromkeys(("ok", "held", "blind", *steering.status)))
     codes = np.array([names.index(status) for status in steering.status])

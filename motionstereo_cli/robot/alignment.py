@@ -81,7 +81,7 @@ class Lens:
     def at(self, level: int) -> Any:
         """Return the camera of a level for the loops."""
         q = 0.5**level
-        return loops.Camera(  # type: ignore[call-arg]
+        return loops.RigLevel(  # type: ignore[call-arg]
             *(self.focal_px[0] * q, self.focal_px[1] * q),
             *(self.right_cx_px * q, self.left_cx_px * q, self.cy_px * q),
             *(self.baseline_m, self.focal_px[0] * self.baseline_m, q),

@@ -34,8 +34,8 @@ from motionstereo_cli.robot.free_space import (
 from motionstereo_cli.robot.local_map import (
     CELL_M,
     CERTAIN,
+    FloorView,
     LocalMap,
-    View,
     disc,
     moved,
     profile,
@@ -338,9 +338,9 @@ class MapGuide:
         return min(max((column + 0.5) / width, 0.0), 1.0)
 
 
-def view_of(rig: Rig, camera: str, place_m: tuple[float, float], yaw_rad: float) -> View:
+def view_of(rig: Rig, camera: str, place_m: tuple[float, float], yaw_rad: float) -> FloorView:
     """Return the ``left`` or ``right`` camera on the floor plane, at a place and heading."""
-    return View(
+    return FloorView(
         x_m=place_m[0],
         y_m=place_m[1],
         yaw_rad=yaw_rad,

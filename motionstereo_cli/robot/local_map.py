@@ -63,7 +63,7 @@ class LocalMap:
 
 
 @dataclass(frozen=True, slots=True)
-class View:
+class FloorView:
     """A camera on the floor plane.
 
     Attributes:
@@ -87,7 +87,7 @@ class View:
 def profile(
     nearness_px: Reals,
     fresh: NDArray[np.bool_],
-    view: View,
+    view: FloorView,
     *,
     bearings: int,
     below_m: float,
@@ -148,7 +148,7 @@ def moved(known: LocalMap, x_m: float, y_m: float) -> LocalMap:
     return LocalMap(evidence, corner)
 
 
-def seen(known: LocalMap, near_px: Reals, view: View, width: int) -> LocalMap:
+def seen(known: LocalMap, near_px: Reals, view: FloorView, width: int) -> LocalMap:
     """Return the map a frame later, with what a camera has seen in it.
 
     Args:
@@ -178,7 +178,7 @@ def sighted(
     shape: tuple[int, ...],
     corner: tuple[int, int],
     near_px: Reals,
-    view: View,
+    view: FloorView,
     width: int,
     *,
     cell_m: float,
@@ -236,7 +236,7 @@ def _corner(x_m: float, y_m: float) -> tuple[int, int]:
 
 
 def _camera_frame(
-    shape: tuple[int, ...], corner: tuple[int, int], view: View, cell_m: float
+    shape: tuple[int, ...], corner: tuple[int, int], view: FloorView, cell_m: float
 ) -> tuple[Reals, Reals]:
     """Return how far ahead and leftward of the camera each cell's middle is, in m."""
     x, y = (
@@ -249,7 +249,7 @@ def _camera_frame(
     return ahead, leftward
 
 
-def _bridged(near_px: Reals, view: View, width: int) -> tuple[Reals, NDArray[np.bool_]]:
+def _bridged(near_px: Reals, view: FloorView, width: int) -> tuple[Reals, NDArray[np.bool_]]:
     """Return the profile with short gaps filled, and where it is dense enough to be a surface.
 
     A plane is linear in disparity: between two points a wall runs in a straight line.

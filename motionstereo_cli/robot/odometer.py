@@ -16,8 +16,8 @@ from motionstereo_cli.robot.odometry import (
     NO_ERROR_SIGMA_PX,
     Motion,
     Odometry,
-    Pair,
     TravelledPath,
+    ViewPair,
     setting_out,
     step,
     told,
@@ -74,8 +74,8 @@ class Odometer:
         """
         return step(
             before,
-            None if last is None else Pair(*last),
-            Pair(right, left),
+            None if last is None else ViewPair(*last),
+            ViewPair(right, left),
             *(number, self.lens, self.max_disparity, error_sigma_px),
         )
 

@@ -116,7 +116,7 @@ class Odometry:
     scores: tuple[float, ...]
 
 
-class Pair(NamedTuple):
+class ViewPair(NamedTuple):
     """Two views of one moment, (height, width) uint8."""
 
     right: Grey
@@ -125,8 +125,8 @@ class Pair(NamedTuple):
 
 def step(
     before: Odometry | None,
-    last: Pair | None,
-    now: Pair,
+    last: ViewPair | None,
+    now: ViewPair,
     number: int,
     lens: Lens,
     range_px: int,
@@ -188,7 +188,7 @@ def _standing(score: float) -> Motion:
 
 def _aligned(
     before: Odometry,
-    last: Pair,
+    last: ViewPair,
     now: tuple[list[Real], list[Real], Grey],
     lens: Lens,
     range_px: int,
@@ -320,7 +320,9 @@ def _motion(
     return motion, per_error
 
 
-def _by_corners(last: Pair, image: Grey, lens: Lens, range_px: int) -> tuple[Reals, bool] | None:
+def _by_corners(
+    last: ViewPair, image: Grey, lens: Lens, range_px: int
+) -> tuple[Reals, bool] | None:
     """Return the motion by corners that are found again, and whether many of them agree on it."""
     right, left = pyramid(last.right)[0], pyramid(last.left)[0]
     places = pick(right, _CORNERS, _CORNER_CELLS)

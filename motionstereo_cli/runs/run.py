@@ -7,7 +7,6 @@ import itertools
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator
-from fractions import Fraction
 from functools import partial
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -42,14 +41,11 @@ from motionstereo_cli.runs.plan import RunPlan
 from motionstereo_cli.runs.record import Job, RunReport, identity_of, outcome, report_of, report_on
 from motionstereo_cli.runs.threaded_sink import Threaded
 from motionstereo_cli.sinks.outputs import OUTPUTS, available, check_video_size
-from motionstereo_cli.sinks.sink import RunContext, Sink
+from motionstereo_cli.sinks.sink import DEFAULT_TIME_BASE, RunContext, Sink
 from motionstereo_cli.sinks.steering_table import SteeringCopy, SteeringStream
 from motionstereo_cli.sources import StereoSource, open_stereo
 from motionstereo_cli.sources.settings import adapted_rig
 from motionstereo_cli.types import Rig, Step, StereoFrame
-
-#: Time from frame to frame in the videos written, in s, where the source has no time.
-DEFAULT_TIME_BASE = Fraction(1, 25)
 
 #: What frames under way may take together by default, and what a pixel of each takes: memories of
 #: both views, disparity, depth, and the workspace of a thread.

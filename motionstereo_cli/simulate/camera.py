@@ -51,7 +51,7 @@ class FloorPose:
 
 
 @dataclass(frozen=True, slots=True)
-class Camera:
+class SceneCamera:
     """One pinhole camera of the rig.
 
     Attributes:
@@ -93,11 +93,11 @@ class Camera:
         return self.cx - self.focal_px * (offset @ pose.left)[seen] / ahead[seen]
 
 
-def stereo_cameras(rig: Rig) -> tuple[Camera, Camera]:
+def stereo_cameras(rig: Rig) -> tuple[SceneCamera, SceneCamera]:
     """Return the left and the right camera of a rig whose principal points agree."""
 
-    def camera(left_m: float) -> Camera:
-        return Camera(rig.width, rig.height, rig.focal_px, rig.cx, rig.cy, left_m)
+    def camera(left_m: float) -> SceneCamera:
+        return SceneCamera(rig.width, rig.height, rig.focal_px, rig.cx, rig.cy, left_m)
 
     return camera(rig.baseline_m / 2), camera(-rig.baseline_m / 2)
 
@@ -117,6 +117,6 @@ class View(NamedTuple):
 class World(Protocol):
     """A scene that cameras can render."""
 
-    def render(self, pose: FloorPose, camera: Camera, time_s: float) -> View:
+    def render(self, pose: FloorPose, camera: SceneCamera, time_s: float) -> View:
         """Return the view of ``camera`` from ``pose`` at ``time_s``."""
         ...

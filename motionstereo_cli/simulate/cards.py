@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from motionstereo_cli.simulate.camera import EYE_HEIGHT_M, Camera, FloorPose, View
+from motionstereo_cli.simulate.camera import EYE_HEIGHT_M, FloorPose, SceneCamera, View
 
 if TYPE_CHECKING:
     from motionstereo_cli.types import Real
@@ -141,7 +141,7 @@ class Cards:
             for card in CARDS
         ]
 
-    def render(self, pose: FloorPose, camera: Camera, time_s: float) -> View:
+    def render(self, pose: FloorPose, camera: SceneCamera, time_s: float) -> View:
         """Return the view of ``camera`` from ``pose``, which must face the wall, at ``time_s``.
 
         Painted from far to near; a card covers a pixel by the share of its area.
@@ -234,7 +234,7 @@ class _Plane:
     z_edges_m: NDArray[np.float64]
 
     @classmethod
-    def seen(cls, pose: FloorPose, camera: Camera, x_m: float) -> _Plane:
+    def seen(cls, pose: FloorPose, camera: SceneCamera, x_m: float) -> _Plane:
         """Cast the rays of all columns and rows."""
         eye = camera.eye(pose)
 

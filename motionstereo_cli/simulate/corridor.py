@@ -14,7 +14,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from motionstereo_cli.simulate.camera import EYE_HEIGHT_M, Camera, FloorPose, View
+from motionstereo_cli.simulate.camera import EYE_HEIGHT_M, FloorPose, SceneCamera, View
 from motionstereo_cli.simulate.settings import STRAIGHT_SHARE, TURN_SHARE
 
 #: Frames to one side of the square: 100 straight, 25 turning.
@@ -115,7 +115,7 @@ class Corridor:
         start = self._corners_m[wall] - 2 * self._half_m[wall] * _ALONG[wall]
         return [(float(x), float(y)) for x, y in (start + m * _ALONG[wall] for m in places_m)]
 
-    def render(self, pose: FloorPose, camera: Camera, time_s: float = 0.0) -> View:
+    def render(self, pose: FloorPose, camera: SceneCamera, time_s: float = 0.0) -> View:
         """Return what ``camera`` sees from ``pose``, which must be inside; time does not matter.
 
         Columns are halved, and cut where a corner passes through them, so that each piece sees
@@ -213,7 +213,7 @@ class Corridor:
             kind = "window" if outer and rng.random() < 0.6 else "door"
 
 
-def _flat_depth(camera: Camera) -> NDArray[np.float64]:
+def _flat_depth(camera: SceneCamera) -> NDArray[np.float64]:
     """Return the depth (height,) at which each row meets the floor or the ceiling."""
     up = camera.upward(np.arange(camera.height, dtype=float))
     with np.errstate(divide="ignore"):

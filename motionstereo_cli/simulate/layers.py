@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from motionstereo_cli.simulate.camera import EYE_HEIGHT_M, Camera, FloorPose, View
-from motionstereo_cli.simulate.surfaces import Surface, rectangle, render
+from motionstereo_cli.simulate.camera import EYE_HEIGHT_M, FloorPose, SceneCamera, View
+from motionstereo_cli.simulate.surfaces import Quadrangle, rectangle, render
 from motionstereo_cli.simulate.texture import Texture, noise
 
 WALL_M = 6.5
@@ -50,7 +50,7 @@ class _Card:
     texture: Texture
     texel_m: float
 
-    def at(self, time_s: float) -> Surface:
+    def at(self, time_s: float) -> Quadrangle:
         """Return the card as it is at a time."""
         swing = math.sin(self.phase_rad + math.tau * time_s / self.period_s)
         corner = self.middle_m + swing * self.swing_m - (self.right_m + self.down_m) / 2
@@ -65,7 +65,7 @@ class Layers:
         seed: seed of everything.
     """
 
-    def __init__(self, camera: Camera, seed: int = 0) -> None:
+    def __init__(self, camera: SceneCamera, seed: int = 0) -> None:
         rng = np.random.default_rng([seed, 0])
         self._across = camera.width / camera.focal_px
         self._up = camera.height / camera.focal_px
@@ -80,12 +80,12 @@ class Layers:
             for nearness, sizes, kind in zip(near, shares, rng.permutation(len(near)), strict=True)
         ]
 
-    def render(self, pose: FloorPose, camera: Camera, time_s: float) -> View:
+    def render(self, pose: FloorPose, camera: SceneCamera, time_s: float) -> View:
         """Return the view of ``camera`` from ``pose``, which must face the wall, at ``time_s``."""
         cards = [card.at(time_s) for card in self._cards]
         return render([self._wall, *cards], pose, camera)
 
-    def _make_wall(self, rng: np.random.Generator) -> Surface:
+    def _make_wall(self, rng: np.random.Generator) -> Quadrangle:
         smooth = noise(rng, (_WALL_TEXELS, _WALL_TEXELS), finest=32, slope=1.5)
         texture = Texture.of(130 + 85 * np.tanh(smooth / 2))
         yaw_rad = rng.uniform(-0.3, 0.3)

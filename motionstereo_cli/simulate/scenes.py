@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import cv2
 import numpy as np
 
-from motionstereo_cli.simulate.camera import Camera, FloorPose, View, World, stereo_cameras
+from motionstereo_cli.simulate.camera import FloorPose, SceneCamera, View, World, stereo_cameras
 from motionstereo_cli.simulate.cards import Cards, pan_pose
 from motionstereo_cli.simulate.corridor import Corridor
 from motionstereo_cli.simulate.layers import Layers
@@ -100,7 +100,7 @@ def render_scene(settings: SimulateSettings) -> Iterator[SceneFrame]:
     frame_s = 1 / settings.frame_rate
     moments = np.linspace(-0.5, 0.5, _MOMENTS) * settings.shutter
 
-    def view(camera: Camera, moment: float) -> View:
+    def view(camera: SceneCamera, moment: float) -> View:
         return scene.world.render(scene.pose(moment, frame_s), camera, moment * frame_s)
 
     for frame in settings.frame_range:

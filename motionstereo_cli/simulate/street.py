@@ -14,9 +14,9 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from motionstereo_cli.simulate.camera import Camera, FloorPose, View
+from motionstereo_cli.simulate.camera import FloorPose, SceneCamera, View
 from motionstereo_cli.simulate.street_paint import paints
-from motionstereo_cli.simulate.surfaces import Surface, rectangle, render
+from motionstereo_cli.simulate.surfaces import Quadrangle, rectangle, render
 from motionstereo_cli.simulate.texture import Texture
 
 #: To the left of the middle: the lane driven in, the parked cars, kerb, inner edge of the pavement.
@@ -79,7 +79,7 @@ class Street:
         middle = [np.interp(along_m, self._along_m, axis) for axis in self._middle_m]
         return np.array(middle) + left_m * np.array([-math.sin(yaw), math.cos(yaw)])
 
-    def render(self, pose: FloorPose, camera: Camera, time_s: float) -> View:
+    def render(self, pose: FloorPose, camera: SceneCamera, time_s: float) -> View:
         """Return what ``camera`` sees from ``pose``, which must be on the street, at ``time_s``."""
         along_m = self._speed_m_s * time_s
         first, last = (math.floor((along_m + reach) / _BLOCK_M) for reach in (-_BEHIND_M, _AHEAD_M))
@@ -88,7 +88,7 @@ class Street:
         surfaces += self._traffic(time_s)
         return render(surfaces, pose, camera)
 
-    def _far(self, pose: FloorPose) -> Iterator[Surface]:
+    def _far(self, pose: FloorPose) -> Iterator[Quadrangle]:
         """Yield sky and fields, which move with the rig."""
         side, top = 2 * _SKY_M, 0.55 * _SKY_M
         for quarter in range(4):
@@ -101,7 +101,7 @@ class Street:
         y = np.array([-1, -1, 1, 1]) * 400 + pose.y_m
         yield _level(np.stack([x, y], axis=1), -0.03, self._paints.grass, 0.03)
 
-    def _traffic(self, time_s: float) -> Iterator[Surface]:
+    def _traffic(self, time_s: float) -> Iterator[Quadrangle]:
         """Yield the cars that drive."""
         here_m = self._speed_m_s * time_s
         if self._leads_m:
@@ -112,7 +112,7 @@ class Street:
         for number in (first, first + 1):
             yield from self._car(start_m + number * _ONCOMING_M, -LANE_M, 0.7 + number % 3 * 0.3)
 
-    def _make_block(self, block: int) -> tuple[Surface, ...]:
+    def _make_block(self, block: int) -> tuple[Quadrangle, ...]:
         rng = np.random.default_rng([self._seed, 2, block + 2])
         start_m = block * _BLOCK_M
         made = [*self._road(start_m, rng)]
@@ -136,7 +136,7 @@ class Street:
         for piece_m in np.arange(start_m, start_m + _BLOCK_M, _PIECE_M):
             yield float(piece_m), float(piece_m + _PIECE_M)
 
-    def _road(self, start_m: float, rng: np.random.Generator) -> Iterator[Surface]:
+    def _road(self, start_m: float, rng: np.random.Generator) -> Iterator[Quadrangle]:
         """Yield asphalt, lines on it, patches and shadows."""
         paint = self._paints
         for piece in self._pieces(start_m):
@@ -151,7 +151,7 @@ class Street:
             patch = self._strip(along_m, along_m + long_m, left_m, left_m + wide_m)
             yield _level(patch, 0.002, paint.asphalt, 0.014, rng.uniform(0.55, 0.8))
 
-    def _roadside(self, start_m: float, side: int) -> Iterator[Surface]:
+    def _roadside(self, start_m: float, side: int) -> Iterator[Quadrangle]:
         """Yield kerb, pavement, grass and the woods behind."""
         paint = self._paints
         for piece in self._pieces(start_m):
@@ -172,7 +172,7 @@ class Street:
         texture: Texture,
         texel_m: float | None = None,
         gain: float = 1.0,
-    ) -> Surface:
+    ) -> Quadrangle:
         """Return a wall along the street."""
         start, stop = self.at(start_m, left_m), self.at(stop_m, left_m)
         return self._wall(start, stop, up_m, texture, texel_m, gain)
@@ -185,7 +185,7 @@ class Street:
         texture: Texture,
         texel_m: float | None = None,
         gain: float = 1.0,
-    ) -> Surface:
+    ) -> Quadrangle:
         """Return a wall between two floor places, in the light of the sun."""
         along = (stop - start) / max(math.hypot(*(stop - start)), 1e-9)
         light = 0.85 + 0.3 * abs(float(along @ self._sun))
@@ -195,7 +195,7 @@ class Street:
             (*start, up_m[1]), right, down, texture, texel_m=texel_m, gain=gain * light
         )
 
-    def _house(self, start_m: float, side: int, rng: np.random.Generator) -> Iterator[Surface]:
+    def _house(self, start_m: float, side: int, rng: np.random.Generator) -> Iterator[Quadrangle]:
         """Yield a house, or none, and the hedge or fence before it."""
         paint = self._paints
         front_m = side * rng.uniform(8.5, 13)
@@ -226,7 +226,7 @@ class Street:
         for slope in (down, down * (-1, -1, 1)):
             yield rectangle(corner, right, slope, paint.tiles, texel_m=0.02, gain=gain)
 
-    def _planted(self, start_m: float, side: int, rng: np.random.Generator) -> Iterator[Surface]:
+    def _planted(self, start_m: float, side: int, rng: np.random.Generator) -> Iterator[Quadrangle]:
         """Yield trees with their shadows, and a lamp post."""
         paint = self._paints
         for slot_m in (start_m + 3, start_m + 13):
@@ -247,7 +247,7 @@ class Street:
 
     def _post(
         self, along_m: float, left_m: float, thick_m: float, high_m: float, texture: Texture
-    ) -> Iterator[Surface]:
+    ) -> Iterator[Quadrangle]:
         """Yield the two sides that one sees of an upright post."""
         a, b = self._strip(along_m, along_m + thick_m, left_m, left_m + thick_m)[[0, 3]]
         yield self._wall(a, b, (0, high_m), texture, 0.01)
@@ -262,7 +262,7 @@ class Street:
         half_m: float,
         texture: Texture,
         rng: np.random.Generator,
-    ) -> Iterator[Surface]:
+    ) -> Iterator[Quadrangle]:
         """Yield a tree's crown: upright discs that cross, and further ones beside them."""
         middle = self.at(along_m, left_m)
         turn = rng.uniform(0, math.pi)
@@ -280,13 +280,13 @@ class Street:
                 rng.uniform(0.8, 1.15),
             )
 
-    def _parked(self, start_m: float, side: int, rng: np.random.Generator) -> Iterator[Surface]:
+    def _parked(self, start_m: float, side: int, rng: np.random.Generator) -> Iterator[Quadrangle]:
         for slot_m in np.arange(start_m + 3, start_m + 18, 6):
             if rng.random() < 0.4:
                 along_m = float(slot_m) + rng.uniform(-0.5, 0.5)
                 yield from self._car(along_m, side * _PARKED_M, rng.uniform(0.45, 1.5))
 
-    def _car(self, along_m: float, left_m: float, gain: float) -> Iterator[Surface]:
+    def _car(self, along_m: float, left_m: float, gain: float) -> Iterator[Quadrangle]:
         """Yield a car: a box with wheels painted on, a narrower one of glass, its shadow."""
         paint = self._paints
         forward = self.at(along_m + 1, left_m) - self.at(along_m - 1, left_m)
@@ -297,12 +297,12 @@ class Street:
         def corner(ahead_m: float, aside_m: float, up_m: float) -> Vector:
             return np.array([*(middle + ahead_m * forward + aside_m * aside), up_m])
 
-        def quad(places: list[tuple[float, float, float]], texture: Texture) -> Surface:
+        def quad(places: list[tuple[float, float, float]], texture: Texture) -> Quadrangle:
             corners = np.array([corner(*place) for place in places])
             # A trapezium takes the middle of the picture.
             right, down = corners[1] - corners[0], corners[3] - corners[0]
             down = down - right * (down @ right) / (right @ right)
-            return Surface(
+            return Quadrangle(
                 corners,
                 corners[0],
                 right / texture.width,
@@ -367,8 +367,8 @@ class Street:
 
 def _level(
     corners_m: Vector, up_m: float, texture: Texture, texel_m: float, gain: float = 1.0
-) -> Surface:
+) -> Quadrangle:
     """Return a level piece between floor corners (4, 2); its texture lies fast in the world."""
     corners = np.column_stack([corners_m, np.full(4, up_m)])
     right, down = np.array([texel_m, 0, 0]), np.array([0, texel_m, 0])
-    return Surface(corners, np.array([0, 0, up_m]), right, down, texture, gain)
+    return Quadrangle(corners, np.array([0, 0, up_m]), right, down, texture, gain)

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from motionstereo_cli.compiled import surfaces as loops
-from motionstereo_cli.simulate.camera import EYE_HEIGHT_M, Camera, FloorPose, View
+from motionstereo_cli.simulate.camera import EYE_HEIGHT_M, FloorPose, SceneCamera, View
 from motionstereo_cli.simulate.texture import Texture
 
 if TYPE_CHECKING:
@@ -30,7 +30,7 @@ _EDGE_ON_M = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
-class Surface:
+class Quadrangle:
     """A convex flat quadrangle with a texture.
 
     Attributes:
@@ -57,7 +57,7 @@ def rectangle(
     *,
     texel_m: float | None = None,
     gain: float = 1.0,
-) -> Surface:
+) -> Quadrangle:
     """Return a rectangle.
 
     Args:
@@ -74,10 +74,10 @@ def rectangle(
     else:
         texels = float(sides[0]) / texel_m, float(sides[1]) / texel_m
     corners = np.array([corner, corner + right, corner + right + down, corner + down])
-    return Surface(corners, corner, right / texels[0], down / texels[1], texture, gain)
+    return Quadrangle(corners, corner, right / texels[0], down / texels[1], texture, gain)
 
 
-def render(surfaces: Sequence[Surface], pose: FloorPose, camera: Camera) -> View:
+def render(surfaces: Sequence[Quadrangle], pose: FloorPose, camera: SceneCamera) -> View:
     """Return the view of surfaces; black at infinite depth elsewhere."""
     seen = _see(surfaces, pose, camera)
     height, width = camera.height, camera.width
@@ -107,7 +107,7 @@ class _Seen:
         bounds: first row and column in which it may be seen, and those after the last, in px.
     """
 
-    surface: Surface
+    surface: Quadrangle
     nearness: Vector
     right: Vector
     down: Vector
@@ -128,7 +128,7 @@ class _Seen:
         loops.paint(grey, owner, number, self.bounds, *forms, *picture, self.surface.gain)
 
 
-def _see(surfaces: Sequence[Surface], pose: FloorPose, camera: Camera) -> list[_Seen]:
+def _see(surfaces: Sequence[Quadrangle], pose: FloorPose, camera: SceneCamera) -> list[_Seen]:
     """Return the surfaces that may be visible to a camera."""
     eye = np.array([*camera.eye(pose), EYE_HEIGHT_M])
     axes = np.array([[*pose.forward, 0], [*pose.left, 0], [0, 0, 1]])
@@ -172,7 +172,7 @@ def _see(surfaces: Sequence[Surface], pose: FloorPose, camera: Camera) -> list[_
     ]
 
 
-def _bounds(corners: Vector, camera: Camera) -> NDArray[np.intp]:
+def _bounds(corners: Vector, camera: SceneCamera) -> NDArray[np.intp]:
     """Return (n, 4) first row and column that quadrangles may cover, and those after the last.
 
     Args:

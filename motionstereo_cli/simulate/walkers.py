@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from motionstereo_cli.simulate.camera import EYE_HEIGHT_M, Camera, FloorPose, View
+from motionstereo_cli.simulate.camera import EYE_HEIGHT_M, FloorPose, SceneCamera, View
 
 if TYPE_CHECKING:
     from motionstereo_cli.types import Real
@@ -152,7 +152,7 @@ class WalkerPaint:
             self._paint.append(np.pad(paint, ((0, 0), (1, 1)), mode="wrap"))
 
     def render(
-        self, view: View, walkers: list[Walker], pose: FloorPose, camera: Camera, lamp_m: float
+        self, view: View, walkers: list[Walker], pose: FloorPose, camera: SceneCamera, lamp_m: float
     ) -> View:
         """Return a view with the walkers in it.
 
@@ -182,7 +182,7 @@ class WalkerPaint:
         paint: Real,
         *,
         pose: FloorPose,
-        camera: Camera,
+        camera: SceneCamera,
         lamp_m: float,
     ) -> None:
         """Paint a walker into a view, in place."""

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from fractions import Fraction
 from typing import TYPE_CHECKING, Protocol, TypeVar
 
 from motionstereo_cli.sinks.settings import OutputSettings
 from motionstereo_cli.types import FrameImages, Step
 
 if TYPE_CHECKING:
-    from fractions import Fraction
-
     from motionstereo_cli.method.settings import Settings
     from motionstereo_cli.types import Rig
 
+
+#: Time from frame to frame in the videos, in s, where the source has no time.
+DEFAULT_TIME_BASE = Fraction(1, 25)
 
 _Input_contra = TypeVar("_Input_contra", FrameImages, Step, contravariant=True)
 

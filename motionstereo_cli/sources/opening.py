@@ -193,14 +193,16 @@ def named(left: str | Path, right: str | Path | None, settings: InputSettings) -
     return names
 
 
-class Topic(NamedTuple):
+class CameraTopic(NamedTuple):
     """The topic of a camera, and the bag, or the parts of one, that it is in."""
 
     files: tuple[Path, ...]
     name: str
 
 
-def topics_of(names: Sequence[str], settings: InputSettings) -> tuple[Topic | None, Topic | None]:
+def topics_of(
+    names: Sequence[str], settings: InputSettings
+) -> tuple[CameraTopic | None, CameraTopic | None]:
     """Return the topics of the left and the right camera, None where there is no bag.
 
     Two bags are those of one camera each, or the parts of one bag.
@@ -218,19 +220,19 @@ def topics_of(names: Sequence[str], settings: InputSettings) -> tuple[Topic | No
         topics = [image_topics_of(files) for files in bags]
         if all(len(found) == 1 for found in topics):
             left, right = (
-                Topic(files, found[0]) for files, found in zip(bags, topics, strict=True)
+                CameraTopic(files, found[0]) for files, found in zip(bags, topics, strict=True)
             )
             return left, right
     files = tuple(file for bag in bags for file in bag)
     left_name, right_name = stereo_topics(files, settings.topics)
-    return Topic(files, left_name), Topic(files, right_name)
+    return CameraTopic(files, left_name), CameraTopic(files, right_name)
 
 
 def open_recording(
     name: str,
     settings: InputSettings,
     track: int = 0,
-    topic: Topic | None = None,
+    topic: CameraTopic | None = None,
     view: int | None = None,
 ) -> Recording:
     """Open a recording.

@@ -16,7 +16,7 @@ from motionstereo_cli.sources.settings import AUTO_OFFSET
 if TYPE_CHECKING:
     from motionstereo_cli.sources.recording import Recording
     from motionstereo_cli.sources.settings import InputSettings
-    from motionstereo_cli.sources.sides import Shot
+    from motionstereo_cli.sources.sides import SideImage
 
 T = TypeVar("T")
 
@@ -47,10 +47,10 @@ class Pairing:
         thinned: the recording of the higher rate, where not all of its images have partners.
     """
 
-    lead: Callable[[Shot, Shot], Fraction]
+    lead: Callable[[SideImage, SideImage], Fraction]
     tolerance: Fraction = Fraction(0)
     by_time: bool = False
-    note: Callable[[Shot, Shot], object] = lambda *_: None
+    note: Callable[[SideImage, SideImage], object] = lambda *_: None
     warning: str = ""
     thinned: Recording | None = None
 
@@ -153,7 +153,7 @@ def need_time(flag: str, recording: Recording) -> None:
         raise SettingsError(f"{flag}: {recording.name} has no time stamps: give --frame-rate")
 
 
-def _time_lead(one: Shot, other: Shot) -> Fraction:
+def _time_lead(one: SideImage, other: SideImage) -> Fraction:
     return (other.time_s or Fraction(0)) - (one.time_s or Fraction(0))
 
 
@@ -171,7 +171,7 @@ class _NameLead:
         ordered = sorted({*left, *right}, key=natural_key)
         self._places = {name: place for place, name in enumerate(ordered)}
 
-    def __call__(self, one: Shot, other: Shot) -> Fraction:
+    def __call__(self, one: SideImage, other: SideImage) -> Fraction:
         left, right = self._left[one.number], self._right[other.number]
         return Fraction(self._places[right] - self._places[left])
 
@@ -287,12 +287,12 @@ class _Step:
     def __init__(self, offset_s: float | None, period_s: Fraction) -> None:
         self._offset_s, self._period_s = offset_s, period_s
 
-    def lead(self, one: Shot, other: Shot) -> Fraction:
+    def lead(self, one: SideImage, other: SideImage) -> Fraction:
         if self._offset_s is None:
             return (other.number - one.number) * self._period_s
         return _time_lead(one, other) - Fraction(self._offset_s)
 
-    def note(self, one: Shot, other: Shot) -> None:
+    def note(self, one: SideImage, other: SideImage) -> None:
         apart_s = float(_time_lead(one, other))
         if self._offset_s is None:
             self._offset_s = apart_s

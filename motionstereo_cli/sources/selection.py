@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 if TYPE_CHECKING:
     from motionstereo_cli.sources.settings import InputSettings, Place
-    from motionstereo_cli.sources.sides import Shot
+    from motionstereo_cli.sources.sides import SideImage
 
 
 class Selected(NamedTuple):
@@ -28,11 +28,11 @@ class Selected(NamedTuple):
 
 
 def chosen(
-    pairs: Iterator[tuple[Shot, Shot]],
+    pairs: Iterator[tuple[SideImage, SideImage]],
     begin: Selected,
     settings: InputSettings,
     begin_s: Fraction,
-) -> Iterator[tuple[Selected, Shot, Shot]]:
+) -> Iterator[tuple[Selected, SideImage, SideImage]]:
     """Yield pairs and what they are, up to --end.
 
     Args:
@@ -57,7 +57,7 @@ def chosen(
         frame += delivered
 
 
-def _reached(place: Place, number: int, shot: Shot, begin_s: Fraction) -> bool:
+def _reached(place: Place, number: int, shot: SideImage, begin_s: Fraction) -> bool:
     if isinstance(place, int):
         return number >= place
     return shot.time_s is not None and shot.time_s - begin_s >= place

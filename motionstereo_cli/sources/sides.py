@@ -36,7 +36,7 @@ class Loss(NamedTuple):
         return cls(stream.lost, stream.flawed, tuple(stream.damage))
 
 
-class Shot(NamedTuple):
+class SideImage(NamedTuple):
     """One image of a recording, ready to be paired.
 
     Attributes:
@@ -57,11 +57,11 @@ class Shot(NamedTuple):
     loss: Loss
 
 
-def bare(stream: Recording) -> Iterator[Shot]:
+def bare(stream: Recording) -> Iterator[SideImage]:
     """Yield the images of a recording, not decoded, to be paired; none where it cannot tell."""
     for order, (number, pts) in enumerate(stream.outline()):
         time_s = None if stream.time_base is None else pts * stream.time_base
-        yield Shot(order, number, pts, time_s, (), repeats=False, loss=Loss(0, 0, ()))
+        yield SideImage(order, number, pts, time_s, (), repeats=False, loss=Loss(0, 0, ()))
 
 
 class Side:
@@ -84,7 +84,7 @@ class Side:
         self._last_used = -1
         self._ended = False
 
-    def follow(self, feed: Iterator[Shot | Loss]) -> Iterator[Shot]:
+    def follow(self, feed: Iterator[SideImage | Loss]) -> Iterator[SideImage]:
         """Pass the images on, and count them."""
         for item in feed:
             if isinstance(item, Loss):
@@ -93,11 +93,11 @@ class Side:
             self._came, self.loss = self._came + 1, item.loss
             yield item
 
-    def begin_with(self, shot: Shot) -> None:
+    def begin_with(self, shot: SideImage) -> None:
         """Count all images before one as come."""
         self.begin = self._came = shot.order
 
-    def use(self, shot: Shot) -> None:
+    def use(self, shot: SideImage) -> None:
         """Note that an image has a partner."""
         if not self.paired:
             self.early = shot.order
@@ -156,7 +156,7 @@ def same(one: Grey, other: Grey) -> bool:
     return np.array_equal(one[::32], other[::32]) and np.array_equal(one, other)
 
 
-def moves(shot: Shot, last: Shot) -> bool:
+def moves(shot: SideImage, last: SideImage) -> bool:
     """Return whether objects move from one image to the next of the same camera."""
     changed = cv2.absdiff(shot.views[-1], last.views[-1]) > _MOTION_GREY
     return not shot.repeats and float(np.mean(changed)) > _MOVING_SHARE

@@ -19,7 +19,7 @@ from motionstereo_cli.sources.prefetch import prefetch
 from motionstereo_cli.sources.recording import Recording
 from motionstereo_cli.sources.selection import Selected, chosen, place_near
 from motionstereo_cli.sources.settings import InputSettings
-from motionstereo_cli.sources.sides import Loss, Shot, Side, bare, moves, same
+from motionstereo_cli.sources.sides import Loss, Side, SideImage, bare, moves, same
 from motionstereo_cli.sources.sphere import Pinhole
 from motionstereo_cli.types import StereoFrame
 
@@ -361,13 +361,13 @@ class StereoSource:
         return False
 
     def _pairs(
-        self, lefts: Iterator[Shot], rights: Iterator[Shot]
-    ) -> Iterator[tuple[Selected, Shot, Shot]]:
+        self, lefts: Iterator[SideImage], rights: Iterator[SideImage]
+    ) -> Iterator[tuple[Selected, SideImage, SideImage]]:
         how, begin_s = self._pairing, self._sides[1].stream.begin_s
         pairs = pair(lefts, rights, how.lead, how.tolerance)
         return chosen(pairs, self._begin, self.settings, begin_s)
 
-    def _note(self, place: Selected, left: Shot, right: Shot) -> None:
+    def _note(self, place: Selected, left: SideImage, right: SideImage) -> None:
         self._pairing.note(left, right)
         for side, shot in zip(self._sides, (left, right), strict=True):
             side.use(shot)
@@ -379,7 +379,7 @@ class StereoSource:
         if not self._placed:
             self.begin_at(0)
         with ExitStack() as stack:
-            feeds: list[Iterator[Shot | Loss]] = [
+            feeds: list[Iterator[SideImage | Loss]] = [
                 stack.enter_context(closing(prefetch(self._shots(side), _DEPTH, side.stream.stop)))
                 for side in self._sides[: len(self._streams)]
             ]
@@ -403,7 +403,7 @@ class StereoSource:
         if place is None or place.begun is None:
             raise InputError(self._nothing(0 if place is None else place.number + 1))
 
-    def _shots(self, side: Side) -> Iterator[Shot | Loss]:
+    def _shots(self, side: Side) -> Iterator[SideImage | Loss]:
         """Yield what a decoding thread makes, and at last what was lost in all."""
         s, stream = self.settings, side.stream
         views = range(2) if len(self._streams) == 1 else [self._sides.index(side)]
@@ -416,7 +416,7 @@ class StereoSource:
             cut = (self._made(part, view) for part, view in zip(parts, views, strict=True))
             time_s = None if stream.time_base is None else image.pts * stream.time_base
             loss = Loss.of(stream)
-            yield Shot(order, image.number, image.pts, time_s, tuple(cut), repeats, loss)
+            yield SideImage(order, image.number, image.pts, time_s, tuple(cut), repeats, loss)
         yield Loss.of(stream)
 
     def _made(self, part: Grey, view: int) -> Grey:
