@@ -94,7 +94,10 @@ def lag_of(
         min_overlap: images that have to overlap.
     """
     n, m = len(left), len(right)
-    if min(float(side.std(axis=0).max(initial=0)) for side in (left, right)) < _LEAST_GREY:
+    if (
+        min(n, m) < min_overlap
+        or min(float(side.std(axis=0).max(initial=0)) for side in (left, right)) < _LEAST_GREY
+    ):
         return None
     lags = np.arange(-reach, reach + 1)
     begin, end = np.maximum(0, -lags), np.minimum(n, m - lags)  # of the overlap, on the left

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from motionstereo_cli.types import Grey
 
 #: A run that matches less of what is charged than this says so.
-MIN_MATCHED_SHARE = 0.3
+MIN_MATCHED_SHARE = 0.4
 
 #: Charge on less of the image than this says nothing about the matching.
 _MIN_CHARGED_SHARE = 0.01
