@@ -315,6 +315,7 @@ def test_rectified_pairs_of_datasets(tmp_path: Path, text: str, doffs_px: float)
             "RGB-D camera",
         ),
         ("{'lensmodel': 'LENSMODEL_PINHOLE'}\n", "of one camera: give both"),
+        ('[{"x": 1}, {"x": 2}]', "no calibration of a form that is read"),
         ("tracker: {threads: 4}\n", "no calibration of a form that is read"),
         ("1403636579763555584\n1403636579813555456\n", "no calibration of a form that is read"),
     ],
@@ -343,6 +344,18 @@ def test_opencv_needs_no_blank_after_a_colon(tmp_path: Path) -> None:
         "Camera.bf: 36.0\nViewer.PointSize:2\n"
     )
     assert read_calibration([path], SIZE).rig.baseline_m == pytest.approx(0.12)
+
+
+def test_half_of_an_opencv_calibration(tmp_path: Path) -> None:
+    alone = opencv_file(tmp_path / "intrinsics.yml", R=None, T=None)
+    with pytest.raises(InputError, match=r"R is missing, and T: give the file .*extrinsics\.yml"):
+        read_calibration([alone], SIZE)
+    r1, r2, p1, p2 = rectified()
+    none = dict.fromkeys(["M1", "M2", "D1", "D2"])
+    given = {"R1": r1, "R2": r2, "P1": p1, "P2": p2}
+    found = read_calibration([opencv_file(tmp_path / "extrinsics.yml", **none, **given)], SIZE)
+    assert found.maps is None
+    assert "taken to be rectified already. If they are as recorded" in found.warnings[0]
 
 
 # Contradictions.

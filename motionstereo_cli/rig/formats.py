@@ -176,7 +176,7 @@ def _is_plain(text: str) -> bool:
 
 def _rig_or_rows(given: _Given) -> Rig | Pair:
     path, text = given.paths[0], given.texts[0]
-    if ":" not in text:
+    if ":" not in text or text.lstrip()[:1] in ("[", "{", "<"):
         if (found := plain.read_rows(path, text)) is not None:
             return found
         if text.strip():

@@ -57,7 +57,8 @@ def read_opencv(name: str, values: Values) -> Pair:
         )
     if not has_cameras:
         if projections is not None:
-            return rectified_pair("OpenCV P1, P2", projections, size)
+            half = (_without_intrinsics(name),) if source.find(_T) else ()
+            return rectified_pair("OpenCV P1, P2", projections, size, notes=half)
         if source.find(("q",)):
             q = source.matrix(("q",), "Q", (4, 4))
             return rectified_pair("OpenCV Q", _projections_of(q, name), size)
@@ -75,8 +76,21 @@ def read_opencv(name: str, values: Values) -> Pair:
         notes += (f"{name} has a baseline and no R: the cameras are taken to be parallel",)
         parallel = np.eye(3), np.array([tx, 0, 0])
         return Pair("OpenCV", cameras, *parallel, size=size, notes=notes)
+    if not source.find([*_R, *_T, *_names(_R, sides[1]), *_names(_T, sides[1])]):
+        raise InputError(
+            f"{name} has the intrinsics of both cameras, but R is missing, and T: give the file "
+            "with them as well (--rig intrinsics.yml --rig extrinsics.yml)"
+        )
     rotation, translation = _right_from_left(source, sides)
     return Pair("OpenCV", cameras, rotation, translation, size=size, notes=notes)
+
+
+def _without_intrinsics(name: str) -> str:
+    return (
+        f"{name} has R, T and P1, but no M1 and D1: the images are taken to be rectified already. "
+        "If they are as recorded, give the intrinsics as well (--rig intrinsics.yml --rig "
+        "extrinsics.yml)"
+    )
 
 
 def has_numbered_cameras(values: Values) -> bool:

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 LONGEST_BASELINE_M = 2.0
 _SHORTEST_BASELINE_MM = 2.0
 _USUAL_BASELINE_M = 0.8
-_LONGEST_IN_M = 10.0
+_LONGEST_IN_M, _SHORTEST_USUAL_MM = 10.0, 20.0
 
 #: Rectified images of wide lenses have no wider view unless the user says so: beyond it, most of
 #: an image shows little of the scene.
@@ -288,10 +288,12 @@ def _in_metres(
         likely = "m"
     elif unit in ("cm", "mm") or baseline < (LONGEST_BASELINE_M if unit else _USUAL_BASELINE_M):
         return baseline * LENGTHS_M[likely], ()
+    short = likely == "mm" and baseline < _SHORTEST_USUAL_MM
+    doubt = ", as few cameras but endoscopes have" if short else ""
     warning = (
-        f"{name}: a baseline of {baseline:g} is taken to be in {likely}: if it is in another unit, "
-        "say --baseline-unit cm (or m, mm); if it is in squares of the calibration board, say the "
-        "side of a square, as --baseline-unit 25mm"
+        f"{name}: a baseline of {baseline:g} is taken to be in {likely}{doubt}: if it is in "
+        "another unit, say --baseline-unit cm (or m, mm); if it is in squares of the calibration "
+        "board, say the side of a square, as --baseline-unit 25mm"
     )
     return baseline * LENGTHS_M[likely], (warning,)
 

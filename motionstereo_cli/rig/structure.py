@@ -44,6 +44,8 @@ def read_structure(path: Path, text: str) -> Values:
     """
     start = text.lstrip()[:1]
     read = {"{": _json, "<": _xml, "[": _ini}.get(start, _yaml)
+    if re.match(r"\s*\[\s*[\[{\"\d\]-]", text):  # a list, no section
+        read = _json
     try:
         values = read(text)
     except (ValueError, RecursionError, yaml.YAMLError, ET.ParseError, configparser.Error) as error:
