@@ -19,15 +19,25 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from motionstereo_cli.compiled import checked_array
-from motionstereo_cli.errors import InputError, SettingsError
+from motionstereo_cli.errors import SettingsError
 from motionstereo_cli.method.matching import matcher_of
-from motionstereo_cli.method.memory import Memory, Sighting, age_of, in_mirror, mirrored, see
+from motionstereo_cli.method.memory import (
+    Memory,
+    Sighting,
+    age_of,
+    charged,
+    checked_views,
+    in_mirror,
+    mirrored,
+    see,
+)
 from motionstereo_cli.method.settings import AUTO, FOREVER, MATCHERS, Settings
 from motionstereo_cli.method.steady import averaged
 from motionstereo_cli.method.unknown import reasons
 from motionstereo_cli.robot.guide import Guide, guide_of
 from motionstereo_cli.robot.mapper import camera_points
+from motionstereo_cli.robot.mover_finder import MoverFinder, stands
+from motionstereo_cli.robot.movers import Movers
 from motionstereo_cli.robot.objects import Region
 from motionstereo_cli.robot.odometer import Odometer
 from motionstereo_cli.robot.odometry import Motion, Odometry, TravelledPath
@@ -75,6 +85,8 @@ class State:
     Attributes:
         right, left: the permanency memories; None before the first frame.
         odometry: what own motion is found from; None where it is not asked for.
+        movers: what things that move by themselves are found from; None likewise.
+        own_charge: permanency memory of what moves by itself; None likewise.
         tracking: heading, objects and path.
         recent: what the last frames showed, the oldest first.
     """
@@ -82,6 +94,8 @@ class State:
     right: Memory | None = None
     left: Memory | None = None
     odometry: Odometry | None = None
+    movers: Movers | None = None
+    own_charge: NDArray[np.uint8] | None = None
     tracking: TrackingState = field(default_factory=TrackingState)
     recent: tuple[Sighting, ...] = ()
 
@@ -124,6 +138,7 @@ class StreamContext(NamedTuple):
         guide: makes the headings.
         tracker: follows moving objects; None where nobody asks for them.
         odometer: finds the rig's own motion; None where nobody asks for it.
+        mover_finder: finds what moves by itself; None likewise.
         extras: which of :data:`EXTRAS` the images have.
         with_points: whether steps have points.
     """
@@ -133,6 +148,7 @@ class StreamContext(NamedTuple):
     guide: Guide[Any, Any]
     tracker: Tracker | None
     odometer: Odometer | None
+    mover_finder: MoverFinder | None
     extras: frozenset[str]
     with_points: bool
 
@@ -145,19 +161,14 @@ class StreamContext(NamedTuple):
         with_poses: bool,
         with_objects: bool,
         with_own_motion: bool = False,
+        with_movers: bool = False,
         motion_offset_px: float = 0.0,
         extras: Collection[str] = EXTRAS,
         with_points: bool = False,
     ) -> StreamContext:
         """Return what a stream needs.
 
-        Args:
-            settings, rig: see above.
-            with_poses: the guide steers by poses, which are given or found.
-            with_objects: moving objects are followed.
-            with_own_motion: poses are found from the videos; needs a rig.
-            motion_offset_px: constant that they are found with, added to disparity.
-            extras, with_points: see above.
+        With movers, own motion is found too; ``motion_offset_px`` is added to disparity for that.
 
         Raises:
             SettingsError: ``max_disparity`` is still to be measured, or a rig is missing.
@@ -168,12 +179,15 @@ class StreamContext(NamedTuple):
             )
         guide = guide_of(settings, rig, with_poses=with_poses)
         tracker = Tracker(settings, rig) if with_objects else None
-        odometer = None
+        odometer, mover_finder = None, None
         if with_own_motion:
             if rig is None:
                 raise SettingsError("own motion needs a rig: without it nothing is in metres")
             odometer = Odometer(rig, settings.max_disparity, motion_offset_px)
-        return cls(settings, rig, guide, tracker, odometer, frozenset(extras), with_points)
+            if with_movers:
+                mover_finder = MoverFinder(rig, settings.reference)
+        finders = tracker, odometer, mover_finder
+        return cls(settings, rig, guide, *finders, frozenset(extras), with_points)
 
 
 def process(
@@ -220,6 +234,7 @@ def process(
         with_poses=pose_of is not None,
         with_objects=with_objects,
         with_own_motion=pose_of == "auto",
+        with_movers=pose_of == "auto",
         extras=extras,
     )
     given = None if pose_of == "auto" else pose_of
@@ -244,6 +259,7 @@ def process(
             state=after,
             pose=step.pose,
             fix=step.fix,
+            own_charge=images.own_charge,
             objects=step.objects,
         )
 
@@ -289,7 +305,8 @@ def follow(
     tracks, objects = tracking.tracks, tuple[MovingObject, ...]()
     path, fix = tracking.path, None
     if context.odometer is not None:
-        path, pose, fix = context.odometer.follow(path, summary.motion)
+        path, found, fix = context.odometer.follow(path, summary.motion)
+        pose, fix = (found, fix) if pose is None else (pose, None)
     if context.tracker is not None:
         tracks, objects = context.tracker.follow(tracks, summary.regions, summary.time, pose)
     guided, steering = context.guide.steer(tracking.guided, summary.profile, pose, objects)
@@ -311,6 +328,15 @@ def analysed(
     frames: Iterable[StereoFrame], context: StreamContext, state: State, jobs: int
 ) -> Iterator[tuple[StereoFrame, State, FrameAnalysis]]:
     """Yield each frame, what is known after it except the tracking, and what it shows."""
+    for frame, after, found in side_by_side(frames, context, state, jobs):
+        state, found = with_movers(state, after, found, context)  # noqa: PLW2901
+        yield frame, state, found
+
+
+def side_by_side(
+    frames: Iterable[StereoFrame], context: StreamContext, state: State, jobs: int
+) -> Iterator[tuple[StereoFrame, State, FrameAnalysis]]:
+    """Yield each frame, the memories after it, and what it shows by itself."""
     recent = deque[Future[Sighting]](maxlen=recent_frames(context.settings))
     recent.extend(done(sighting) for sighting in state.recent)
     with ThreadPoolExecutor(jobs, "match") as threads:
@@ -380,25 +406,26 @@ def remembered(
     )
 
 
-def checked_views(frame: StereoFrame, before: Memory | None, rig: Rig | None) -> tuple[Grey, Grey]:
-    """Return the right and the left view of a frame, contiguous in memory.
+def with_movers(
+    before: State, after: State, found: FrameAnalysis, context: StreamContext
+) -> tuple[State, FrameAnalysis]:
+    """Return what is known after a frame, and its analysis, with what moves by itself.
 
-    Args:
-        frame: what was given.
-        before: the right memory before it, which is of the same size; None at the first frame.
-        rig: its camera; None where it is not known.
-
-    Raises:
-        InputError: they are no grey images of one size, that of the memory and of the rig.
+    While the rig moves, only that may be an object.
     """
-    size = None if rig is None else (rig.height, rig.width)
-    if before is not None:
-        size = before.grey.shape
-    try:
-        right = checked_array(frame.right, np.uint8, size)
-        return right, checked_array(frame.left, np.uint8, right.shape)
-    except InputError as error:
-        raise InputError(f"frame {frame.index}: {error}") from None
+    images, summary = found
+    if context.mover_finder is None or after.right is None or after.left is None:
+        return after, found
+    movers, moved = context.mover_finder.see(
+        *(before.movers, after.right.grey, after.left.grey),
+        *(images.disparity_px, summary.motion, images.motion),
+    )
+    charge = charged(before.own_charge, moved, context.settings)
+    if context.tracker is not None and not stands(summary.motion):
+        regions = context.tracker.moving_regions(images.disparity_px, moved)
+        summary = replace(summary, regions=regions)
+    after = replace(after, movers=movers, own_charge=charge)
+    return after, FrameAnalysis(replace(images, own_charge=charge), summary)
 
 
 def analyse(

@@ -194,6 +194,9 @@ class MovingObject:
         place_m: where it is in the world, x and y in m; None without a rig and poses.
         velocity_mps: how fast it moves over ground, x and y in m/s; None likewise, where the
             source has no time, and as long as it is unknown.
+        sigma_mps: standard deviation of that; None likewise.
+        by_itself: whether it moves over ground, beyond what its standard deviation may be; None
+            where that is unknown.
     """
 
     id: int
@@ -207,6 +210,20 @@ class MovingObject:
     confidence: float
     place_m: tuple[float, float] | None = None
     velocity_mps: tuple[float, float] | None = None
+    sigma_mps: float | None = None
+    by_itself: bool | None = None
+
+    @property
+    def over_ground_mps(self) -> float | None:
+        """Speed over ground."""
+        return None if self.velocity_mps is None else math.hypot(*self.velocity_mps)
+
+    @property
+    def direction_rad(self) -> float | None:
+        """Direction of :attr:`velocity_mps`, counter-clockwise from the world's x axis."""
+        if self.velocity_mps is None:
+            return None
+        return math.atan2(self.velocity_mps[1], self.velocity_mps[0])
 
 
 @dataclass(frozen=True, slots=True)
@@ -236,8 +253,8 @@ class FrameImages:
         time: which frame it is.
         view: (height, width) uint8, the reference camera's image.
         charge, disparity_px: as :class:`FrameResult` has them.
-        bands, motion, age_frames, confidence, depth_m, occlusion: likewise; None where no output
-            asks for it.
+        bands, motion, age_frames, confidence, depth_m, occlusion, own_charge: likewise; None where
+            no output asks for it.
     """
 
     time: FrameTime
@@ -250,6 +267,7 @@ class FrameImages:
     confidence: Real | None = None
     depth_m: Real | None = None
     occlusion: Grey | None = None
+    own_charge: Grey | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -306,6 +324,8 @@ class FrameResult:
             from it.
         pose: where the rig was; None where it is not known.
         fix: how far to believe in the pose, where it was found from the videos.
+        own_charge: (height, width) uint8 permanency memory of what moves by itself, whatever the
+            rig does; None where own motion is not asked for.
         objects: what moves, as far as it has been followed for a few frames.
     """
 
@@ -325,3 +345,4 @@ class FrameResult:
     pose: Pose | None = None
     objects: tuple[MovingObject, ...] = ()
     fix: Fix | None = None
+    own_charge: Grey | None = None

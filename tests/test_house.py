@@ -35,7 +35,7 @@ def room(path):
 #: Files of ``robot`` that know arrays and numbers only; the others join them and keep state.
 PURE_ROBOT = {
     *("free_space.py", "course.py", "local_map.py", "fused_map.py", "objects.py", "points.py"),
-    "alignment.py",
+    *("alignment.py", "movers.py"),
 }
 #: Files of ``method`` that join its stages.
 JOINTS = {"matching.py", "memory.py", "settings.py"}
@@ -85,6 +85,7 @@ def test_only_the_files_of_robot_that_keep_state_join_its_pure_ones():
         "pipeline.py",
         "robot/guide.py",
         "robot/mapper.py",
+        "robot/mover_finder.py",
         "robot/odometer.py",
         "robot/odometry.py",
         "robot/tracker.py",

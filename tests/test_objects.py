@@ -385,7 +385,8 @@ class TestNearestContact:
 
 def test_the_table_to_the_letter(tmp_path):
     sink = OUTPUTS["objects"].open(tmp_path, RunContext(Fraction(1, 30), Settings(), None))
-    known = MovingObject(3, 0, 4, 8, 12, 2.71849, -0.00001, 12.5, 1 / 3)
+    more = {"velocity_mps": (0.0, 1.5), "sigma_mps": 0.25, "by_itself": True}
+    known = MovingObject(3, 0, 4, 8, 12, 2.71849, -0.00001, 12.5, 1 / 3, **more)
     unknown = MovingObject(12, 100, 4, 8, 12, None, None, None, 1.0)
     for index, seen in ((0, ()), (7, (known, unknown))):
         blind = Steering("blind", None, None, None, None)
@@ -393,9 +394,10 @@ def test_the_table_to_the_letter(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["objects.csv.part"]
     sink.close()
     assert (tmp_path / "objects.csv").read_bytes() == (
-        b"frame,id,x,y,width,height,depth_m,closing_mps,time_to_contact_s,confidence\n"
-        b"7,3,0,4,8,12,2.718,0.000,12.500,0.33\n"
-        b"7,12,100,4,8,12,,,,1.00\n"
+        b"frame,id,x,y,width,height,depth_m,closing_mps,time_to_contact_s,confidence,"
+        b"over_ground_mps,direction_rad,sigma_mps,by_itself\n"
+        b"7,3,0,4,8,12,2.718,0.000,12.500,0.33,1.500,1.571,0.250,1\n"
+        b"7,12,100,4,8,12,,,,1.00,,,,\n"
     )
 
 

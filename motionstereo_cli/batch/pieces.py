@@ -46,6 +46,7 @@ from motionstereo_cli.pipeline import (
     recent_frames,
 )
 from motionstereo_cli.robot.guide import ImageProfile, MapProfile
+from motionstereo_cli.robot.movers import RUN_IN_FRAMES as MOVERS_FRAMES
 from motionstereo_cli.robot.odometry import BLOCK_FRAMES
 from motionstereo_cli.runs.folder import RunFolder, discard, record_of
 from motionstereo_cli.runs.folder_files import FolderKind
@@ -166,7 +167,7 @@ def run_piece(
         with RunFolder(folder, outputs, PIECE, identity=identity, resume=True) as sinks:
             if sinks.finished is not None:
                 return
-            begin = max(piece.first - _run_in(plan), 0)
+            begin = max(piece.first - _run_in(job), 0)
             sought = seek and source.begin_at(begin)
             if seek and begin and not sought:
                 watcher.say("note", "the recordings do not let seek: decoded from the start")
@@ -207,11 +208,15 @@ def _done(folder: Path) -> PieceRecord | None:
     return found if isinstance(found, PieceRecord) else None
 
 
-def _run_in(plan: RunPlan) -> int:
-    """Return for how many frames the memories last, averages too, and what motion is found from."""
-    s = plan.settings
+def _run_in(job: Job) -> int:
+    """Return on how many frames before it a frame depends."""
+    s = job.plan.settings
     memory = math.ceil((s.charge_max - s.charge_min) / s.charge_leak)
-    return max(memory + recent_frames(s), BLOCK_FRAMES + 1)
+    shown = memory + recent_frames(s)
+    if not job.with_own_motion:
+        return shown
+    # What moves by itself has a memory, too, of what is shown for a few frames.
+    return memory + max(shown, BLOCK_FRAMES + 1) + MOVERS_FRAMES
 
 
 def _analyses(

@@ -10,7 +10,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from motionstereo_cli.compiled import checked_array
 from motionstereo_cli.compiled import memory as loops
+from motionstereo_cli.errors import InputError
 from motionstereo_cli.method.bands import band_table, bands, blur
 from motionstereo_cli.method.charge import accumulate, age, permanency
 from motionstereo_cli.method.contrast import contrast
@@ -19,7 +21,7 @@ from motionstereo_cli.method.motion import motion
 from motionstereo_cli.method.settings import Settings
 
 if TYPE_CHECKING:
-    from motionstereo_cli.types import Grey, MatchKeys, Real
+    from motionstereo_cli.types import Grey, MatchKeys, Real, Rig, StereoFrame
 
 _T = TypeVar("_T", bound=np.generic)
 
@@ -62,6 +64,27 @@ class Sighting:
     def of(cls, disparity_px: Real, view: Grey) -> Sighting:
         """Return that of a disparity and the view that it is of."""
         return cls(disparity_px, np.asarray(cv2.blur(view, (3, 3)), np.uint8))
+
+
+def checked_views(frame: StereoFrame, before: Memory | None, rig: Rig | None) -> tuple[Grey, Grey]:
+    """Return the right and the left view of a frame, contiguous in memory.
+
+    Args:
+        frame: what was given.
+        before: the right memory before it, which is of the same size; None at the first frame.
+        rig: its camera; None where it is not known.
+
+    Raises:
+        InputError: they are no grey images of one size, that of the memory and of the rig.
+    """
+    size = None if rig is None else (rig.height, rig.width)
+    if before is not None:
+        size = before.grey.shape
+    try:
+        right = checked_array(frame.right, np.uint8, size)
+        return right, checked_array(frame.left, np.uint8, right.shape)
+    except InputError as error:
+        raise InputError(f"frame {frame.index}: {error}") from None
 
 
 def see(memory: Memory | None, image: Grey, settings: Settings) -> Memory:
@@ -108,6 +131,21 @@ def _moved_and_charge(
         *(moved.view(np.uint8).ravel(), charge.ravel()),
     )
     return moved, charge
+
+
+def charged(charge: Grey | None, moved: NDArray[np.bool_], settings: Settings) -> NDArray[np.uint8]:
+    """Return a permanency memory one frame later, equation (2).
+
+    Args:
+        charge: that of the frame before, (height, width) uint8; None at the first frame.
+        moved: where something moved, (height, width) bool.
+        settings: parameters of the charge.
+    """
+    s = settings
+    if charge is None:
+        charge = np.full(moved.shape, s.charge_min, np.uint8)
+    limits = {"charge_max": s.charge_max, "charge_min": s.charge_min}
+    return permanency(charge, moved, leak=s.charge_leak, **limits)
 
 
 def age_of(memory: Memory, settings: Settings) -> Grey:

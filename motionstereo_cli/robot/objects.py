@@ -49,6 +49,8 @@ _MAX_MISSED = 30
 _FITTED = 12
 _MIN_FITTED = 6
 _LATER, _EARLIER = np.tril_indices(_FITTED, -1)
+#: Standard deviation over median absolute deviation of what is normally distributed.
+_NORMAL = 1.4826
 #: A fit that misses the nearness by so much, on average, is worth half.
 _HALF_WORTH_PX = 0.5
 
@@ -288,11 +290,13 @@ class Movement:
         from_camera_mps: along the x and y axes of the world, as seen from the camera.
         over_ground_mps: the same over ground.
         residual: by how much its observations miss that, the median, as a share of its distance.
+        sigma_mps: standard deviation of the speed over ground, by what the observations miss it by.
     """
 
     from_camera_mps: tuple[float, float]
     over_ground_mps: tuple[float, float]
     residual: float
+    sigma_mps: float
 
 
 def movement(track: Track) -> Movement | None:
@@ -313,7 +317,12 @@ def movement(track: Track) -> Movement | None:
     off = np.abs(off - _median(off)).sum(axis=1)
     residual = float(_median(off)) / float(np.abs(offset).sum(axis=1).min())
     x, y, ground_x, ground_y = speed.tolist()
-    return Movement((x, y), (ground_x, ground_y), residual)
+    left = places[:, 2:] - speed[2:] * time_s[:, None]
+    left = np.abs(left - _median(left))
+    spread = float(np.hypot(*(_NORMAL * _median(left))))
+    along_s = time_s - time_s.mean()
+    sigma = spread / float(np.sqrt(along_s @ along_s))
+    return Movement((x, y), (ground_x, ground_y), residual, sigma)
 
 
 def trust(track: Track, moves: Movement | None) -> float:

@@ -7,11 +7,13 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+import cv2
 import numpy as np
 
 from motionstereo_cli.method.settings import Settings
 from motionstereo_cli.robot.free_space import MIN_KNOWN_SHARE
 from motionstereo_cli.robot.objects import (
+    Movement,
     Observation,
     Region,
     Track,
@@ -34,6 +36,13 @@ if TYPE_CHECKING:
 
 #: A region is an object once it has been seen in this many frames.
 MIN_SEEN = 3
+
+#: Around what moved by itself, so many px belong to it where their depth does. A region that moves
+#: by itself has at least this share of the image, and this share of its box has been seen to move.
+_AROUND_PX, _MIN_MOVING_SHARE, _MIN_MOVED = 8, 0.0005, 0.05
+
+#: What moves by itself is faster than this over ground, and than so many standard deviations.
+_MIN_OVER_GROUND_MPS, _SIGMAS = 0.2, 2.0
 
 #: A contact later than this is none: so slow a speed is not told from 0.
 MAX_CONTACT_S = 60.0
@@ -75,6 +84,19 @@ class Tracker:
         """
         near = self.rig.nearness_px(disparity_px) if self.rig else disparity_px
         return regions(near, fresh, MIN_KNOWN_SHARE)
+
+    def moving_regions(self, disparity_px: Real, moved: NDArray[np.bool_]) -> tuple[Region, ...]:
+        """Return the regions of a frame that moved by themselves.
+
+        Args:
+            disparity_px: (height, width) float32, NaN = unknown.
+            moved: where something moved by itself, (height, width) bool: parts of it.
+        """
+        around = np.ones((2 * _AROUND_PX + 1,) * 2, np.uint8)
+        near = np.asarray(cv2.dilate(moved.view(np.uint8), around)).view(np.bool_)
+        nearness = self.rig.nearness_px(disparity_px) if self.rig else disparity_px
+        found = regions(nearness, near, _MIN_MOVING_SHARE)
+        return tuple(each for each in found if _holds(each, moved))
 
     def follow(
         self,
@@ -137,7 +159,21 @@ class Tracker:
             confidence=trust(track, moves),
             place_m=last.place_m if in_world else None,
             velocity_mps=moves.over_ground_mps if in_world and moves else None,
+            sigma_mps=moves.sigma_mps if in_world and moves else None,
+            by_itself=_by_itself(moves) if in_world and moves else None,
         )
+
+
+def _holds(region: Region, moved: NDArray[np.bool_]) -> bool:
+    """Return whether enough of a region's box moved by itself."""
+    inside = moved[region.y : region.y + region.height, region.x : region.x + region.width]
+    return float(np.count_nonzero(inside)) >= _MIN_MOVED * inside.size
+
+
+def _by_itself(moves: Movement) -> bool:
+    """Return whether an object moves over ground, beyond what may be an error."""
+    speed_mps = math.hypot(*moves.over_ground_mps)
+    return speed_mps > max(_MIN_OVER_GROUND_MPS, _SIGMAS * moves.sigma_mps)
 
 
 def _contact_s(ahead: float, closing: float | None) -> float | None:

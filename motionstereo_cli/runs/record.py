@@ -123,9 +123,11 @@ class Job:
 
     @property
     def with_own_motion(self) -> bool:
-        """Whether poses are found from the recording: they are asked for, and not given."""
-        asked = self.plan.poses is not None or any(OUTPUTS[name].needs_poses for name in self.save)
-        return asked and self.poses is None and self.context.rig is not None
+        """Whether the rig's own motion is found: for poses that are not given, or for movers."""
+        rows = [OUTPUTS[name] for name in self.save]
+        asked = self.plan.poses is not None or any(row.needs_poses for row in rows)
+        asked = (asked and self.poses is None) or any(row.needs_movers for row in rows)
+        return asked and self.context.rig is not None
 
     @property
     def stream(self) -> StreamContext:
@@ -138,6 +140,7 @@ class Job:
             with_poses=with_poses,
             with_objects=with_poses or any(row.needs_objects for row in rows),
             with_own_motion=self.with_own_motion,
+            with_movers=self.with_own_motion and any(row.needs_movers for row in rows),
             motion_offset_px=self.motion_offset_px,
             extras={extra for row in rows for extra in row.extras},
             with_points=any(row.needs_points for row in rows),

@@ -173,8 +173,9 @@ def job_of(plan: RunPlan, source: StereoSource, watcher: Watcher) -> Job:
     if plan.folder is not None:
         check_video_size(job.save, source.width, source.height)
     if job.with_own_motion and plan.poses is None:
-        asking = ", ".join(name for name in job.save if OUTPUTS[name].needs_poses)
-        watcher.say("note", f"{asking}: poses are found from the recording, as --poses auto does")
+        rows = ((name, OUTPUTS[name]) for name in job.save)
+        asking = ", ".join(name for name, row in rows if row.needs_poses or row.needs_movers)
+        watcher.say("note", f"{asking}: the rig's own motion is found, as by --poses auto")
     return job
 
 

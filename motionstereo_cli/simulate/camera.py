@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from motionstereo_cli.types import Pose
 
 if TYPE_CHECKING:
-    from motionstereo_cli.types import Real, Rig
+    from motionstereo_cli.types import Grey, Real, Rig
 
 #: Height of the optical centres above the floor.
 EYE_HEIGHT_M = 1.2
@@ -108,10 +108,13 @@ class View(NamedTuple):
     Attributes:
         grey: (height, width) float32 grey levels 0..255, averaged over each pixel's area.
         depth_m: (height, width) float32 depth along the optical axis at each pixel's centre.
+        mover: (height, width) uint8 number of what moves by itself there, 0 = nothing; None where
+            the scene does not say.
     """
 
     grey: Real
     depth_m: Real
+    mover: Grey | None = None
 
 
 class World(Protocol):

@@ -149,9 +149,11 @@ class Cards:
         wall = _Plane.seen(pose, camera, WALL_M)
         grey = self._wall.look_up(-wall.y_m, EYE_HEIGHT_M - wall.z_m)
         depth_m = np.broadcast_to(wall.depth_m, grey.shape).astype(np.float32)
+        mover = np.zeros(grey.shape, np.uint8)
         states = [card_state(card, time_s) for card in CARDS]
-        for state, card, texture in sorted(
-            zip(states, CARDS, self._cards, strict=True), key=lambda item: -item[0].x_m
+        for number, state, card, texture in sorted(
+            zip(range(1, len(CARDS) + 1), states, CARDS, self._cards, strict=True),
+            key=lambda item: -item[1].x_m,
         ):
             plane = _Plane.seen(pose, camera, state.x_m)
             left_m, top_m = state.y_m + card.width_m / 2, state.z_m + card.height_m / 2
@@ -169,7 +171,8 @@ class Cards:
                 np.abs(z_m - state.z_m) <= card.height_m / 2
             )
             depth_m[area] = np.where(inside, plane.depth_m[columns], depth_m[area])
-        return View(grey, depth_m)
+            mover[area][inside] = number
+        return View(grey, depth_m, mover)
 
 
 @dataclass(frozen=True, slots=True)

@@ -29,6 +29,8 @@ class SceneFrame(NamedTuple):
         disparity_px: (height, width) float32 exact disparity of every pixel centre of the right
             view: rig.disparity_px of the depth.
         pose: where the rig's middle is.
+        mover: (height, width) uint8 number of what moves by itself in the right view, 0 = nothing;
+            None where the scene does not say.
     """
 
     frame: int
@@ -36,6 +38,7 @@ class SceneFrame(NamedTuple):
     right: Grey
     disparity_px: Real
     pose: FloorPose
+    mover: Grey | None = None
 
 
 class _Scene(NamedTuple):
@@ -129,6 +132,7 @@ def render_scene(settings: SimulateSettings) -> Iterator[SceneFrame]:
             right=right,
             disparity_px=rig.disparity_px(views[1].depth_m),
             pose=scene.pose(frame, frame_s),
+            mover=views[1].mover,
         )
 
 

@@ -34,6 +34,8 @@ _SKY_M = 3000.0
 
 _CAR_LONG_M, _CAR_WIDE_M = 4.2, 1.75
 _ONCOMING_M, _ONCOMING_M_S = 75.0, 8.0
+#: How high above the road a car's shadow lies.
+_SHADOW_UP_M = 0.008
 
 Vector = NDArray[np.float64]
 
@@ -106,11 +108,19 @@ class Street:
         here_m = self._speed_m_s * time_s
         if self._leads_m:
             gap_m = self._leads_m + 4 * math.sin(time_s / 2)
-            yield from self._car(here_m + gap_m, LANE_M, 0.9)
+            yield from self._moving(1, self._car(here_m + gap_m, LANE_M, 0.9))
         start_m = self._oncoming_m - _ONCOMING_M_S * time_s
         first = math.ceil((here_m - _BEHIND_M - start_m) / _ONCOMING_M)
         for number in (first, first + 1):
-            yield from self._car(start_m + number * _ONCOMING_M, -LANE_M, 0.7 + number % 3 * 0.3)
+            car = self._car(start_m + number * _ONCOMING_M, -LANE_M, 0.7 + number % 3 * 0.3)
+            yield from self._moving(2 + number % 250, car)
+
+    @staticmethod
+    def _moving(number: int, surfaces: Iterator[Quadrangle]) -> Iterator[Quadrangle]:
+        """Yield surfaces with the number of what moves by itself; its shadow has none."""
+        for surface in surfaces:
+            upright = float(surface.corners_m[:, 2].max()) > _SHADOW_UP_M
+            yield replace(surface, mover=number) if upright else surface
 
     def _make_block(self, block: int) -> tuple[Quadrangle, ...]:
         rng = np.random.default_rng([self._seed, 2, block + 2])
@@ -362,7 +372,7 @@ class Street:
             paint.car_top,
         )
         shadow = self._strip(along_m - 2.2, along_m + 2.2, left_m - 1, left_m + 1)
-        yield _level(shadow, 0.008, paint.asphalt, 0.01, 0.3)
+        yield _level(shadow, _SHADOW_UP_M, paint.asphalt, 0.01, 0.3)
 
 
 def _level(

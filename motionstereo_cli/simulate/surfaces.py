@@ -39,6 +39,7 @@ class Quadrangle:
         right_m, down_m: (3,) from one texel to the next; at right angles.
         texture: its picture.
         gain: factor of the texture's grey, its light.
+        mover: number of what moves by itself that it is of, 0 = it stands.
     """
 
     corners_m: Vector
@@ -47,6 +48,7 @@ class Quadrangle:
     down_m: Vector
     texture: Texture
     gain: float = 1.0
+    mover: int = 0
 
 
 def rectangle(
@@ -92,7 +94,8 @@ def render(surfaces: Sequence[Quadrangle], pose: FloorPose, camera: SceneCamera)
     middle = slice(_SAMPLES // 2, None, _SAMPLES)
     with np.errstate(divide="ignore"):
         depth_m = (1 / nearness[middle, middle]).astype(np.float32)
-    return View(grey, depth_m)
+    numbers = np.array([0, *(one.surface.mover for one in seen)], np.uint8)
+    return View(grey, depth_m, numbers[owner[middle, middle] + 1])
 
 
 @dataclass(frozen=True, slots=True)

@@ -162,13 +162,15 @@ class WalkerPaint:
             pose, camera: who looks.
             lamp_m: distance at which the lamp's light has fallen to a half.
         """
-        view = View(view.grey.copy(), view.depth_m.copy())
+        mover = np.zeros(view.grey.shape, np.uint8)
+        view = View(view.grey.copy(), view.depth_m.copy(), mover)
         eye = camera.eye(pose)
         for number in np.argsort([-walker.distance_m(*eye) for walker in walkers]):
             self._paint_one(
                 view,
                 walkers[number],
                 self._paint[number],
+                int(number) + 1,
                 pose=pose,
                 camera=camera,
                 lamp_m=lamp_m,
@@ -180,13 +182,15 @@ class WalkerPaint:
         view: View,
         walker: Walker,
         paint: Real,
+        number: int,
         *,
         pose: FloorPose,
         camera: SceneCamera,
         lamp_m: float,
     ) -> None:
         """Paint a walker into a view, in place."""
-        grey, depth_m = view
+        grey, depth_m, mover = view
+        assert mover is not None
         offset = np.array([walker.x_m, walker.y_m]) - camera.eye(pose)
         ahead, left = float(offset @ pose.forward), float(offset @ pose.left)
         # The tangents from the eye to a circle, as slopes to the left per metre ahead.
@@ -233,6 +237,7 @@ class WalkerPaint:
         inside = np.isfinite(centre) & (z_m <= HEIGHT_M) & (z_m >= 0)
         inside &= centre <= walls
         depth_m[area] = np.where(inside, centre, depth_m[area])
+        mover[area][inside] = number
 
 
 def _meet(

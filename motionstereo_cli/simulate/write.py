@@ -37,6 +37,8 @@ def simulate(
     - left.mp4, right.mp4 (H.264), or left.mkv, right.mkv (FFV1) if ``lossless``;
     - disparity/000000.png: exact disparity of the right view as KITTI has it, uint16 in 1/256 px,
       for every pixel (0 where it exceeds the format's 65535/256 px);
+    - movers/000000.png, of cards and street: uint8 number of what moves by itself in the right
+      view, 0 = nothing;
     - rig.yaml;
     - poses.txt: TUM format, one line a frame, for the rig's middle. World: x and y on the floor,
       z up, in m. Orientation: the robot frame, x forward, y left, z up (REP 103). Time begins
@@ -64,6 +66,8 @@ def simulate(
         inputs=inputs,
     ) as folder:
         make_folder(out / "disparity")
+        if settings.scene in _MOVING:
+            make_folder(out / "movers")
         videos = [
             folder.own(VideoWriter(out / f"{side}.{suffix}", time_base, quality=settings.crf))
             for side in ("left", "right")
@@ -73,6 +77,8 @@ def simulate(
                 video.write(image, number)
             truth = out / _DISPARITY.format(number)
             write_whole(truth, encode_png(disparity_png(shot.disparity_px)))
+            if shot.mover is not None and settings.scene in _MOVING:
+                write_whole(out / _MOVERS.format(number), encode_png(shot.mover))
             poses.append(format_pose(number / settings.frame_rate, shot.pose.rig_pose))
             progress()
         folder.close()
@@ -81,6 +87,9 @@ def simulate(
 
 
 _DISPARITY = "disparity/{:06d}.png"
+_MOVERS = "movers/{:06d}.png"
+#: Scenes that say what moves by itself.
+_MOVING = ("cards", "street")
 
 
 #: How the line begins that lists what belongs to the poses.
@@ -116,6 +125,7 @@ _KIND = FolderKind(
         for name in (
             *("left.mp4", "right.mp4", "left.mkv", "right.mkv", "rig.yaml"),
             _DISPARITY,
+            _MOVERS,
         )
     },
     kind=_Poses,

@@ -11,7 +11,10 @@ from motionstereo_cli.types import MovingObject, Step
 if TYPE_CHECKING:
     from motionstereo_cli.sinks.sink import RunContext
 
-HEADER = "frame,id,x,y,width,height,depth_m,closing_mps,time_to_contact_s,confidence"
+HEADER = (
+    "frame,id,x,y,width,height,depth_m,closing_mps,time_to_contact_s,confidence,"
+    "over_ground_mps,direction_rad,sigma_mps,by_itself"
+)
 
 
 def object_row(frame: int, item: MovingObject) -> str:
@@ -27,6 +30,10 @@ def object_row(frame: int, item: MovingObject) -> str:
             cell(item.closing_mps, 3),
             cell(item.time_to_contact_s, 3),
             cell(item.confidence, 2),
+            cell(item.over_ground_mps, 3),
+            cell(item.direction_rad, 3),
+            cell(item.sigma_mps, 3),
+            "" if item.by_itself is None else str(int(item.by_itself)),
         ]
     )
 

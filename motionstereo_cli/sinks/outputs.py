@@ -39,6 +39,7 @@ class Output:
         needs_rig: it needs a rig.
         needs_poses: it needs poses; where none are given, they are found from the recording.
         needs_objects: it needs moving objects.
+        needs_movers: it needs what moves by itself, where there is a rig: its own motion is found.
         needs_points: the steps that it takes have points.
         beside: further files that come with it.
         brings: other outputs that come with it, because it is made of them.
@@ -58,6 +59,7 @@ class Output:
     needs_rig: bool = False
     needs_poses: bool = False
     needs_objects: bool = False
+    needs_movers: bool = False
     needs_points: bool = False
     beside: tuple[str, ...] = ()
     brings: tuple[str, ...] = ()
@@ -147,11 +149,13 @@ OUTPUTS = {
         "objects.csv",
         "a row for each moving object of each frame: box in px of the reference view, depth_m in "
         "m, closing_mps in m/s with positive = approaching, time_to_contact_s in s, confidence "
-        "0..1; empty = unknown",
+        "0..1; over_ground_mps and sigma_mps in m/s, direction_rad in the world, by_itself 0 or 1; "
+        "empty = unknown",
         "objects_table.objects_file",
         kind="table",
         takes="step",
         needs_objects=True,
+        needs_movers=True,
     ),
     "depth": Output(
         "depth/{:06d}.png",
@@ -278,6 +282,23 @@ OUTPUTS = {
         "charge-png/{:06d}.png",
         "uint8 permanency memory of the reference view, the charge itself",
         "images.charge",
+    ),
+    "own-charge": Output(
+        "own-charge.mp4",
+        "permanency memory, as grey, of what moves by itself, whatever the rig does: change of the "
+        "reference view that the rig's own motion does not explain; all change where the rig "
+        "stands still",
+        "videos.own_charge",
+        needs_rig=True,
+        needs_movers=True,
+        max_view_px=MAX_VIDEO_PX,
+    ),
+    "own-charge-png": Output(
+        "own-charge-png/{:06d}.png",
+        "uint8 permanency memory of what moves by itself, the charge itself",
+        "images.own_charge",
+        needs_rig=True,
+        needs_movers=True,
     ),
     "points": Output(
         "points/{:06d}.ply",
