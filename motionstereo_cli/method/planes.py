@@ -43,6 +43,10 @@ _DEPENDENT = 11.0
 #: up to which disparity in px; and beyond the left view's border.
 _MAX_ERROR_PX, _MAX_FAR_ERROR_PX, _FAR_PX, _MAX_UNSEEN_ERROR_PX = 0.3, 0.17, 6.0, 0.15
 
+#: By so many px at most such a plane changes what the matching nearby says: else it is another
+#: surface of the same grey.
+_MAX_CHANGE_PX = 3.0
+
 #: A part rests if this share of the textured pixels around has not moved for so many frames, and
 #: there are enough of them.
 _RESTING, _REST_FRAMES, _REST_WINDOW, _REST_PIXELS = 0.5, 2, (161, 65), 20
@@ -111,13 +115,15 @@ def planed(
         found, error, inliers = _fitted(
             disparity_px, textured, surface, moving, _AFAR, max_disparity
         )
-        _take(found, inliers, error < _MAX_ERROR_PX, result, share)
-        np.copyto(error_px, error, where=error < _MAX_ERROR_PX)
+        sure = (error < _MAX_ERROR_PX) & ~(np.abs(found - result) > _MAX_CHANGE_PX)
+        _take(found, inliers, sure, result, share)
+        np.copyto(error_px, error, where=sure)
     far = need & ~(result >= 4 * _FAR_PX)
     if far.any():
         found, error, inliers = _fitted(disparity_px, textured, surface, far, _FAR, max_disparity)
         is_far = (result < _FAR_PX) | (found < _FAR_PX)
-        _take(found, inliers, is_far & (error < _MAX_FAR_ERROR_PX), result, share)
+        sure = (error < _MAX_FAR_ERROR_PX) & ~(np.abs(found - result) > _MAX_CHANGE_PX)
+        _take(found, inliers, is_far & sure, result, share)
     # A partner beyond the left view's border was not seen: only a sure plane tells of it.
     beyond = np.arange(result.shape[1]) + np.nan_to_num(result) > result.shape[1] - 1
     unsure = beyond & ~(error_px < _MAX_UNSEEN_ERROR_PX)

@@ -217,8 +217,8 @@ def unsteadiness(
     sums: dict[str, Tally] = {}
     for seed in seeds:
         before: dict[str, FramePair] = {}
-        recent = {
-            name: deque[tuple[Real, Grey]](maxlen=recent_frames(s)) for name, s in OURS.items()
+        recent: dict[str, deque[tuple[Real, Grey]]] = {
+            name: deque(maxlen=recent_frames(s)) for name, s in OURS.items()
         }
         last = RUN_IN + frames + 1
         scene = _recorded("layers", HARD_NOISE, seed, f"0:{last}", width)
