@@ -23,6 +23,10 @@ _QUOTAS = (
 _MALLOC = {-3: 1 << 24, -1: 1 << 26, -8: 2}
 
 
+#: Threads and their stacks, the encoders, and the arrays of a small frame take so much.
+_LEAST_BYTES = 160_000_000
+
+
 def usable_cores() -> int:
     """Return how many cores this process may use: by its affinity, and by a container's quota."""
     try:
@@ -37,6 +41,26 @@ def usable_cores() -> int:
             if quota > 0:
                 return max(1, min(cores, math.ceil(quota / period)))
     return cores
+
+
+def check_memory() -> None:
+    """Make sure that a limit on this process's memory leaves some for the work.
+
+    Close to a limit (``ulimit -v``), libraries end the process without a word.
+
+    Raises:
+        MemoryError: it leaves too little.
+    """
+    try:
+        import resource
+
+        limit, _ = resource.getrlimit(resource.RLIMIT_AS)
+        pages = int(read_text("/proc/self/statm", "a count", 1000).split()[0])
+        taken = pages * resource.getpagesize()
+    except (ImportError, InputError, ValueError, LookupError):
+        return  # not on this system
+    if limit != resource.RLIM_INFINITY and limit - taken < _LEAST_BYTES:
+        raise MemoryError
 
 
 def prepare() -> None:

@@ -30,7 +30,7 @@ from motionstereo_cli.rig.calibration import Calibration, rectify_source
 from motionstereo_cli.rig.poses import Trajectory, read_poses
 from motionstereo_cli.rig.settings import NO_RIG
 from motionstereo_cli.runs.checkpoint import check_state
-from motionstereo_cli.runs.cores import usable_cores
+from motionstereo_cli.runs.cores import check_memory, usable_cores
 from motionstereo_cli.runs.disparity_offset import with_measured_offset
 from motionstereo_cli.runs.disparity_range import with_range, with_range_of_opening
 from motionstereo_cli.runs.folder import RunFolder
@@ -94,10 +94,12 @@ def run(plan: RunPlan, watcher: Watcher | None = None, stdout: BinaryIO | None =
     """
     watcher = watcher or Watcher()
     stdout = stdout or _standard_output(plan)
+    check_memory()
     measured = with_offset(plan.left, plan.right, plan.input_settings, watcher.say)
     plan = dataclasses.replace(plan, input_settings=measured)
     with open_stereo(plan.left, plan.right, plan.input_settings) as source:
         job = job_of(plan, source, watcher)
+        check_memory()
         watcher.begin(source.expected_frames)
         sinks = _sinks(job)
         started_s = time.perf_counter()
