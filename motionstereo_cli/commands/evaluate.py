@@ -74,9 +74,15 @@ def evaluate(
     PFM or float32 TIFF (px or m). Frames are matched by the number in their names. It prints a
     table of coverage, bad-pixel shares, D1, errors in px and, with a rig, in m; - as the file of
     --csv or --json prints those instead.
+
+    Two files of poses, both of the same frame and in the form of TUM, EuRoC or KITTI, are compared
+    as paths: drift over 5 to 100 m as KITTI has it, absolute and relative error of the trajectory.
     """
     if csv_path == json_path == STDOUT:
         raise click.UsageError("--csv - and --json - cannot both go to standard output")
+    if result.is_file():
+        _evaluate_poses(result, truth, csv_path, json_path)
+        return
 
     from tqdm import tqdm
 
@@ -111,6 +117,21 @@ def evaluate(
     print_form(report, forms, evaluate_report.format_table)
     if picture is not None:
         say("note", f"errors of frame {picture} in {picture_path}")
+
+
+def _evaluate_poses(
+    result: Path, truth: Path, csv_path: Path | None, json_path: Path | None
+) -> None:
+    """Compare two files of poses."""
+    from motionstereo_cli.evaluation import poses
+    from motionstereo_cli.files.targets import check_targets
+
+    inputs = (result, truth, *config_files())
+    check_targets((csv_path, json_path), inputs)
+    report = poses.evaluate_poses(result, truth)
+    forms = ((csv_path, poses.format_csv), (json_path, poses.format_json))
+    write_files(report, forms, inputs)
+    print_form(report, forms, poses.format_table)
 
 
 def _say_what_is_not_scored(comparison: Comparison, report: Report) -> None:
