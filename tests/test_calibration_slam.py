@@ -411,3 +411,31 @@ def test_lengths_in_squares_and_cm(
     assert found.rig.baseline_m == pytest.approx(baseline_m)
     assert bool(found.warnings) == bool(said)
     assert said in " ".join(found.warnings)
+
+
+@pytest.mark.parametrize(
+    "written",
+    [
+        *(openvins, vins, vins_fisheye, stella, okvis, ncamera, maplab, basalt, basalt_fisheye),
+        *(t265, ov2slam, mrcal, ost),
+    ],
+)
+def test_damaged_files_end_in_a_line(tmp_path: Path, written: Callable[..., list[Path]]) -> None:
+    """A line left out at a time: what is read then is refused in one line, or read."""
+    for path in written(tmp_path):
+        lines = path.read_text().splitlines(keepends=True)
+        for left_out in range(0, len(lines), max(1, len(lines) // 12)):
+            path.write_text("".join(lines[:left_out] + lines[left_out + 1 :]))
+            try:
+                assert read_calibration(written_paths(tmp_path, path), SIZE).rig.baseline_m > 0
+            except InputError as error:
+                assert "\n" not in str(error)
+        path.write_text("".join(lines))
+
+
+def written_paths(folder: Path, path: Path) -> list[Path]:
+    """The files of a calibration that are there, in their order."""
+    order = {"config.yaml": 0}
+    found = sorted(folder.iterdir(), key=lambda each: (order.get(each.name, 1), each.name))
+    assert path in found
+    return found

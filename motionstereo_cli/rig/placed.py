@@ -156,11 +156,14 @@ def read_ncamera(path: Path, values: Values, numbers: Numbers) -> Pair:
 
 def read_basalt(path: Path, values: Values, numbers: Numbers) -> Pair:
     """Return the pair of Basalt's calibration, with ``T_imu_cam``."""
-    inner = values["value0"]
-    sizes = inner.get("resolution")
-    poses, placed = _lists(inner, "timucam"), []
-    for number, (item, pose) in enumerate(zip(_lists(inner, "intrinsics"), poses, strict=False)):
-        given = {**item, **item.get("intrinsics", {})}
+    calibration = values["value0"]
+    sizes = calibration.get("resolution")
+    poses, placed = _lists(calibration, "timucam"), []
+    for number, (item, pose) in enumerate(
+        zip(_lists(calibration, "intrinsics"), poses, strict=False)
+    ):
+        inner = item.get("intrinsics")
+        given = {**item, **(inner if isinstance(inner, Mapping) else {})}
         name = f"{path}: camera {number}"
         source = Source(name, given)
         kind = source.text("cameratype")
@@ -234,11 +237,12 @@ def read_vins(files: Files, numbers: Numbers) -> Pair:
     for number, (path, values) in enumerate((lenses * 2)[:2]):
         flat = {**values}
         for part in ("distortionparameters", "projectionparameters", "mirrorparameters"):
-            flat |= values.get(part) or {}
-        flat |= {f"k{n - 1}": flat[f"k{n}"] for n in (2, 3, 4, 5) if _is_kannala(flat)}
-        if _is_kannala(flat):
-            flat.pop("k5", None)
+            inner = values.get(part)
+            flat |= inner if isinstance(inner, Mapping) else {}
         source = Source(path, flat)
+        if _is_kannala(flat):
+            moved = {f"k{n}": source.number((f"k{n + 1}",), f"k{n + 1}") for n in (1, 2, 3, 4)}
+            source = Source(path, {**flat, **moved, "k5": None})
         focal = next((each for each in (_FOCAL, _FOCAL_OF_MEI, _FOCAL_OF_KANNALA)
                       if source.find(each[:1])), _FOCAL)  # fmt: skip
         lens, notes = _by_parts(source, focal, ("modeltype",))
@@ -256,7 +260,7 @@ def is_camodocal(values: Values) -> bool:
 def _is_kannala(flat: Mapping[str, Any]) -> bool:
     # Its k2 to k5 are cv2.fisheye's k1 to k4.
     model = re.sub("[^a-z]", "", str(flat.get("modeltype")).lower())
-    return model == "kannalabrandt" and "k5" in flat
+    return model == "kannalabrandt"
 
 
 def read_mrcal(files: Files) -> Pair:
@@ -293,8 +297,12 @@ def _by_parts(
     said = source.lenses(models)
     wanted = SHAPES.get(lens_model(source.name, said), ())
     shape = [source.number((part,), part) for part in wanted]
-    is_fov = lens_model(source.name, said) == "fov"
-    found = [source.number(("w",), "w")] if is_fov else coefficients(source, ("",)) or []
+    model = lens_model(source.name, said)
+    found = coefficients(source, ("",)) or []
+    if model == "fov":
+        found = [source.number(("w",), "w")]
+    elif model == "fisheye" and not found:
+        raise InputError(f"{source.name}: k1 to k4 of the fisheye are missing: add them")
     given = Source(source.name, {"d": found, **{name: source.values.get(name) for name in models}})
     return given.camera(matrix, ("d",), "k1 ...", models, shape)
 
