@@ -501,10 +501,11 @@ def described(
         confidence=found.confidence,
         occlusion=found.occlusion,
         depth_m=depth_of(disparity_px, rig) if "depth_m" in context.extras else None,
+        colours=frame.colours,
     )
     points = None
     if context.with_points and rig is not None and images.depth_m is not None:
-        points = camera_points(images.depth_m, images.view, shown.moved, s.reference, rig)
+        points = camera_points(images.depth_m, images.look, shown.moved, s.reference, rig)
     summary = FrameSummary(
         time=frame.time,
         profile=context.guide.profile(disparity_px, shown.moved),

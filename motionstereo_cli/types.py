@@ -139,6 +139,7 @@ class StereoFrame:
         time_s: the same in seconds, None where the source has no time.
         left, right: (height, width) uint8 grey levels 0..255; not to be written to.
         number: place of the right image in its recording, from 0; None if unknown.
+        colours: (height, width, 3) uint8 RGB of the view that was asked for; None without colour.
     """
 
     index: int
@@ -147,6 +148,7 @@ class StereoFrame:
     left: Grey
     right: Grey
     number: int | None = None
+    colours: NDArray[np.uint8] | None = None
 
     @property
     def time(self) -> FrameTime:
@@ -252,6 +254,8 @@ class FrameImages:
     Attributes:
         time: which frame it is.
         view: (height, width) uint8, the reference camera's image.
+        colours: the same in colour, (height, width, 3) uint8 RGB; None where it has none or no
+            output asks for it.
         charge, disparity_px: as :class:`FrameResult` has them.
         bands, motion, age_frames, confidence, depth_m, occlusion, own_charge: likewise; None where
             no output asks for it.
@@ -268,6 +272,12 @@ class FrameImages:
     depth_m: Real | None = None
     occlusion: Grey | None = None
     own_charge: Grey | None = None
+    colours: NDArray[np.uint8] | None = None
+
+    @property
+    def look(self) -> NDArray[np.uint8]:
+        """The reference camera's image for people: in colour where it has colours, else grey."""
+        return self.view if self.colours is None else self.colours
 
 
 @dataclass(frozen=True, slots=True)

@@ -257,7 +257,7 @@ class _KeptFile:
         """Append a frame, with those of its images that are shown beside its step."""
         shown = None
         if images is not None:
-            shown = images.view, images.charge, images.disparity_px
+            shown = images.view, images.charge, images.disparity_px, images.colours
         content = zlib.compress(pack(_Kept(summary, type(summary.profile).__name__, shown)), 1)
         with reported(self._path):
             self._file.content.write(_SIZE.pack(len(content)) + content)
@@ -340,7 +340,10 @@ class _Kept:
 
     summary: FrameSummary
     profile: str
-    images: tuple[NDArray[np.uint8], NDArray[np.uint8], NDArray[np.float32]] | None
+    images: (
+        tuple[NDArray[np.uint8], NDArray[np.uint8], NDArray[np.float32], NDArray[np.uint8] | None]
+        | None
+    )
 
 
 def _kept(folder: Path, rig: Rig | None) -> Iterator[tuple[FrameSummary, FrameImages | None]]:
@@ -355,9 +358,12 @@ def _kept(folder: Path, rig: Rig | None) -> Iterator[tuple[FrameSummary, FrameIm
                 summary = dataclasses.replace(kept.summary, profile=profile)
                 images = None
                 if kept.images is not None:
-                    view, charge, disparity_px = kept.images
-                    depth_m = depth_of(disparity_px, rig)
-                    images = FrameImages(summary.time, view, charge, disparity_px, depth_m=depth_m)
+                    view, charge, disparity_px, colours = kept.images
+                    images = FrameImages(
+                        *(summary.time, view, charge, disparity_px),
+                        depth_m=depth_of(disparity_px, rig),
+                        colours=colours,
+                    )
                 yield summary, images
     except (OSError, ValueError, LookupError, struct.error, zlib.error) as error:
         raise OutputError(

@@ -11,7 +11,7 @@ import itertools
 import re
 import struct
 import warnings
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -350,3 +350,15 @@ def _too_large(path: Path, size: str, max_pixels: int) -> InputError:
         f"{path} is larger than --max-pixels {max_pixels}{size}: "
         "raise it if the image is to be trusted"
     )
+
+
+def colours_of(pixels: NDArray[Any]) -> Callable[[], NDArray[np.uint8]] | None:
+    """Return what makes (height, width, 3) uint8 RGB of a still's pixels; None where it is grey."""
+    if pixels.ndim < 3 or pixels.shape[2] < 3 or pixels.dtype not in (np.uint8, np.uint16):
+        return None
+
+    def colours() -> NDArray[np.uint8]:
+        shown = pixels[:, :, :3]
+        return np.asarray(shown >> 8 if shown.dtype == np.uint16 else shown, np.uint8)
+
+    return colours

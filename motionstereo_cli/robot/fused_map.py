@@ -103,8 +103,8 @@ class Voxels:
         origin: world voxel that the keys count from.
         key: (n,) int64, which voxel it is; sorted, each once.
         frames: (n,) int32, how many frames saw something in it.
-        total: (n, 4) float32, sum over these frames of the means of x, y, z within the voxel
-            (0..1) and of grey (0..255).
+        total: (n, 4 or 6) float32, sum over these frames of the means of x, y, z within the voxel
+            (0..1) and of grey, or red, green and blue (0..255).
     """
 
     origin: tuple[int, int, int]
@@ -121,19 +121,19 @@ class Voxels:
 
 
 def voxels_of(
-    points: NDArray[np.float64], grey: NDArray[np.uint8], origin: tuple[int, int, int]
+    points: NDArray[np.float64], look: NDArray[np.uint8], origin: tuple[int, int, int]
 ) -> Voxels:
     """Return the cloud of one frame; points over a million voxels from the origin are left out.
 
     Args:
         points: what the frame saw, in voxels along the world's axes, (n, 3) float64.
-        grey: its grey levels, (n,) uint8.
+        look: its grey levels, (n,) uint8, or colours, (n, 3) uint8.
         origin: world voxel that the keys count from.
     """
     cell = np.floor(points)
     index = cell.astype(np.int64) - origin + (1 << _BITS - 1)
     inside = ((index >= 0) & (index < 1 << _BITS)).all(axis=1)
-    values = np.column_stack([points - cell, grey])[inside]
+    values = np.column_stack([points - cell, look])[inside]
     i, j, k = index[inside].T
     key, which, count = np.unique(
         (i << 2 * _BITS) | (j << _BITS) | k, return_inverse=True, return_counts=True
@@ -146,6 +146,8 @@ def voxels_of(
 
 def merged(one: Voxels, other: Voxels) -> Voxels:
     """Return both clouds, which have one origin, as one."""
+    if not (len(one.key) and len(other.key)):  # an empty cloud does not know of colours
+        return other if len(other.key) else one
     at = np.searchsorted(one.key, other.key)
     both = np.append(one.key, -1)[at] == other.key
     frames, total = one.frames.copy(), one.total.copy()
@@ -161,19 +163,20 @@ def merged(one: Voxels, other: Voxels) -> Voxels:
 
 
 def seen_often(known: Voxels) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
-    """Return the mean place and the mean grey of what lies in each voxel.
+    """Return the mean place and the mean look of what lies in each voxel.
 
     Voxels that fewer than MIN_FRAMES frames saw are left out.
 
     Returns:
-        (n, 3) float64, in voxels along the world's axes; (n,) uint8.
+        (n, 3) float64, in voxels along the world's axes; (n,) uint8 grey or (n, 3) uint8 RGB.
     """
     often = known.frames >= MIN_FRAMES
     key = known.key[often]
     index = np.stack([key >> 2 * _BITS, key >> _BITS, key], axis=1) & ((1 << _BITS) - 1)
     mean = known.total[often] / known.frames[often, None]
     places: NDArray[np.float64] = index - (1 << _BITS - 1) + known.origin + mean[:, :3]
-    return places, np.rint(mean[:, 3]).astype(np.uint8)
+    look = mean[:, 3] if mean.shape[1] == 4 else mean[:, 3:]
+    return places, np.rint(look).astype(np.uint8)
 
 
 def known_free(known: Grid, places: NDArray[np.float64]) -> NDArray[np.bool_]:

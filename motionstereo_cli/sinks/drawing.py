@@ -87,7 +87,9 @@ def depth_scale(stream: RunContext) -> DepthScale:
 
 
 def grey_picture(grey: Grey) -> NDArray[np.uint8]:
-    """Return grey levels, (height, width) uint8, as RGB."""
+    """Return grey levels, (height, width) uint8, as RGB; what is RGB stays as it is."""
+    if grey.ndim == 3:
+        return grey
     return np.asarray(cv2.cvtColor(grey, cv2.COLOR_GRAY2RGB), np.uint8)
 
 

@@ -35,6 +35,7 @@ class Output:
         takes: what its sink takes of each frame: its ``images``, which it alone decides, or its
             ``step``, which follows from the frames up to it; None: it has no sink.
         shows_images: the steps that it takes have images.
+        shows_colours: it shows the colours of the reference view.
         extras: what it needs of :data:`motionstereo_cli.pipeline.EXTRAS`.
         needs_rig: it needs a rig.
         needs_poses: it needs poses; where none are given, they are found from the recording.
@@ -55,6 +56,7 @@ class Output:
     sink: str = ""
     takes: Input | None = "images"
     shows_images: bool = False
+    shows_colours: bool = False
     extras: tuple[str, ...] = ()
     needs_rig: bool = False
     needs_poses: bool = False
@@ -253,8 +255,9 @@ OUTPUTS = {
     ),
     "view-video": Output(
         "view.mp4",
-        "the reference view as it was processed, grey",
+        "the reference view as it was processed, in colour",
         "videos.view",
+        shows_colours=True,
         max_view_px=MAX_VIDEO_PX,
     ),
     "preview": Output(
@@ -262,6 +265,7 @@ OUTPUTS = {
         "to show to others: reference view with the heading as an arrow, charge and depth beside "
         "each other, with scale and time; panels of at most 640 px",
         "videos.preview",
+        shows_colours=True,
         takes="step",
         shows_images=True,
     ),
@@ -303,8 +307,9 @@ OUTPUTS = {
     "points": Output(
         "points/{:06d}.ply",
         "all that has a depth as points, x right, y down, z forward of the reference camera "
-        "in m, colour = grey",
+        "in m, with the colour of the reference view",
         "points.NumberedClouds",
+        shows_colours=True,
         needs_rig=True,
         extras=_DEPTH,
     ),
@@ -355,10 +360,11 @@ OUTPUTS = {
     "map": Output(
         "map.ply",
         "what moved in the image, fused over all frames: points in the world of the poses in m, "
-        "colour = grey; map.png from above, 0 = occupied, 254 = free, 205 = unknown, its place "
-        "and scale in map.yaml as ROS's map_server has it; map-sheet.png, the same to look "
-        "at, with a title, the meaning of its greys and a scale",
+        "with the colour of the reference view; map.png from above, 0 = occupied, 254 = free, "
+        "205 = unknown, its place and scale in map.yaml as ROS's map_server has it; map-sheet.png, "
+        "the same to look at, with a title, the meaning of its greys and a scale",
         "map.MapFiles",
+        shows_colours=True,
         needs_rig=True,
         needs_poses=True,
         beside=("map.png", "map.yaml", "map-sheet.png"),

@@ -21,12 +21,12 @@ if TYPE_CHECKING:
 _PLY_TYPES = {np.dtype(np.float32): "float", np.dtype(np.float64): "double"}
 
 
-def encode_ply(points_m: NDArray[np.floating[Any]], grey: Grey, comment: str) -> bytes:
+def encode_ply(points_m: NDArray[np.floating[Any]], look: Grey, comment: str) -> bytes:
     """Return points as a binary little-endian PLY file: x, y, z and red, green, blue.
 
     Args:
         points_m: (n, 3) float32 or float64, which the file then has.
-        grey: their colour, (n,) uint8.
+        look: their grey, (n,) uint8, or colour, (n, 3) uint8 RGB.
         comment: one line, ASCII.
     """
     kind = points_m.dtype
@@ -35,8 +35,8 @@ def encode_ply(points_m: NDArray[np.floating[Any]], grey: Grey, comment: str) ->
     table = np.empty(len(points_m), [*places, *colours])
     for axis, (name, _) in enumerate(places):
         table[name] = points_m[:, axis]
-    for name, _ in colours:
-        table[name] = grey
+    for channel, (name, _) in zip(np.broadcast_to(look.T, (3, len(look))), colours, strict=True):
+        table[name] = channel
     head = [
         *("ply", "format binary_little_endian 1.0", f"comment {comment}"),
         f"element vertex {len(table)}",
@@ -67,5 +67,5 @@ class NumberedClouds(NumberedFiles):
         assert self._stream.rig is not None
         depth_m, camera = known_depth_m(images), self._stream.settings.reference
         everywhere = np.ones(depth_m.shape, np.bool_)
-        points_m, grey = camera_points(depth_m, images.view, everywhere, camera, self._stream.rig)
+        points_m, grey = camera_points(depth_m, images.look, everywhere, camera, self._stream.rig)
         self.add(images.time.index, encode_ply(points_m.astype(np.float32), grey, self._comment))

@@ -31,7 +31,7 @@ def preview_picture(step: Step, stream: RunContext) -> NDArray[np.uint8]:
     images = step.images
     assert images is not None
     panels = [
-        with_heading(_small(grey_picture(images.view)), step.steering),
+        with_heading(_small(grey_picture(images.look)), step.steering),
         _small(grey_picture(images.charge)),
         _small(depth_picture(images, stream)),
     ]

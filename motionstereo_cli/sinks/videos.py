@@ -124,7 +124,7 @@ depth_lossless = _video(
 )
 bands = _video(_bands)
 motion = _video(lambda images, _: motion_png(asked_for(images.motion)))
-view = _video(lambda images, _: images.view)
+view = _video(lambda images, _: images.look)
 preview = _video(preview_picture)
 charge = _video(lambda images, _: images.charge)
 own_charge = _video(lambda images, _: asked_for(images.own_charge))

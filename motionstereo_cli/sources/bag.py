@@ -7,6 +7,7 @@ side by side.
 from __future__ import annotations
 
 import contextlib
+import functools
 import hashlib
 import itertools
 import statistics
@@ -20,7 +21,7 @@ import numpy as np
 
 from motionstereo_cli.errors import InputError, is_damage
 from motionstereo_cli.files.reading import MAX_PIXELS, open_regular
-from motionstereo_cli.files.stills import DamagedImageError, decode, grey_of
+from motionstereo_cli.files.stills import DamagedImageError, colours_of, decode, grey_of
 from motionstereo_cli.sources.bag_topics import (
     camera_info_of,
     image_topics,
@@ -83,6 +84,20 @@ _ENCODINGS: dict[str, _Encoding] = {
     "nv21": _Encoding(1, 1, None),
     "nv16": _Encoding(1, 1, None),
     "nv24": _Encoding(1, 1, None),
+}
+
+#: What makes RGB of what these make grey of; None where it is RGB.
+_TO_RGB: dict[int, int | None] = {
+    cv2.COLOR_RGB2GRAY: None,
+    cv2.COLOR_BGR2GRAY: cv2.COLOR_BGR2RGB,
+    cv2.COLOR_RGBA2GRAY: cv2.COLOR_RGBA2RGB,
+    cv2.COLOR_BGRA2GRAY: cv2.COLOR_BGRA2RGB,
+    cv2.COLOR_BayerBG2GRAY: cv2.COLOR_BayerBG2RGB,
+    cv2.COLOR_BayerRG2GRAY: cv2.COLOR_BayerRG2RGB,
+    cv2.COLOR_BayerGR2GRAY: cv2.COLOR_BayerGR2RGB,
+    cv2.COLOR_BayerGB2GRAY: cv2.COLOR_BayerGB2RGB,
+    cv2.COLOR_YUV2GRAY_UYVY: cv2.COLOR_YUV2RGB_UYVY,
+    cv2.COLOR_YUV2GRAY_YUY2: cv2.COLOR_YUV2RGB_YUY2,
 }
 
 #: How many first messages tell the difference of the clocks of camera and recorder.
@@ -240,7 +255,7 @@ class BagRecording(Recording):
             time_ns = recorded_ns if by_record else stamp_ns
             self._going_back += time_ns < last_ns
             last_ns = time_ns
-            yield Image(number, time_ns, grey)
+            yield Image(number, time_ns, grey, functools.partial(self._colours, message))
 
     def _messages(self) -> Generator[tuple[int, Any]]:
         """Yield the time at which each message was recorded, and the message or None."""
@@ -267,9 +282,24 @@ class BagRecording(Recording):
 
     def _grey(self, message: Any) -> Grey:
         """Return the grey levels of a message."""
+        pixels, conversion = self._pixels(message)
+        if conversion is not None:
+            pixels = np.asarray(cv2.cvtColor(pixels, conversion), pixels.dtype)
+        return self._scaled(pixels, self._name)
+
+    def _colours(self, message: Any) -> NDArray[np.uint8] | None:
+        """Return the colours of a message, (height, width, 3) uint8 RGB; None where it is grey."""
+        pixels, conversion = self._pixels(message)
+        if conversion is not None and (to_rgb := _TO_RGB[conversion]) is not None:
+            pixels = np.asarray(cv2.cvtColor(pixels, to_rgb), pixels.dtype)
+        make = colours_of(pixels)
+        return make() if make is not None else None
+
+    def _pixels(self, message: Any) -> tuple[NDArray[Any], int | None]:
+        """Return the pixels of a message, and what cv2 makes grey of them; None = they need not."""
         name = self._name
         if not hasattr(message, "encoding"):
-            return self._scaled(decode(bytes(message.data), Path(name), self._max_pixels)[0], name)
+            return decode(bytes(message.data), Path(name), self._max_pixels)[0], None
         if message.encoding not in _ENCODINGS:
             raise InputError(
                 f"{name} has images of encoding {message.encoding!r}: convert them to one of "
@@ -289,9 +319,7 @@ class BagRecording(Recording):
             pixels = pixels.view(">u2" if message.is_bigendian else "<u2").astype(np.uint16)
         if samples > 1:
             pixels = pixels.reshape(height, width, samples)
-        if conversion is not None:
-            pixels = np.asarray(cv2.cvtColor(pixels, conversion), pixels.dtype)
-        return self._scaled(pixels, name)
+        return pixels, conversion
 
     def _scaled(self, pixels: NDArray[Any], name: str) -> Grey:
         """Return grey levels; of the first image note whether it leaves much of 16 bits unused."""

@@ -17,6 +17,7 @@ from motionstereo_cli.files.stills import (
     SUFFIXES,
     DamagedImageError,
     Still,
+    colours_of,
     grey_of,
     images_in,
     read_still,
@@ -177,7 +178,7 @@ class FolderRecording(StillsRecording):
                     f"{file} is {grey.shape[1]}x{grey.shape[0]} but the images before it are "
                     f"{shape[1]}x{shape[0]}: make all images of a folder the same size"
                 )
-            yield Image(number, pts, grey)
+            yield Image(number, pts, grey, colours_of(still.pixels))
 
     def _look_at_first(self, still: Still, file: Path) -> None:
         """Note what the first image and its file tell of all."""

@@ -292,7 +292,7 @@ class JoinedRecording(Recording):
                 for image in recording:
                     last, lost = image.number, recording.lost
                     pts = self._pts(part, image.pts, first)
-                    yield Image(first + image.number, pts, image.grey)
+                    yield Image(first + image.number, pts, image.grey, image.colour)
                 first += last + 1 + recording.lost - lost
                 self._current = None
                 self._damage += recording.damage

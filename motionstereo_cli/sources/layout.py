@@ -35,7 +35,7 @@ def split(image: Grey, layout: str) -> tuple[Grey, ...]:
     Squeezed views are stretched to square pixels again, linearly. Side by side, that doubles the
     disparity in px, and with it fits the focal length of the camera before the squeezing.
     """
-    height, width = image.shape
+    height, width = image.shape[:2]
     if layout.startswith("side-by-side"):
         halves: tuple[Grey, ...] = image[:, : width // 2], image[:, width // 2 :]
     elif layout.startswith("top-bottom"):
@@ -61,7 +61,7 @@ def cut(view: Grey, box: Box, width: int, height: int) -> Grey:
 
 def resized(view: Grey, width: int, height: int) -> Grey:
     """Return a view in a new size: averaged where it shrinks, linear where it grows."""
-    if view.shape == (height, width):
+    if view.shape[:2] == (height, width):
         return view
     shrinks = width <= view.shape[1] and height <= view.shape[0]
     how = cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR

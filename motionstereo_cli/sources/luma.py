@@ -10,12 +10,18 @@ import numpy as np
 from av.video.reformatter import ColorRange
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from motionstereo_cli.types import Grey
 
 #: Grey level for each luma of a limited-range stream: 16..235 becomes 0..255.
 _GREY_OF_LIMITED_LUMA = np.clip(np.rint((np.arange(256) - 16) * (255 / 219)), 0, 255).astype(
     np.uint8
 )
+
+
+#: Differences of red, green and blue up to this are rounding.
+_GREY_SPREAD = 6
 
 
 def is_full_range(frame: av.VideoFrame) -> bool:
@@ -67,6 +73,20 @@ def grey_levels(frame: av.VideoFrame, white: int = 0) -> Grey:
     )  # rows are padded
     luma = rows[: frame.height, : frame.width]
     return np.ascontiguousarray(luma if full else cv2.LUT(luma, _GREY_OF_LIMITED_LUMA), np.uint8)
+
+
+def colours(frame: av.VideoFrame) -> NDArray[np.uint8]:
+    """Return the colours of a decoded frame, (height, width, 3) uint8 RGB."""
+    return np.asarray(_reformatted(frame, "rgb24").to_ndarray(), np.uint8)
+
+
+def has_colour(frame: av.VideoFrame) -> bool:
+    """Return whether the colours of a frame are more than grey."""
+    form = frame.format
+    if len(form.components) < 3 and not form.has_palette:
+        return False
+    rgb = colours(frame)[::4, ::4].astype(np.int16)
+    return bool(np.ptp(rgb, axis=2).max(initial=0) > _GREY_SPREAD)
 
 
 def _deep(frame: av.VideoFrame) -> np.ndarray[tuple[int, ...], np.dtype[np.uint16]]:

@@ -11,6 +11,7 @@ from motionstereo_cli.errors import InputError
 from motionstereo_cli.files.reading import MAX_PIXELS, sha256_of
 from motionstereo_cli.files.stills import (
     DamagedImageError,
+    colours_of,
     grey_of,
     page_count,
     pages_from,
@@ -106,7 +107,7 @@ class PagesRecording(StillsRecording):
                         f"{self._path}: page {number} is {grey.shape[1]}x{grey.shape[0]} but those "
                         f"before it are {shape[1]}x{shape[0]}: give pages of one size"
                     )
-                yield Image(number, number, grey)
+                yield Image(number, number, grey, colours_of(pixels))
                 number += 1
         except DamagedImageError as error:
             self._ended, self._lost = str(error), self._count - number

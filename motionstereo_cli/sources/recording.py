@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -29,11 +29,13 @@ class Image(NamedTuple):
         number: place in the recording, from 0; places of lost images are left out.
         pts: presentation time stamp in units of the stream's time base.
         grey: (height, width) uint8 grey levels 0..255; not to be written to.
+        colour: returns (height, width, 3) uint8 RGB, or None where there is no colour.
     """
 
     number: int
     pts: int
     grey: Grey
+    colour: Callable[[], NDArray[np.uint8] | None] | None = None
 
 
 class Recording(ABC):

@@ -12,6 +12,8 @@ import numpy as np
 from motionstereo_cli.sources.recording import Recording, images
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from motionstereo_cli.types import Grey
 
 #: Something moves where this share of an image changes by more than this many grey levels. A still
@@ -46,6 +48,7 @@ class SideImage(NamedTuple):
         views: the view, or the two views, in it.
         repeats: the image is that before it, byte for byte.
         loss: what was lost before it.
+        colours: the view whose colours are asked for, (height, width, 3) uint8 RGB; else None.
     """
 
     order: int
@@ -55,6 +58,7 @@ class SideImage(NamedTuple):
     views: tuple[Grey, ...]
     repeats: bool
     loss: Loss
+    colours: NDArray[np.uint8] | None = None
 
 
 def bare(stream: Recording) -> Iterator[SideImage]:

@@ -87,6 +87,7 @@ class StereoSource:
         self._skipped = self._first_frame = 0
         self._begin = Selected(0, 0, None)
         self._to_the_end = self._placed = False
+        self._coloured = -1  # the view whose colours are asked for: 0 left, 1 right
         self.first_pts = 0
         lines = (line for stream in self._streams for line in stream.warnings)
         self.warnings = list(dict.fromkeys(lines))  # a table of both sides is named once
@@ -162,6 +163,14 @@ class StereoSource:
     def likely_white(self) -> int:
         """Level that seems to be white, where deep images are dark; 0 = that of their bits."""
         return max(stream.likely_white for stream in self._streams)
+
+    def keep_colours(self, camera: str) -> None:
+        """Have frames bring the colours of a view; to be called before the iteration.
+
+        Args:
+            camera: ``left`` or ``right``.
+        """
+        self._coloured = SIDES.index(camera)
 
     def rectify(self, left: Callable[[Grey], Grey], right: Callable[[Grey], Grey]) -> None:
         """Have each whole view go through a function; to be called before the iteration.
@@ -398,7 +407,8 @@ class StereoSource:
                 if place.frame is not None and place.frame >= self._first_frame:
                     time_s = None if right.time_s is None else float(right.time_s)
                     grey = left.views[left_side.half], right.views[right_side.half]
-                    yield StereoFrame(place.frame, right.pts, time_s, *grey, right.number)
+                    seen = (left, right)[self._coloured].colours if self._coloured >= 0 else None
+                    yield StereoFrame(place.frame, right.pts, time_s, *grey, right.number, seen)
             self._to_the_end = place is None or not place.is_last
         if place is None or place.begun is None:
             raise InputError(self._nothing(0 if place is None else place.number + 1))
@@ -414,9 +424,17 @@ class StereoSource:
             repeats, last = last is not None and same(image.grey, last), image.grey
             parts = layout.split(image.grey, s.layout)
             cut = (self._made(part, view) for part, view in zip(parts, views, strict=True))
+            seen = None
+            if self._coloured in views and image.colour is not None:
+                whole = image.colour()
+                if whole is not None:
+                    part = layout.split(whole, s.layout)[list(views).index(self._coloured)]
+                    seen = self._made(part, self._coloured)
             time_s = None if stream.time_base is None else image.pts * stream.time_base
             loss = Loss.of(stream)
-            yield SideImage(order, image.number, image.pts, time_s, tuple(cut), repeats, loss)
+            yield SideImage(
+                *(order, image.number, image.pts, time_s, tuple(cut), repeats, loss, seen)
+            )
         yield Loss.of(stream)
 
     def _made(self, part: Grey, view: int) -> Grey:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import base64
 import contextlib
+import functools
 import itertools
 import json
 import re
@@ -25,7 +26,7 @@ import numpy as np
 from motionstereo_cli.errors import InputError
 from motionstereo_cli.files.reading import MAX_PIXELS, HeldFile, open_regular
 from motionstereo_cli.files.stills import DamagedImageError, Stated, decode
-from motionstereo_cli.sources.luma import grey_levels
+from motionstereo_cli.sources.luma import colours, grey_levels, has_colour
 from motionstereo_cli.sources.recording import Image, Recording, images
 
 SUFFIX = ".svo2"
@@ -223,10 +224,12 @@ class SvoRecording(Recording):
             grey = grey_levels(frame)
             if shape is None:
                 shape, self._pixel_format = grey.shape, frame.format.name
+                self._coloured = has_colour(frame)
             if grey.shape != shape:
                 self._lost += 1
                 return None
-            return Image(number, time_ns, grey)
+            colour = functools.partial(colours, frame) if self._coloured else None
+            return Image(number, time_ns, grey, colour)
 
         def decoded(packet: av.Packet[Any] | None) -> Iterator[Image]:
             nonlocal torn

@@ -18,7 +18,14 @@ from motionstereo_cli.errors import is_damage
 from motionstereo_cli.files.reading import MAX_PIXELS
 from motionstereo_cli.sources.container import Container
 from motionstereo_cli.sources.h264 import Heads
-from motionstereo_cli.sources.luma import bits_of, brightest, grey_levels, is_full_range
+from motionstereo_cli.sources.luma import (
+    bits_of,
+    brightest,
+    colours,
+    grey_levels,
+    has_colour,
+    is_full_range,
+)
 from motionstereo_cli.sources.pace import Pace, rhythm
 from motionstereo_cli.sources.pipe import Pipe
 from motionstereo_cli.sources.recording import Image, Recording, images
@@ -26,6 +33,8 @@ from motionstereo_cli.sources.seeking import CodedImage, Entry, entry, numbered
 from motionstereo_cli.sources.stereo3d import said_by, view_id
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from motionstereo_cli.types import Grey
 
     _Packet = av.Packet[av.VideoStream]
@@ -323,13 +332,15 @@ class VideoRecording(Recording):
             self._corrupt += flawed
             number = begin.number if begin and pts == begin.pts else number + 1 + lost
             last_pts = pts
-            yield Image(number, number if self.timeless else pts, grey)
+            colour = functools.partial(_colours, frame, self._quarters) if self._coloured else None
+            yield Image(number, number if self.timeless else pts, grey, colour)
         self._cut_off = self._lost_at_end(last_pts)
         self._changed = self._file.changed
 
     def _look_at(self, frame: av.VideoFrame) -> None:
         """Note what the first image tells of all."""
         self._quarters = round(frame.rotation / 90) % 4
+        self._coloured = has_colour(frame)
         self._pixel_format, self._full_range = frame.format.name, is_full_range(frame)
         said = said_by(frame, self._stream.sample_aspect_ratio)
         self.said, self.stated, self.sphere = said, said.stated, said.sphere
@@ -419,6 +430,10 @@ class VideoRecording(Recording):
             return 0
         last = round((last_pts * self._tick_s - self._file.begin_s) * self.frame_rate)
         return max((self._places or 0) - 1 - last - len(self._failed), 0)
+
+
+def _colours(frame: av.VideoFrame, quarters: int) -> NDArray[np.uint8]:
+    return _rotated(colours(frame), quarters)
 
 
 def _rotated(grey: Grey, quarters: int) -> Grey:
