@@ -10,6 +10,7 @@ import time
 from concurrent.futures import ThreadPoolExecutor
 
 import av
+import numpy as np
 import pytest
 from recordings import encode, remux
 
@@ -253,8 +254,11 @@ def long_clip(tmp_path_factory):
     simulate(folder, settings)
     for side in ("left.mp4", "right.mp4"):
         with av.open(str(folder / side)) as video:
-            images = [frame.to_ndarray(format="gray") for frame in video.decode(video=0)]
-        encode(folder / side, images, "libx264", "yuv420p", options={"g": "10", "bf": "2"})
+            images = [frame.to_ndarray(format="rgb24") for frame in video.decode(video=0)]
+        # In colour, which some outputs show.
+        tinted = [(image * (1.0, 0.8, 0.6)).astype(np.uint8) for image in images]
+        options = {"g": "10", "bf": "2"}
+        encode(folder / side, tinted, "libx264", "yuv420p", options=options, rgb=True)
     return folder
 
 
