@@ -164,8 +164,8 @@ def job_of(plan: RunPlan, source: StereoSource, watcher: Watcher) -> Job:
         rig = adapted_rig(calibration.rig, source.settings)
         if plan.poses_file:
             poses = _poses(plan.poses_file, plan, calibration, source, watcher)
-    if any(OUTPUTS[name].shows_colours for name in plan.outputs):
-        source.keep_colours(plan.settings.reference)
+    shows_colours = any(OUTPUTS[name].shows_colours for name in plan.outputs)
+    source.keep_colours(plan.settings.reference if shows_colours else "")
     time_base = source.time_base or DEFAULT_TIME_BASE
     frames: Iterable[StereoFrame] = source
     if source.rereadable:

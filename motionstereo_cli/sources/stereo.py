@@ -168,9 +168,9 @@ class StereoSource:
         """Have frames bring the colours of a view; to be called before the iteration.
 
         Args:
-            camera: ``left`` or ``right``.
+            camera: ``left`` or ``right``; empty for none.
         """
-        self._coloured = SIDES.index(camera)
+        self._coloured = SIDES.index(camera) if camera else -1
 
     def rectify(self, left: Callable[[Grey], Grey], right: Callable[[Grey], Grey]) -> None:
         """Have each whole view go through a function; to be called before the iteration.
