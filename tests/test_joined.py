@@ -15,6 +15,7 @@ from recordings import COUNT, Images, cut, encode, folder, number_in, scene
 
 from motionstereo_cli.__main__ import main
 from motionstereo_cli.errors import InputError
+from motionstereo_cli.sinks.records import InputRecord
 from motionstereo_cli.sources import open_stereo
 from motionstereo_cli.sources.joined import parts_of
 from motionstereo_cli.sources.settings import InputSettings
@@ -69,6 +70,7 @@ def test_contract_of_parts(tmp_path: Path, names: tuple[str, ...], pattern: bool
         assert source.counts["left"]["paired"] == COUNT
         assert set(source.paths) == {side / name for side in (left, right) for name in names}
         told = source.describe()["left"]
+        assert InputRecord(**told).files == 3
         assert told["files"] == 3
         assert told["bytes"] == sum((left / name).stat().st_size for name in names)
     assert [frame.number for frame in frames] == list(range(COUNT))
@@ -152,7 +154,7 @@ def test_creation_times_tell_what_is_missing_between_files(tmp_path: Path) -> No
     images = folder(tmp_path / "images", scene(count=36), ".png")
     with open_stereo(tmp_path / "v", images) as source:
         (warning,) = source.warnings
-        assert "created" in source.describe(fingerprint=False)["left"]
+        assert InputRecord(**source.describe()["left"]).created == "2026-01-01T10:00:00+00:00"
     assert "about 59.6 s are missing between" in warning
     assert "by their creation times: times go on without them" in warning
 

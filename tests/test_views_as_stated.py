@@ -21,6 +21,7 @@ from spatial import SERIAL, stamp_ns, svo2, vr180, with_boxes
 
 from motionstereo_cli.errors import InputError, SettingsError
 from motionstereo_cli.rig.calibration import rectify_source
+from motionstereo_cli.sinks.records import InputRecord
 from motionstereo_cli.sources import open_stereo
 from motionstereo_cli.sources.multiview import eyes_in
 from motionstereo_cli.sources.settings import InputSettings
@@ -137,7 +138,9 @@ def test_what_is_spherical_is_refused_or_projected(tmp_path: Path) -> None:
         frame = next(iter(source))
         assert (source.width, source.height) == (62, 62)
         assert source.projected_focal_px == pytest.approx(31)
-        assert source.describe(fingerprint=False)["both"]["projection"].endswith("180x180 degrees")
+        assert InputRecord(**source.describe()["both"]).projection == (
+            "equirectangular, 180x180 degrees"
+        )
     middle = (np.arange(62) - 30.5) / 31
     x, y = np.meshgrid(middle, middle)
     truth = world(np.arctan(x), np.clip(y, -1, 1))
@@ -177,6 +180,7 @@ def test_spatial_video_is_two_recordings(spatial: Path) -> None:
     assert eyes_in(spatial, InputSettings(), 0) == {"left": 1, "right": 0}
     with open_stereo(spatial) as source:
         assert list(source.describe(fingerprint=False)) == ["left", "right"]
+        assert InputRecord(**source.describe()["left"]).view == "right"  # by its first image
         calibration = rectify_source(source, ())
         assert len(list(source)) == COUNT
     assert calibration is not None

@@ -89,6 +89,11 @@ class InputRecord(Struct, kw_only=True, frozen=True):
     sha256: str | UnsetType = UNSET
     times_sha256: str | UnsetType = UNSET
     serial_number: str | UnsetType = UNSET
+    files: Count | UnsetType = UNSET
+    created: str | UnsetType = UNSET
+    timecode: str | UnsetType = UNSET
+    view: str | UnsetType = UNSET
+    projection: str | UnsetType = UNSET
 
 
 class FileRecord(Struct, frozen=True):
