@@ -426,11 +426,15 @@ def test_damaged_files_end_in_a_line(tmp_path: Path, written: Callable[..., list
         lines = path.read_text().splitlines(keepends=True)
         for left_out in range(0, len(lines), max(1, len(lines) // 12)):
             path.write_text("".join(lines[:left_out] + lines[left_out + 1 :]))
-            try:
-                assert read_calibration(written_paths(tmp_path, path), SIZE).rig.baseline_m > 0
-            except InputError as error:
-                assert "\n" not in str(error)
+            assert "\n" not in said_of(written_paths(tmp_path, path))
         path.write_text("".join(lines))
+
+
+def said_of(paths: list[Path]) -> str:
+    try:
+        return " ".join(read_calibration(paths, SIZE).warnings)
+    except InputError as error:
+        return str(error)
 
 
 def written_paths(folder: Path, path: Path) -> list[Path]:
