@@ -470,3 +470,44 @@ def paint(
             below: cython.int = total[x, d - 1] - total[x, d]
             above: cython.int = total[x, d + 1] - total[x, d]
             disparity[y, x] += cython.cast(cython.float, below - above) / (2 * max(below, above, 1))
+
+
+def weigh(
+    proposed: cython.const[cython.float][:, ::1],
+    keys: cython.const[cython.ushort][:, ::1],
+    fresh: cython.const[cython.uchar][:, ::1],
+    reach: cython.int,
+    if_fresh: cython.short,
+    if_old: cython.short,
+    weight: cython.short[:, ::1],
+) -> None:
+    """Fill in weights: see :func:`motionstereo_cli.method.dense.weights_of`.
+
+    Args:
+        proposed: disparities of trails, (rows, width), NaN = none.
+        keys: equal within a trail.
+        fresh: where they are of this very frame, 0 or 1.
+        reach: how far from the end of a trail it proposes, px.
+        if_fresh, if_old: the weights.
+        weight: gets the result.
+    """
+    y: cython.Py_ssize_t
+    x: cython.int
+    width: cython.int = cython.cast(cython.int, keys.shape[1])
+    with cython.nogil:
+        for y in range(keys.shape[0]):
+            end: cython.int = -reach  # where a trail begins that is not the one before
+            for x in range(width):
+                if x > 0 and keys[y, x] != keys[y, x - 1]:
+                    end = x
+                weight[y, x] = 0
+                if x - end < reach:
+                    weight[y, x] = if_fresh if fresh[y, x] else if_old
+            end = width + reach
+            for x in range(width - 1, -1, -1):
+                if end - x <= reach:
+                    weight[y, x] = if_fresh if fresh[y, x] else if_old
+                if proposed[y, x] != proposed[y, x]:
+                    weight[y, x] = 0
+                if x > 0 and keys[y, x] != keys[y, x - 1]:
+                    end = x

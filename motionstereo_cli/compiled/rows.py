@@ -1,6 +1,57 @@
-"""From half the rows to all of them: the loops of :mod:`motionstereo_cli.method.rows`."""
+"""Half the rows, and back: the loops of :mod:`motionstereo_cli.method.rows`."""
 
 import cython
+
+HALF = cython.declare(cython.float, 0.5)
+
+
+def halve(view: cython.const[cython.uchar][:, ::1], result: cython.uchar[:, ::1]) -> None:
+    """Fill in means of two rows each, a half rounded to even; the last row may stand alone."""
+    y: cython.Py_ssize_t
+    with cython.nogil:
+        for y in range(result.shape[0]):
+            mean(view[2 * y], view[min(2 * y + 1, view.shape[0] - 1)], result[y])
+
+
+def halve_exactly(view: cython.const[cython.uchar][:, ::1], result: cython.float[:, ::1]) -> None:
+    """Fill in the same, not rounded."""
+    y: cython.Py_ssize_t
+    with cython.nogil:
+        for y in range(result.shape[0]):
+            exact_mean(view[2 * y], view[min(2 * y + 1, view.shape[0] - 1)], result[y])
+
+
+# Compilers make vectors of loops over arrays that are arguments of a function of their own.
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def mean(
+    upper: cython.const[cython.uchar][::1],
+    lower: cython.const[cython.uchar][::1],
+    result: cython.uchar[::1],
+) -> cython.void:
+    """Fill in the mean of two rows."""
+    x: cython.Py_ssize_t
+    for x in range(result.shape[0]):
+        both: cython.ushort = cython.cast(cython.ushort, upper[x]) + lower[x]
+        result[x] = (both >> 1) + (both & (both >> 1) & 1)
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def exact_mean(
+    upper: cython.const[cython.uchar][::1],
+    lower: cython.const[cython.uchar][::1],
+    result: cython.float[::1],
+) -> cython.void:
+    """Fill in the mean of two rows, not rounded."""
+    x: cython.Py_ssize_t
+    for x in range(result.shape[0]):
+        both: cython.int = cython.cast(cython.int, upper[x]) + lower[x]
+        result[x] = cython.cast(cython.float, both) * HALF
 
 
 def whole(

@@ -80,10 +80,14 @@ def weights_of(
         keys: what they were matched by, equal within a trail, (rows, width) uint16.
         fresh: where they are of this very frame, (rows, width) bool.
     """
-    row = np.ones((1, 2 * _END_PX + 1), np.uint8)
-    near_end = cv2.dilate(keys, row) != cv2.erode(keys, row)
-    weights = np.where(fresh, np.int16(_FRESH), np.int16(_OLD))
-    weights[np.isnan(proposed_px) | ~near_end] = 0
+    keys = checked_array(keys, np.uint16)
+    weights = np.empty(keys.shape, np.int16)
+    loops.weigh(
+        checked_array(proposed_px, np.float32, keys.shape),
+        keys,
+        checked_array(fresh, np.bool_, keys.shape).view(np.uint8),
+        *(_END_PX, _FRESH, _OLD, weights),
+    )
     return weights
 
 

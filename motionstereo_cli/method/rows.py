@@ -6,16 +6,12 @@ rows 2 j and 2 j + 1.
 
 from __future__ import annotations
 
-from typing import TypeVar
-
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from motionstereo_cli.compiled import checked_array
 from motionstereo_cli.compiled import rows as loops
-
-_T = TypeVar("_T", bound=np.generic)
 
 #: Rows that make one.
 ROWS = 2
@@ -30,25 +26,24 @@ _MAJORITY_PX = 5
 
 def halved(view: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Return an image of means of two rows; of an odd number of rows the last one stands alone."""
-    even = _even(view)
-    size = view.shape[1], len(even) // ROWS
-    return np.asarray(cv2.resize(even, size, interpolation=cv2.INTER_AREA), np.uint8)
+    view = checked_array(view, np.uint8)
+    result = np.empty((-(-len(view) // ROWS), view.shape[1]), np.uint8)
+    loops.halve(view, result)
+    return result
 
 
 def halved_exactly(view: NDArray[np.uint8]) -> NDArray[np.float32]:
     """Return the same in float32, not rounded."""
-    even = _even(view)
-    return (even[::2].astype(np.float32) + even[1::2]) / np.float32(ROWS)
+    view = checked_array(view, np.uint8)
+    result = np.empty((-(-len(view) // ROWS), view.shape[1]), np.float32)
+    loops.halve_exactly(view, result)
+    return result
 
 
 def halved_mask(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Return where one of the two rows is set, (ceil(height / 2), width) bool."""
-    even = _even(mask)
-    return even[::2] | even[1::2]
-
-
-def _even(view: NDArray[_T]) -> NDArray[_T]:
-    return view if len(view) % ROWS == 0 else np.concatenate((view, view[-1:]))
+    upper, lower = mask[::2], mask[1::2]
+    return np.concatenate((upper[: len(lower)] | lower, upper[len(lower) :]))
 
 
 def whole(
