@@ -300,9 +300,10 @@ def test_run_says_before_the_first_frame_what_does_not_fit(tmp_path, capsys):
     scene = tmp_path / "scene"
     size = ["--width", "64", "--height", "48", "--frames", "250:262"]
     assert main(["simulate", str(scene), *size]) == 0
-    poses = (scene / "poses.txt").read_text().splitlines()
+    lines = (scene / "poses.txt").read_text().splitlines()
+    poses = [line for line in lines if not line.startswith("#")]
     tables = {
-        "ms": [f"{1000 * float(t)} {rest}" for t, rest in (p.split(" ", 1) for p in poses[1:])],
+        "ms": [f"{1000 * float(t)} {rest}" for t, rest in (p.split(" ", 1) for p in poses)],
         "half": poses[:6],
     }
     command = ["run", str(scene / "left.mp4"), str(scene / "right.mp4")]
