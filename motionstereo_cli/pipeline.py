@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from motionstereo_cli.errors import SettingsError
+from motionstereo_cli.method.confidence import sigma_px
 from motionstereo_cli.method.matching import matcher_of
 from motionstereo_cli.method.memory import (
     Memory,
@@ -57,7 +58,7 @@ if TYPE_CHECKING:
     from motionstereo_cli.types import Grey, Real
 
 #: What of a result takes time and is not always asked for.
-EXTRAS = frozenset({"age_frames", "confidence", "depth_m", "occlusion"})
+EXTRAS = frozenset({"age_frames", "confidence", "depth_m", "occlusion", "sigma_px"})
 
 #: A disparity shows where a moving object is now if it moved there at most this many frames ago.
 FRESH_FRAMES = 3
@@ -252,6 +253,7 @@ def process(
             disparity_px=images.disparity_px,
             confidence=images.confidence,
             occlusion=images.occlusion,
+            sigma_px=images.sigma_px,
             depth_m=images.depth_m,
             steering=step.steering,
             charged=step.charged,
@@ -338,7 +340,9 @@ def side_by_side(
 ) -> Iterator[tuple[StereoFrame, State, FrameAnalysis]]:
     """Yield each frame, the memories after it, and what it shows by itself."""
     recent = deque[Future[Sighting]](maxlen=recent_frames(context.settings))
-    recent.extend(done(sighting) for sighting in state.recent)
+    for sighting in state.recent:
+        recent.append(Future())
+        recent[-1].set_result(sighting)
     with ThreadPoolExecutor(jobs, "match") as threads:
         waiting: deque[_Waiting] = deque()
         for frame in frames:
@@ -366,13 +370,6 @@ class _Waiting(NamedTuple):
         found = self.found.result()
         recent = tuple(sighting.result() for sighting in self.recent)
         return self.frame, replace(self.state, recent=recent), found
-
-
-def done(sighting: Sighting) -> Future[Sighting]:
-    """Return a future that has its result."""
-    future = Future[Sighting]()
-    future.set_result(sighting)
-    return future
 
 
 def recent_frames(settings: Settings) -> int:
@@ -453,7 +450,7 @@ def analyse(
     try:
         found = match(
             *(right, left, s),
-            with_confidence="confidence" in context.extras,
+            with_confidence=not context.extras.isdisjoint({"confidence", "sigma_px"}),
             with_occlusion="occlusion" in context.extras,
         )
         sighting = Sighting.of(found.disparity_px, shown.grey)
@@ -500,6 +497,9 @@ def described(
         age_frames=age_of(shown, s) if "age_frames" in context.extras else None,
         confidence=found.confidence,
         occlusion=found.occlusion,
+        sigma_px=None
+        if found.confidence is None or "sigma_px" not in context.extras
+        else sigma_px(found.confidence),
         depth_m=depth_of(disparity_px, rig) if "depth_m" in context.extras else None,
         colours=frame.colours,
     )

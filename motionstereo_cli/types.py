@@ -257,8 +257,8 @@ class FrameImages:
         colours: the same in colour, (height, width, 3) uint8 RGB; None where it has none or no
             output asks for it.
         charge, disparity_px: as :class:`FrameResult` has them.
-        bands, motion, age_frames, confidence, depth_m, occlusion, own_charge: likewise; None where
-            no output asks for it.
+        bands, motion, age_frames, confidence, sigma_px, depth_m, occlusion, own_charge: likewise;
+            None where no output asks for it.
     """
 
     time: FrameTime
@@ -272,6 +272,7 @@ class FrameImages:
     depth_m: Real | None = None
     occlusion: Grey | None = None
     own_charge: Grey | None = None
+    sigma_px: Real | None = None
     colours: NDArray[np.uint8] | None = None
 
     @property
@@ -325,6 +326,8 @@ class FrameResult:
         confidence: (height, width) float32 chance 0..1 that the disparity is right within 1 px,
             NaN = unknown; all NaN for the regions matcher, which does not know; None if not asked
             for.
+        sigma_px: (height, width) float32 standard deviation of the disparity, NaN = unknown; None
+            if not asked for.
         occlusion: (height, width) uint8, why the disparity is unknown, by the codes of
             :data:`~motionstereo_cli.method.settings.OCCLUSION`; None if not asked for.
         depth_m: (height, width) float32, NaN = unknown; None without a rig or if not asked for.
@@ -351,6 +354,7 @@ class FrameResult:
     charged: float
     matched: float
     occlusion: Grey | None = None
+    sigma_px: Real | None = None
     state: Any = None
     pose: Pose | None = None
     objects: tuple[MovingObject, ...] = ()

@@ -9,9 +9,14 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from motionstereo_cli.compiled import planes as loops
+from motionstereo_cli.method.confidence import margin_of_planes, sigma_px
 from motionstereo_cli.method.planes import Surface, planed
 from motionstereo_cli.method.refine import refined
 from motionstereo_cli.method.rows import halved, halved_exactly, whole, without_fringes
+from motionstereo_cli.pipeline import process
+from motionstereo_cli.simulate.scenes import render_scene
+from motionstereo_cli.simulate.settings import SimulateSettings
+from motionstereo_cli.types import StereoFrame
 
 NAN = np.float32(np.nan)
 
@@ -155,3 +160,28 @@ class TestRows:
         found = without_fringes(known, np.ones(known.shape, np.bool_))
         assert np.isnan(found[6, 14:]).all()
         assert (found[4:8, 4:11] == 5).all()
+
+
+class TestSigma:
+    def test_a_surer_disparity_has_a_smaller_sigma(self):
+        sigmas = sigma_px(np.linspace(0, 1, 50, dtype=np.float32))
+        assert (np.diff(sigmas) <= 0).all()
+        assert sigmas[0] > 1
+        assert sigmas[-1] < 0.2
+        assert np.isnan(sigma_px(np.full((1, 1), NAN))).all()
+
+    def test_a_plane_that_more_samples_agree_with_is_surer(self):
+        margins = margin_of_planes(np.array([[0.6, 0.8, 1]], np.float32))[0]
+        assert (np.diff(margins) > 50).all()
+
+    def test_about_two_thirds_of_the_errors_are_within_one_and_most_within_two(self):
+        scene = SimulateSettings(
+            scene="layers", frames="10", width=240, height=160, noise_sigma=1.5, seed=107
+        )
+        shots = list(render_scene(scene))
+        frames = (StereoFrame(i, i, None, s.left, s.right) for i, s in enumerate(shots))
+        *_, last = process(frames)
+        away = np.abs(last.disparity_px - shots[-1].disparity_px) / sigma_px(last.confidence)
+        away = away[~np.isnan(away)]
+        assert 0.6 < (away <= 1).mean() < 0.95
+        assert (away <= 2).mean() > 0.87

@@ -15,7 +15,7 @@ from motionstereo_cli.method.balance import balanced
 from motionstereo_cli.method.block_matching import stereo_bm, stereo_sgbm
 from motionstereo_cli.method.borders import hidden_filled, trimmed
 from motionstereo_cli.method.cleaning import filled, without_speckles
-from motionstereo_cli.method.confidence import confidence, confidence_by_margin
+from motionstereo_cli.method.confidence import confidence, confidence_by_margin, margin_of_planes
 from motionstereo_cli.method.dense import match_dense, smoothed, weights_of
 from motionstereo_cli.method.memory import Memory, age_of, blurred, keys_of
 from motionstereo_cli.method.planes import Surface, planed
@@ -57,9 +57,6 @@ class Found(NamedTuple):
 
 #: What is so near to the limit of the range, in px, may be nearer than that.
 _LIMIT_PX = 0.5
-
-#: Where a plane decides, its inliers' share stands for a margin: all of them for this one.
-_MARGIN_OF_PLANES = np.float32(200)
 
 
 def _trails(right: Memory, left: Memory, settings: Settings) -> Found:
@@ -112,7 +109,7 @@ def _dense(right: Memory, left: Memory, settings: Settings) -> Found:
     disparity = hidden_filled(filled(matched, charged, s.gap_px), charged)
     disparity[~charged] = np.nan
     disparity = without_fringes(disparity, charged)
-    margin = np.where(np.isnan(share), margin, share * _MARGIN_OF_PLANES)
+    margin = np.where(np.isnan(share), margin, margin_of_planes(share))
     margin = np.repeat(margin, ROWS, axis=0)[: len(charged)]
     at_limit = np.repeat(at_limit, ROWS, axis=0)[: len(charged)] & charged
     return Found(disparity, lambda: confidence_by_margin(disparity, matched, margin), at_limit)

@@ -126,6 +126,13 @@ class NumberedImages(NumberedFiles):
         self.add(images.time.index, self._encode(self._image(images, self._stream)))
 
 
+def _depth_sigma_m(images: FrameImages, stream: RunContext) -> Real:
+    """Return the standard deviation of depth in m: of Z = f B / d it is Z^2 / (f B) times d's."""
+    assert stream.rig is not None
+    per_px = known_depth_m(images) ** 2 / np.float32(stream.rig.focal_baseline)
+    return per_px * asked_for(images.sigma_px)
+
+
 # The sinks by their names in OUTPUTS; each takes the path and the stream.
 
 
@@ -139,6 +146,8 @@ disparity = _images(lambda images, _: disparity_png(images.disparity_px))
 disparity_px = _images(lambda images, _: images.disparity_px)
 age = _images(lambda images, _: asked_for(images.age_frames))
 confidence = _images(lambda images, _: confidence_png(asked_for(images.confidence)))
+sigma = _images(lambda images, _: asked_for(images.sigma_px))
+depth_sigma = _images(_depth_sigma_m)
 occlusion = _images(lambda images, _: asked_for(images.occlusion))
 bands = _images(lambda images, _: asked_for(images.bands))
 motion = _images(lambda images, _: motion_png(asked_for(images.motion)))

@@ -227,6 +227,19 @@ OUTPUTS = {
         "images.confidence",
         extras=("confidence",),
     ),
+    "sigma": Output(
+        "sigma/{:06d}.pfm",
+        "float32 standard deviation of the disparity in px, reference view; inf = unknown",
+        "images.sigma",
+        extras=("sigma_px",),
+    ),
+    "depth-sigma": Output(
+        "depth-sigma/{:06d}.pfm",
+        "float32 standard deviation of the depth in m, reference view; inf = unknown",
+        "images.depth_sigma",
+        needs_rig=True,
+        extras=("sigma_px", "depth_m"),
+    ),
     "occlusion": Output(
         "occlusion/{:06d}.png",
         "uint8 why the disparity is unknown, reference view; "
