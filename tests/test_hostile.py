@@ -1,5 +1,6 @@
 """Nothing of the user's is destroyed, followed or taken for something else."""
 
+import bz2
 import contextlib
 import dataclasses
 import errno
@@ -21,8 +22,8 @@ from numpy.typing import NDArray
 import motionstereo_cli.runs.run as run_module
 from motionstereo_cli.__main__ import main
 from motionstereo_cli.errors import BusyError, OutputError, SettingsError
-from motionstereo_cli.files import targets
-from motionstereo_cli.files.atomic import write_whole
+from motionstereo_cli.files import bounded, targets
+from motionstereo_cli.files.atomic import is_left_over, write_whole
 from motionstereo_cli.files.lock import locked
 from motionstereo_cli.files.records import pack, unpack
 from motionstereo_cli.method.memory import Memory
@@ -37,6 +38,7 @@ from motionstereo_cli.runs.folder_files import CHECKPOINT
 from motionstereo_cli.runs.open_outputs import Totals
 from motionstereo_cli.runs.plan import RunPlan
 from motionstereo_cli.runs.run import run
+from motionstereo_cli.sinks.writers import cell_text, text_cell
 
 FRAMES, HEIGHT, WIDTH = 9, 32, 48
 RIG = f"width: {WIDTH}\nheight: {HEIGHT}\nfocal_px: 40\nbaseline_m: 0.1\ncx: 23.5\ncy: 15.5\n"
@@ -181,6 +183,167 @@ def test_a_table_is_of_one_run(recording, monkeypatch, capsys):
     Path("t.csv").unlink()
     assert ran(*options, "--csv", "t.csv", "--resume") == 1
     assert "t.csv is no longer what the run wrote" in capsys.readouterr().err
+
+
+def test_part_files_of_others_stay(recording, capsys):
+    """Neither a browser's download nor an input is in the way of what is being written."""
+    Path("sheet.png.part").write_text("mine")
+    assert main(["figure", "left", "right", "--frames", "4", "-o", "sheet.png"]) == 0
+    assert Path("sheet.png.part").read_text() == "mine"
+    Path("rig.yaml").rename("r.yaml.part")
+    assert main(["rig", "r.yaml.part", "-o", "r.yaml"]) == 1
+    assert "r.yaml is an input of this run" in capsys.readouterr().err
+    assert Path("r.yaml.part").read_text() == RIG
+    assert not [path for path in Path().iterdir() if is_left_over(path)]
+
+
+@pytest.mark.parametrize(
+    "record",
+    ['{"program": "motionstereo"}', '{"program": "motionstereo", "outputs": {}}', "{", "[1]"],
+)
+@pytest.mark.parametrize("name", ["run.json", "run.json.part"])
+def test_a_record_that_lists_nothing_owns_nothing(recording, record, name):
+    Path("out/depth").mkdir(parents=True)
+    Path("out", name).write_text(record)
+    for file in ("depth/000000.png", "steering.csv", "charge.0000.mp4.part", "run.checkpoint"):
+        Path("out", file).write_text("mine")
+    before = contents("out")
+    assert ran("-o", "out", "--overwrite", "--save", "steering,charge") == 1
+    assert contents("out") == before
+
+
+def test_what_a_kill_left_is_known_and_goes(recording):
+    assert ran("-o", "out", "--save", "charge-png") == 0
+    left = Path("out/charge-png/.motionstereo-0123456789abcdef.part")
+    left.write_text("half")
+    Path("out/charge-png/.motionstereo-mine.part").write_text("mine")
+    assert ran("-o", "out", "--save", "charge-png", "--overwrite") == 0
+    assert not left.exists()
+    assert Path("out/charge-png/.motionstereo-mine.part").exists()
+
+
+# Results that others may have changed.
+
+
+@pytest.mark.parametrize("name", ["steering.csv", "run.json"])
+@pytest.mark.parametrize("kind", ["FIFO", "link", "folder"])
+def test_compare_reads_regular_files_of_its_folders_only(recording, capsys, name, kind):
+    for out in ("g", "h"):
+        assert ran("-o", out, "--save", "steering") == 0
+    path = Path("h", name)
+    path.rename("elsewhere")
+    if kind == "FIFO":
+        os.mkfifo(path)
+    elif kind == "link":
+        path.symlink_to(recording / "elsewhere")
+    else:
+        path.mkdir()
+    capsys.readouterr()
+    for pair in (("g", "h"), ("h", "g")):
+        assert main(["compare", *pair]) == 1
+        said = capsys.readouterr().err
+        assert said.count("\n") == 1
+        assert f"h/{name}" in said
+
+
+def test_a_report_opens_nothing_that_a_record_names(recording, monkeypatch):
+    assert ran("-o", "out", "--save", "steering,charge") == 0
+    video = Path("out/charge.mp4").read_bytes()
+    Path("private.mp4").write_bytes(video)
+    record = json.loads(Path("out/run.json").read_text())
+    record["inputs"]["right"] |= {"kind": "video", "path": str(recording / "private.mp4")}
+    Path("out/run.json").write_text(json.dumps(record))
+    assert main(["report", "out", "-o", "r.html"]) == 0
+    assert Path("r.html").read_text().count("data:image/jpeg") == 1  # the charge
+    Path("out/seg.mp4").write_bytes(video)
+    Path("out/charge.mp4").write_text("ffconcat version 1.0\nfile seg.mp4\n")
+    assert main(["report", "out", "-o", "r.html"]) == 0
+    assert "data:image/jpeg" not in Path("r.html").read_text()
+    Path("out/charge.mp4").unlink()
+    Path("out/charge.mp4").symlink_to(recording / "private.mp4")
+    assert main(["report", "out", "-o", "r.html"]) == 0
+    assert "data:image/jpeg" not in Path("r.html").read_text()
+
+
+# The folder of a batch.
+
+
+@pytest.fixture
+def batch(recording):
+    Path("m.csv").write_text("left,right,out\nleft,right,a\n")
+    Path("o").mkdir()
+    return ["batch", "m.csv", "-o", "o", "--pieces", "1", "--workers", "1", "--no-check"]
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [("batch.csv", "batch.csv is not from an earlier batch"), (".batch/x", ".batch is not from")],
+)
+def test_a_batch_takes_no_names_of_others(batch, capsys, name, said):
+    Path("o", name).parent.mkdir(exist_ok=True)
+    Path("o", name).write_text("mine")
+    assert main(batch) == 1
+    assert said in capsys.readouterr().err
+    assert contents("o") == {Path("o", name): b"mine"}
+
+
+def test_a_batch_writes_to_no_manifest_and_through_no_link(batch, recording, capsys):
+    Path("m.csv").rename("batch.csv")
+    manifest = Path("batch.csv").read_bytes()
+    assert main(["batch", "batch.csv", "-o", "."]) == 1
+    assert "batch.csv is an input" in capsys.readouterr().err
+    assert Path("batch.csv").read_bytes() == manifest
+    Path("batch.csv").rename("m.csv")
+    Path("else").mkdir()
+    Path("o/a").symlink_to(recording / "else")
+    Path("o/a.log").symlink_to(recording / "else/new.txt")
+    assert main(batch) == 1
+    assert "o/a is a link to elsewhere" in capsys.readouterr().err
+    Path("o/a").unlink()
+    Path("o/.batch/logs/a.log").unlink()
+    os.mkfifo("o/.batch/logs/a.log")
+    assert main([*batch, "--retry-failed"]) == 1
+    assert "o/.batch/logs/a.log" in capsys.readouterr().err
+    assert not list(Path("else").iterdir())
+
+
+def test_cells_are_no_formulas():
+    for text in ("=1+1", "+1", "-1", "@x", "\t=1"):
+        assert text_cell(text) == f"'{text}"
+        assert cell_text(text_cell(text)) == text
+    for text in ("a=b", "", "'quoted'"):
+        assert cell_text(text_cell(text)) == text_cell(text) == text
+
+
+# Memory.
+
+
+@pytest.mark.parametrize(
+    ("error", "said"),
+    [
+        (MemoryError(), "out of memory"),
+        (ImportError("x.so: failed to map segment from shared object"), "out of memory"),
+        (OSError(errno.ENOMEM, "Cannot allocate memory"), "out of memory"),
+        (RuntimeError("can't start new thread"), "no more threads"),
+    ],
+)
+def test_a_lack_of_memory_or_threads_has_its_own_line(recording, monkeypatch, capsys, error, said):
+    def failing(*_, **__):
+        raise error
+
+    monkeypatch.setattr(run_module, "open_stereo", failing)
+    assert ran("-o", "out") == 1
+    assert said in capsys.readouterr().err
+
+
+def test_compressed_content_has_a_limit(monkeypatch):
+    monkeypatch.setattr(bounded, "MAX_CONTENT_BYTES", 2000)
+    content = bz2.compress(bytes(1000))
+    assert bounded.decompressed(bz2.BZ2Decompressor(), content) == bytes(1000)
+    with pytest.raises(ValueError, match="is larger"):
+        bounded.decompressed(bz2.BZ2Decompressor(), bz2.compress(bytes(1_000_000)))
+    with pytest.raises(ValueError, match="is cut off"):
+        bounded.decompressed(bz2.BZ2Decompressor(), content[:-9])
 
 
 # Links.

@@ -92,6 +92,7 @@ def client_of(cluster: Cluster, tasks: int, say: Callable[[str, str], object]) -
     if not importlib.util.find_spec("distributed"):
         raise InputError("batch needs Dask: pip install 'motionstereo[batch]'")
     import dask
+    import distributed  # noqa: F401  # whose defaults would else go with the settings
 
     with dask.config.set(_SETTINGS), warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of Dask, which the users of a batch cannot do much about

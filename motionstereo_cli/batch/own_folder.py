@@ -14,7 +14,7 @@ from motionstereo_cli.batch.status import COLUMNS
 from motionstereo_cli.errors import InputError, OutputError
 from motionstereo_cli.files.atomic import is_left_over, open_log, reported, write_whole
 from motionstereo_cli.files.folders import check_no_links, make_folder
-from motionstereo_cli.files.reading import read_bytes
+from motionstereo_cli.files.reading import read_bytes, real
 from motionstereo_cli.files.records import Record, encode, read_json, typed
 from motionstereo_cli.files.targets import check_targets
 from motionstereo_cli.sinks.records import Status
@@ -110,9 +110,9 @@ def claim(out: Path, inputs: Iterable[Path]) -> None:
     own, table = out / OWN, out / TABLE
     taken = tuple(inputs)
     check_targets((table, own), taken)
-    place = own.resolve()
+    place = real(own)
     for path in taken:
-        if path.resolve().is_relative_to(place):
+        if real(path).is_relative_to(place):
             raise OutputError(f"{path}, an input, lies in {own}: give another folder")
     check_no_links(own / _MARK, out)
     check_no_links(table, out)

@@ -18,7 +18,7 @@ import numpy as np
 
 from motionstereo_cli.errors import InputError, SettingsError
 from motionstereo_cli.evaluation.settings import COLUMN_TOLERANCE, CompareSettings
-from motionstereo_cli.files.reading import check_regular
+from motionstereo_cli.files.reading import check_regular, real
 from motionstereo_cli.files.records import read_json, typed
 from motionstereo_cli.sinks.outputs import OUTPUTS, RECORD
 from motionstereo_cli.sinks.read_back import Maps, read_record, read_table, shortened
@@ -152,7 +152,7 @@ def compare(
         raise InputError(
             f"{actual} has no {RECORD}, so no run was completed there: check the path, or run again"
         )
-    if golden.resolve() == actual.resolve():
+    if real(golden) == real(actual):
         raise InputError(f"{actual} and {golden} are the same folder: give two")
     comparison = _Comparison(
         actual,

@@ -111,7 +111,7 @@ class Temporary:
         """
         self._end(durable=True)
         try:
-            os.link(self.path, self._final, follow_symlinks=False)
+            os.link(self.path, self._final)
         except FileExistsError:
             raise
         except OSError:  # a disk without hard links

@@ -20,7 +20,12 @@ class _Decompressor(Protocol):
     def decompress(self, data: bytes, max_length: int) -> bytes: ...
 
 
-def _bounded(decompressor: _Decompressor, data: bytes) -> bytes:
+def decompressed(decompressor: _Decompressor, data: bytes) -> bytes:
+    """Return what is compressed, if it is whole and no larger than :data:`MAX_CONTENT_BYTES`.
+
+    Raises:
+        ValueError: it is not.
+    """
     content = decompressor.decompress(data, MAX_CONTENT_BYTES)
     if not decompressor.eof:
         large = len(content) >= MAX_CONTENT_BYTES
@@ -66,13 +71,13 @@ def bound_rosbags() -> None:
         return _Capped(zstd.open(file, mode), max(MAX_CONTENT_BYTES, _MAX_RATIO * size))
 
     def of_zstd(data: bytes, _: int = 0) -> bytes:
-        return _bounded(zstd.ZstdDecompressor(), data)
+        return decompressed(zstd.ZstdDecompressor(), data)
 
     def of_lz4(data: bytes, _: int = 0) -> bytes:
-        return _bounded(lz4.frame.LZ4FrameDecompressor(), data)
+        return decompressed(lz4.frame.LZ4FrameDecompressor(), data)
 
     def of_bz2(data: bytes) -> bytes:
-        return _bounded(bz2.BZ2Decompressor(), data)
+        return decompressed(bz2.BZ2Decompressor(), data)
 
     def message(data: bytes) -> bytes:
         """Return a message; a damaged one is empty, so that those behind it are read."""

@@ -26,6 +26,11 @@ MAX_TABLE_BYTES = 256_000_000
 MAX_RESULT_BYTES = 100_000_000
 
 
+def real(path: str | Path) -> Path:
+    """Return where a path leads, absolute and without links; one of a circle stays in it."""
+    return Path(os.path.realpath(path))
+
+
 def open_regular(path: str | Path, within: Path | None = None) -> BufferedReader:
     """Open a regular file for reading bytes; links are followed.
 
@@ -39,7 +44,7 @@ def open_regular(path: str | Path, within: Path | None = None) -> BufferedReader
         OSError: it cannot be opened, is no regular file, or lies elsewhere.
     """
     try:
-        if within is not None and not Path(path).resolve().is_relative_to(within.resolve()):
+        if within is not None and not real(path).is_relative_to(real(within)):
             raise OSError(errno.EPERM, f"it is a link that leads out of {within}", str(path))
         _check_regular(os.stat(path), path)
     except (ValueError, RuntimeError) as error:  # a NUL; a circle of links

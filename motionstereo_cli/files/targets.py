@@ -25,7 +25,7 @@ from motionstereo_cli.files.atomic import (
     reported,
     write_whole,
 )
-from motionstereo_cli.files.reading import open_regular, sha256_of
+from motionstereo_cli.files.reading import open_regular, real, sha256_of
 
 #: How long to wait for a reader of a FIFO, in s, and how often to look.
 _PATIENCE_S = 10.0
@@ -43,11 +43,11 @@ def check_target(path: Path, inputs: Iterable[Path]) -> None:
         OutputError: it is one of them, under whatever name, or lies in one.
     """
     with reported(path):
-        place = path.resolve()
+        place = real(path)
         for taken in inputs:
             if any(_same(each, taken) for each in (path, part_of(path))):
                 raise OutputError(f"{path} is an input of this run: give another name")
-            if taken.is_dir() and place.is_relative_to(taken.resolve()):
+            if taken.is_dir() and place.is_relative_to(real(taken)):
                 raise OutputError(
                     f"{path} lies in {taken}, an input of this run: give another place"
                 )
@@ -158,7 +158,7 @@ def _is_stdout(status: os.stat_result) -> bool:
 
 def _same(path: Path, other: Path) -> bool:
     try:
-        return path.resolve() == other.resolve() or path.samefile(other)
+        return real(path) == real(other) or path.samefile(other)
     except OSError:
         return False  # one of them is not there
 
@@ -200,7 +200,7 @@ def link_new(source: Path, target: Path) -> None:
         OutputError: something else has the name, or it cannot be written.
     """
     try:
-        os.link(source, target, follow_symlinks=False)
+        os.link(source, target)
     except OSError:
         copy_new(source, target)
 

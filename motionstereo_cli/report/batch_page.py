@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from motionstereo_cli.errors import InputError
-from motionstereo_cli.files.reading import read_text
+from motionstereo_cli.files.reading import read_text, real
 from motionstereo_cli.files.records import typed
 from motionstereo_cli.report import PAGE
 from motionstereo_cli.report.pictures import Picture, address_of, poster
@@ -73,7 +73,7 @@ def batch_page(out: Path, page: Path) -> str:
     return render(
         "batch.html",
         ("theme.js", "table.js"),
-        name=out.resolve().name,
+        name=real(out).name,
         recordings=recordings,
         counts=sorted(counts.items(), key=lambda item: _rank(item[0])),
         bad=sum(each.rank < STATUSES.index("done") for each in recordings),
@@ -120,7 +120,7 @@ def _recording(out: Path, row: Status, page: Path, *, with_picture: bool) -> Rec
 def _is_folder_in(out: Path, folder: Path) -> bool:
     """Return whether there is a folder, which no link leads out of ``out`` to."""
     try:
-        return folder.resolve().is_relative_to(out.resolve()) and folder.is_dir()
+        return real(folder).is_relative_to(real(out)) and folder.is_dir()
     except (OSError, ValueError, RuntimeError):  # too long, a NUL, a circle of links
         return False
 

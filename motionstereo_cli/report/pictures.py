@@ -12,7 +12,7 @@ from urllib.parse import quote
 import cv2
 import numpy as np
 
-from motionstereo_cli.files.reading import MAX_PIXELS
+from motionstereo_cli.files.reading import MAX_PIXELS, real
 from motionstereo_cli.files.video import opened_result
 
 if TYPE_CHECKING:
@@ -66,7 +66,7 @@ def address_of(file: Path, page: Path) -> str:
     try:
         relative = os.path.relpath(file, page.parent)
     except ValueError:  # another drive of Windows
-        return file.resolve().as_uri()
+        return real(file).as_uri()
     return quote(relative.replace(os.sep, "/"))
 
 

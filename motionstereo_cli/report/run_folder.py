@@ -13,7 +13,7 @@ import numpy as np
 
 from motionstereo_cli.errors import InputError
 from motionstereo_cli.files.atomic import part_of
-from motionstereo_cli.files.reading import MAX_RESULT_BYTES, read_bytes
+from motionstereo_cli.files.reading import MAX_RESULT_BYTES, read_bytes, real
 from motionstereo_cli.sinks.outputs import OUTPUTS, RECORD
 from motionstereo_cli.sinks.read_back import read_record, read_table
 from motionstereo_cli.sinks.records import RunRecord
@@ -96,7 +96,7 @@ class Results:
     @property
     def within(self) -> Path:
         """A folder that every file lies in that may be opened."""
-        return Path(self.path.resolve().anchor) if self.trusted else self.path
+        return Path(real(self.path).anchor) if self.trusted else self.path
 
     def has(self, output: str) -> bool:
         """Return whether the run was asked for an output."""

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from motionstereo_cli.errors import InputError, SettingsError
+from motionstereo_cli.files.reading import real
 from motionstereo_cli.files.stills import DamagedImageError, grey_of, read_still
 from motionstereo_cli.report import write_report
 from motionstereo_cli.report.pictures import Picture, address_of, encoded, histogram, poster
@@ -59,7 +60,7 @@ def run_page(out: Path, page: Path, record: RunRecord | None = None) -> str:
         "run.html",
         ("theme.js", "uPlot.iife.min.js", "page.js"),
         data=data,
-        name=out.resolve().name,
+        name=real(out).name,
         run=run,
         reference=run.reference,
         about=_about(said),

@@ -22,7 +22,7 @@ from motionstereo_cli.files.atomic import (
 )
 from motionstereo_cli.files.folders import make_folder, remove, remove_empty
 from motionstereo_cli.files.lock import LOCK, locked
-from motionstereo_cli.files.reading import damage_of
+from motionstereo_cli.files.reading import damage_of, real
 from motionstereo_cli.files.targets import sum_of
 from motionstereo_cli.runs.checkpoint import (
     check_same,
@@ -264,10 +264,10 @@ def prepare(
             if path.is_symlink():
                 raise OutputError(f"{path} is a link: remove it or give another folder")
             raise OutputError(f"{path} is not from an earlier run: move it or give another folder")
-        taken = {path.resolve() for path in inputs}
+        taken = {real(path) for path in inputs}
         for path in former.union(out / path for path in paths):
             for place in (path, path.parent):
-                if place.resolve() in taken:
+                if real(place) in taken:
                     raise OutputError(f"{place} is an input of this run: give another folder")
         if former_table and table is not None:
             remove(table.parent, [table])
@@ -325,7 +325,7 @@ def _is_former(table: Path, out: Path, kind: FolderKind, *, overwrite: bool) -> 
             record = read_record(path, kind)
             if not (isinstance(record, RunRecord) and record.table and record.sums):
                 continue
-            if (out / record.table).resolve() == table.resolve():
+            if real(out / record.table) == real(table):
                 known.add(record.sums[TABLE].sha256)
     if found is None or found not in known:
         raise OutputError(

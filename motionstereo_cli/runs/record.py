@@ -23,7 +23,7 @@ from msgspec import UNSET, UnsetType, structs
 import motionstereo_cli
 from motionstereo_cli import __version__
 from motionstereo_cli.errors import OutputError
-from motionstereo_cli.files.reading import sha256_of
+from motionstereo_cli.files.reading import real, sha256_of
 from motionstereo_cli.files.records import typed
 from motionstereo_cli.files.targets import is_stream
 from motionstereo_cli.pipeline import StreamContext
@@ -155,8 +155,8 @@ def identity_of(job: Job, inputs: Iterable[Path]) -> RunRecord:
     table: str | UnsetType = UNSET
     if plan.table and plan.folder and not plan.to_stdout and not is_stream(plan.table):
         # The same, however either is given.
-        place = plan.table.parent.resolve() / plan.table.name
-        table = os.path.relpath(place, plan.folder.resolve())
+        place = real(plan.table.parent) / plan.table.name
+        table = os.path.relpath(place, real(plan.folder))
     own_motion = job.with_own_motion
     return structs.replace(
         head(job.save),

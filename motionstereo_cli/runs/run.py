@@ -22,7 +22,7 @@ from motionstereo_cli.errors import (
     SettingsError,
 )
 from motionstereo_cli.files.atomic import reported
-from motionstereo_cli.files.reading import damage_of
+from motionstereo_cli.files.reading import damage_of, real
 from motionstereo_cli.files.targets import check_target, is_stream, open_stream
 from motionstereo_cli.method.settings import FOREVER
 from motionstereo_cli.pipeline import State, steps
@@ -242,7 +242,7 @@ def _sinks(job: Job) -> Sinks:
     check_target(plan.folder, inputs)
     if plan.table and not plan.to_stdout:
         check_target(plan.table, inputs)
-        if plan.table.resolve().is_relative_to(plan.folder.resolve()):
+        if real(plan.table).is_relative_to(real(plan.folder)):
             raise OutputError(
                 f"{plan.table} is in the output folder: --save steering puts a table there"
             )

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from motionstereo_cli.errors import InputError
-from motionstereo_cli.files.reading import MAX_RESULT_BYTES, read_text
+from motionstereo_cli.files.reading import MAX_RESULT_BYTES, read_text, real
 from motionstereo_cli.files.records import read_json, typed
 from motionstereo_cli.files.stills import DamagedImageError, read_still, shown
 from motionstereo_cli.rig import read_rig
@@ -84,7 +84,7 @@ class Maps:
             kind = _kind_by_name(images)
         else:
             named = _kind_by_name(folder)
-            images, home = folder, folder.resolve().parent if named else folder
+            images, home = folder, real(folder).parent if named else folder
             kind = kind or named
         self.files = numbered_files(images, _SUFFIXES)
         if kind is None:
@@ -116,7 +116,7 @@ class Maps:
 
 
 def _kind_by_name(folder: Path) -> str | None:
-    name = folder.resolve().name.lower()
+    name = real(folder).name.lower()
     return next((kind for start, kind in _NAMED.items() if name.startswith(start)), None)
 
 

@@ -574,9 +574,13 @@ def torture(trials: Mapping[str, int], *, first: int = 0, seed: int = 0) -> list
                 case "hostile":
                     found, lost = hostile(clip, place, numbers, seed)
                     what = (
-                        f"{count}: links planted, inputs as outputs, kills at changes of the disk"
+                        f"{count}, every command: names swapped for links, FIFOs, folders, devices "
+                        "and files of others; values of records changed; inputs as outputs; kills"
                     )
-                    goal = "no file of the user's is lost; the same command works after a kill"
+                    goal = (
+                        "no file of the user's is lost; no hang, no `internal:`, under 1 GB; the "
+                        "same command works after a kill"
+                    )
                     verdicts.append(Verdict("hostile use", what, goal, found, lost))
                 case _:
                     verdicts.append(long(clip, place, count))
