@@ -596,9 +596,7 @@ def test_a_former_name_is_understood_and_not_shown(args, config, expected, tmp_p
 
     command.main([*args, "--config", str(tmp_path / "config.toml")], standalone_mode=False)
     assert received == expected
-    assert "least" not in command.get_help(
-        click.Context(command, click.Context(cli, **cli.context_settings))
-    )
+    assert "least" not in command.get_help(click.Context(command))
 
 
 # Help and start-up.

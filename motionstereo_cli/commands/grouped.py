@@ -42,6 +42,10 @@ def grouped(options: Iterable[click.Parameter]) -> dict[str, list[click.Option]]
 class GroupedCommand(click.Command):
     """A command whose ``--help`` has its common options and ``--help-all`` all of them."""
 
+    def get_help_option_names(self, ctx: click.Context) -> list[str]:
+        """Return the names of the help option, whatever the context; click keeps the first."""
+        return ["-h", "--help"]
+
     def get_params(self, ctx: click.Context) -> list[click.Parameter]:
         """Return the parameters, ``--help`` and, if there is more to show, ``--help-all``."""
         option = click.Option(
