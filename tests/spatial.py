@@ -20,11 +20,11 @@ FPS = 30
 BEGIN_NS = 5_145_757_361_000
 
 
-def svo2(path: Path, images: Images, codec: str = "h264") -> Path:
+def svo2(path: Path, images: Images, codec: str = "h264", compression: str = "none") -> Path:
     """Write images, (height, width) uint8 luma of both views side by side, as a ZED would."""
     height, width = images[0].shape
     with path.open("wb") as file:
-        writer = Writer(file, chunk_size=1, compression=CompressionType.NONE)
+        writer = Writer(file, chunk_size=1, compression=CompressionType[compression.upper()])
         writer.start(profile="", library="libmcap stereolabs")
         schema = writer.register_schema("sl_type", "jsonschema", b"{}")
         header, footer = (

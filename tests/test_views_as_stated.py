@@ -205,9 +205,11 @@ def test_side_data_without_a_name_is_passed_over() -> None:
 # --- SVO2 -------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("codec", ["h264", "h265", "jpeg"])
-def test_svo2_is_read_as_a_video_is(tmp_path: Path, codec: str) -> None:
-    path = svo2(tmp_path / "drive.svo2", BESIDE, codec)
+@pytest.mark.parametrize(
+    ("codec", "compression"), [("h264", "none"), ("h265", "lz4"), ("jpeg", "zstd")]
+)
+def test_svo2_is_read_as_a_video_is(tmp_path: Path, codec: str, compression: str) -> None:
+    path = svo2(tmp_path / "drive.svo2", BESIDE, codec, compression)
     with open_stereo(path) as source:
         frames = list(source)
         assert source.counts["left"] | source.counts["right"] == {

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import base64
 import contextlib
+import dataclasses
 import functools
 import itertools
 import json
@@ -23,7 +24,8 @@ from typing import Any, BinaryIO
 import av
 import numpy as np
 
-from motionstereo_cli.errors import InputError
+from motionstereo_cli.errors import InputError, is_damage
+from motionstereo_cli.files.bounded import bound_rosbags
 from motionstereo_cli.files.reading import MAX_PIXELS, HeldFile, open_regular
 from motionstereo_cli.files.stills import DamagedImageError, Stated, decode
 from motionstereo_cli.sources.luma import colours, grey_levels, has_colour
@@ -177,37 +179,31 @@ class SvoRecording(Recording):
 
     def _messages(self, file: BinaryIO) -> Iterator[tuple[int, bytes]]:
         """Yield time and content of the messages of images, up to where the file can be read."""
-        from mcap.exceptions import EndOfFile, McapError
-        from mcap.records import Channel, Chunk, DataEnd, Message
-        from mcap.stream_reader import StreamReader, breakup_chunk
+        from mcap.exceptions import EndOfFile
+        from mcap.records import Channel, DataEnd, Message
 
         wanted: int | None = None
         header: int | None = None
         file.seek(0)
-        # mcap's readers need the summary at the end, or lose all where the end is missing.
-        records = StreamReader(file, emit_chunks=True, record_size_limit=_MOST_BYTES).records
         try:
-            for record in records:
-                if isinstance(record, DataEnd):
+            for part in _records_in(file):
+                if isinstance(part, DataEnd):
                     return
-                if isinstance(record, Chunk) and record.uncompressed_size > _MOST_BYTES:
-                    self._ended = "a part of it is too large"
-                    return
-                parts = breakup_chunk(record) if isinstance(record, Chunk) else [record]
-                for part in parts:
-                    if isinstance(part, Channel):
-                        found = _TOPIC.fullmatch(part.topic)
-                        if found and self._serial in ("", found[1]):
-                            wanted, self._serial = part.id, found[1]
-                        elif part.topic == _HEADER:
-                            header = part.id
-                    elif isinstance(part, Message) and part.channel_id == header:
-                        self.frame_rate = self.frame_rate or _rate_in(part.data)
-                    elif isinstance(part, Message) and part.channel_id == wanted:
-                        yield part.log_time, part.data
+                if isinstance(part, Channel):
+                    found = _TOPIC.fullmatch(part.topic)
+                    if found and self._serial in ("", found[1]):
+                        wanted, self._serial = part.id, found[1]
+                    elif part.topic == _HEADER:
+                        header = part.id
+                elif isinstance(part, Message) and part.channel_id == header:
+                    self.frame_rate = self.frame_rate or _rate_in(part.data)
+                elif isinstance(part, Message) and part.channel_id == wanted:
+                    yield part.log_time, part.data
         except EndOfFile:
             pass
-        except (McapError, *_TORN) as error:
+        except Exception as error:
+            if not is_damage(error):
+                raise
             if file.tell() < self._held.size_bytes:
                 self._ended = str(error) or "it is damaged"
                 return
@@ -305,6 +301,34 @@ def _rate_in(header: bytes) -> Fraction | None:
     except _TORN:
         return None
     return Fraction(values[3]) if 0 < values[3] <= _FASTEST else None
+
+
+def _records_in(file: BinaryIO) -> Iterator[Any]:
+    """Yield the records of an MCAP, and those in its chunks, up to where it can be read.
+
+    mcap's readers need the summary at the end, or lose all where the end is missing.
+    """
+    from mcap.records import Chunk
+    from mcap.stream_reader import StreamReader, breakup_chunk
+
+    for record in StreamReader(file, emit_chunks=True, record_size_limit=_MOST_BYTES).records:
+        if isinstance(record, Chunk):
+            yield from breakup_chunk(_plain(record))
+        else:
+            yield record
+
+
+def _plain(chunk: Any) -> Any:
+    """Return a chunk of an MCAP decompressed, with a cap, which mcap does not have."""
+    if not chunk.compression:
+        return chunk
+    try:
+        from rosbags.rosbag2.storage_mcap import DECOMPRESSORS
+    except ImportError:
+        raise ValueError("it is compressed, which needs rosbags") from None
+    bound_rosbags()
+    content = DECOMPRESSORS[chunk.compression](chunk.data, chunk.uncompressed_size)
+    return dataclasses.replace(chunk, compression="", data=content)
 
 
 def _strips_of(content: bytes) -> list[bytes]:
