@@ -7,7 +7,7 @@ BENCH = PYTHONPATH=tests $(BIN)/python -m bench
 GOLDEN = steering,depth,disparity
 
 .PHONY: demo test lint sample regress fuzz figures presets bench bench-accuracy bench-batch bench-drive \
-	bench-map bench-objects check-trials torture sanitize goals coverage renew man clean help
+	bench-map bench-objects own-motion check-trials torture sanitize goals coverage renew man clean help
 
 demo: $(READY)  ## run the main job on sample_data
 	$(BIN)/motionstereo run sample_data/left.mp4 sample_data/right.mp4 \
@@ -71,6 +71,10 @@ coverage: $(READY)  ## measure which branches of the package the tests pass thro
 		tests/test_stages.py -k "not TestUnits"
 	$(BIN)/coverage combine --quiet
 	$(BIN)/coverage report
+
+own-motion: $(READY)  ## measure own motion and what moves by itself, and draw the street
+	$(BENCH) own_motion --scenes "straight street" corridor street \
+		--picture sample_data/own_charge.png
 
 figures: $(READY)  ## render the paper's figures 2 and 3
 	$(BIN)/motionstereo simulate out/corridor --overwrite --frames 381 --noise-sigma 1.5

@@ -5,7 +5,18 @@ from __future__ import annotations
 import importlib
 import sys
 
-BENCHES = ("accuracy", "batch", "drive", "goals", "map", "objects", "presets", "speed", "torture")
+BENCHES = (
+    "accuracy",
+    "batch",
+    "drive",
+    "goals",
+    "map",
+    "objects",
+    "own_motion",
+    "presets",
+    "speed",
+    "torture",
+)
 
 
 def main(args: list[str]) -> int:

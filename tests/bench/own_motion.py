@@ -1,0 +1,162 @@
+"""Own motion, and what moves by itself: ``python -m bench own_motion``.
+
+Streets and corridors are rendered and followed with nothing but the two views; the exact poses and
+the exact masks of what moves by itself are known.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import cv2
+import numpy as np
+from tqdm import tqdm
+
+from bench.markdown import table
+from motionstereo_cli.evaluation.poses import PoseReport, compare
+from motionstereo_cli.pipeline import process
+from motionstereo_cli.rig.pose_forms import rotations
+from motionstereo_cli.simulate.scenes import render_scene
+from motionstereo_cli.simulate.settings import SimulateSettings
+from motionstereo_cli.types import Pose, StereoFrame
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from motionstereo_cli.types import FrameResult, Grey
+
+#: Scenes, by the name in the table.
+SCENES: dict[str, dict[str, Any]] = {
+    "street": {"scene": "street", "seed": 8, "street_winding_deg": 25.0},
+    "straight street": {"scene": "street", "seed": 3},
+    "corridor": {"scene": "corridor", "seed": 1, "frames": "70:125"},
+}
+_USUAL: dict[str, Any] = {"width": 640, "height": 480, "frames": "28", "noise_sigma": 1.5}
+#: A thing that moves by itself counts from this frame on where it shows so many px; large or small.
+_FIRST_FRAME, _SMALL_PX, _LARGE_PX = 3, 150, 800
+#: A row is a thing's where their boxes overlap by this share of the smaller one.
+_MIN_OVERLAP = 0.3
+
+
+@dataclass(slots=True)
+class Score:
+    """What was found.
+
+    Attributes:
+        large, small: things of :data:`_LARGE_PX` or more and of :data:`_SMALL_PX` or more, summed
+            over the frames: found, and all.
+        false: rows that are no thing's, a frame.
+        path: of the poses.
+    """
+
+    large: list[int]
+    small: list[int]
+    false: float
+    path: PoseReport
+
+
+def measure(given: dict[str, Any], picture: Path | None = None) -> Score:
+    """Follow a rendered scene, and score what was found; draw the last frame if asked to."""
+    settings = SimulateSettings(**{**_USUAL, **given})
+    score = Score([0, 0], [0, 0], 0.0, PoseReport(0, *[float("nan")] * 7))
+    shots = list(render_scene(settings))
+    frames = [
+        StereoFrame(index, index, index / settings.frame_rate, shot.left, shot.right)
+        for index, shot in enumerate(shots)
+    ]
+    poses, false, result = [], 0, None
+    for shot, result in zip(
+        shots, process(frames, None, settings.rig, "auto", extras=()), strict=True
+    ):
+        assert result.pose is not None
+        poses.append(result.pose)
+        if result.frame.index >= _FIRST_FRAME:
+            false += _scored(score, result, shot.mover)
+    score.false = false / max(len(shots) - _FIRST_FRAME, 1)
+    score.path = compare(_matrices(poses), _matrices([shot.pose.rig_pose for shot in shots]))
+    if picture is not None and result is not None:
+        cv2.imwrite(str(picture), drawn(result))
+    return score
+
+
+def _matrices(poses: Sequence[Pose]) -> NDArray[np.float64]:
+    rows = np.array([[getattr(pose, name) for name in Pose.__slots__] for pose in poses])
+    result = np.tile(np.eye(4), (len(rows), 1, 1))
+    result[:, :3, :3], result[:, :3, 3] = rotations(rows[:, 3:]), rows[:, :3]
+    return result
+
+
+def _scored(score: Score, result: FrameResult, mover: Grey | None) -> int:
+    """Add a frame to the score, and return how many of its rows are no thing's."""
+    boxes = [(o.x, o.y, o.x + o.width, o.y + o.height) for o in result.objects]
+    if mover is None:
+        return len(boxes)
+    mine = set()
+    for number in np.unique(mover[mover > 0]).tolist():
+        y, x = np.nonzero(mover == number)
+        thing = int(x.min()), int(y.min()), int(x.max()) + 1, int(y.max()) + 1
+        found = {index for index, box in enumerate(boxes) if _overlap(box, thing) > _MIN_OVERLAP}
+        mine |= found
+        if len(x) >= _SMALL_PX:
+            counts = score.large if len(x) >= _LARGE_PX else score.small
+            counts[0] += bool(found)
+            counts[1] += 1
+    return len(boxes) - len(mine)
+
+
+def _overlap(one: Sequence[int], other: Sequence[int]) -> float:
+    """Return the common area of two boxes as a share of the smaller one."""
+    wide = min(one[2], other[2]) - max(one[0], other[0])
+    high = min(one[3], other[3]) - max(one[1], other[1])
+    areas = [(box[2] - box[0]) * (box[3] - box[1]) for box in (one, other)]
+    return max(wide, 0) * max(high, 0) / max(min(areas), 1)
+
+
+def drawn(result: FrameResult) -> NDArray[np.uint8]:
+    """Return view with objects, plain memory, and memory of what moves by itself, BGR."""
+    assert result.own_charge is not None
+    view, *memories = (
+        cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR)
+        for grey in (result.frame.right, result.charge, result.own_charge)
+    )
+    for each in result.objects:
+        corner, end = (each.x, each.y), (each.x + each.width, each.y + each.height)
+        cv2.rectangle(view, corner, end, (0, 220, 255), 2)
+        if each.depth_m is not None and each.over_ground_mps is not None:
+            text = f"{each.depth_m:.1f} m, {each.over_ground_mps:.1f} m/s"
+            place = each.x, max(each.y - 6, 14)
+            cv2.putText(view, text, place, cv2.FONT_HERSHEY_SIMPLEX, 0.55, (0, 220, 255), 2)
+    gap = np.full((view.shape[0], 8, 3), 255, np.uint8)
+    panels = [view, gap, memories[0], gap, memories[1]]
+    picture: Any = cv2.resize(np.hstack(panels), None, fx=0.6, fy=0.6, interpolation=cv2.INTER_AREA)
+    return np.asarray(picture, np.uint8)
+
+
+def main(args: Sequence[str]) -> None:
+    """Print a table, a row for each scene."""
+    parser = argparse.ArgumentParser(prog="bench own_motion", description=__doc__)
+    parser.add_argument("--scenes", nargs="+", choices=SCENES, default=list(SCENES))
+    parser.add_argument(
+        "--picture", type=Path, help="PNG file for the last frame of the last scene"
+    )
+    given = parser.parse_args(args)
+    rows = []
+    for name in tqdm(given.scenes, disable=None):
+        picture = given.picture if name == given.scenes[-1] else None
+        score = measure(SCENES[name], picture)
+        rows.append(
+            [
+                name,
+                f"{score.path.drift_percent:.2f}",
+                f"{score.path.drift_deg_per_m:.4f}",
+                "{} of {}".format(*score.large),
+                "{} of {}".format(*score.small),
+                f"{score.false:.2f}",
+            ]
+        )
+    head = ["scene", "drift, %", "deg/m", "800 px and more", "150 to 800 px", "false rows a frame"]
+    print(table(head, rows))
