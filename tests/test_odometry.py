@@ -222,7 +222,7 @@ class TestRun:
 
     def test_what_needs_poses_finds_them_and_says_so(self, recording, tmp_path, capsys):
         out = self.run(recording, tmp_path / "out", "--save", "map,steering")
-        assert "map: poses are found from the recording" in capsys.readouterr().err
+        assert "map: the rig's own motion is found" in capsys.readouterr().err
         assert (out / "map.ply").exists()
         plain = self.run(recording, tmp_path / "plain", "--save", "steering")
         steering = [(each / "steering.csv").read_bytes() for each in (out, plain)]
