@@ -35,7 +35,7 @@ def mean(
     """Fill in the mean of two rows."""
     x: cython.Py_ssize_t
     for x in range(result.shape[0]):
-        both: cython.ushort = cython.cast(cython.ushort, upper[x]) + lower[x]
+        both: cython.int = cython.cast(cython.int, upper[x]) + cython.cast(cython.int, lower[x])
         result[x] = (both >> 1) + (both & (both >> 1) & 1)
 
 
@@ -50,7 +50,7 @@ def exact_mean(
     """Fill in the mean of two rows, not rounded."""
     x: cython.Py_ssize_t
     for x in range(result.shape[0]):
-        both: cython.int = cython.cast(cython.int, upper[x]) + lower[x]
+        both: cython.int = cython.cast(cython.int, upper[x]) + cython.cast(cython.int, lower[x])
         result[x] = cython.cast(cython.float, both) * HALF
 
 

@@ -7,6 +7,10 @@ module.
 
 import cython
 import numpy as np
+
+if not cython.compiled:
+    raise ImportError("there are no vectors in plain Python")
+
 from cython.cimports.motionstereo_cli.compiled.semi_global import (
     Penalties,
     Tiles,
