@@ -46,10 +46,6 @@ _CERTAIN_SIGMAS = 5.0
 _BETTER_ROWS, _MUCH_BETTER_ROWS = 0.85, 0.5
 
 
-# Rows that agree better than this, in px of what moves, need no other step.
-_MIN_OFF_PX = 0.25
-
-
 @dataclass(frozen=True, slots=True)
 class Fit:
     """``lower`` as a shift, a turn, a scale and a step in time.
@@ -149,7 +145,7 @@ def _walk(windows: Sequence[FrameWindow], matches: Matches) -> PairingStep | Non
 
     Speeds change, and that of slow objects is known badly, so a fit gives little more than the
     direction: go there in whole frames while it points on. Where speeds change much, that misleads,
-    so that all steps are tried where rows then still do not agree.
+    so that all steps are tried where it points on from the best.
     """
     tried: dict[int, Fit] = {}
 
@@ -174,7 +170,8 @@ def _walk(windows: Sequence[FrameWindow], matches: Matches) -> PairingStep | Non
         attempt(nearest - 1)
         attempt(nearest + 1)
     walked = set(tried)
-    if min(fit.off_px for fit in tried.values()) > _MIN_OFF_PX:
+    nearest = min(tried, key=lambda whole: tried[whole].off_px)
+    if abs(tried[nearest].step) >= _MIN_REST:
         for step in range(-MAX_STEP, MAX_STEP + 1):
             attempt(step)
     # Where it leads, rows have to agree better without any step than they did at first.
