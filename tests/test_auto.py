@@ -17,7 +17,7 @@ from motionstereo_cli.runs.disparity_range import with_range
 from motionstereo_cli.runs.plan import RunPlan
 from motionstereo_cli.runs.run import Watcher, run
 
-DISPARITY, ADVISED = 36, 48
+DISPARITY, ADVISED = 36, 64
 
 
 def textured(seed, width, height=96):

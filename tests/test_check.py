@@ -203,7 +203,10 @@ def test_what_is_measured(corridor: Views) -> None:
     assert report.disparity_low_px is not None
     assert report.disparity_high_px is not None
     assert 278 * 0.12 / 20 < report.disparity_low_px < report.disparity_high_px < 278 * 0.12 / 1.2
-    assert report.advised_max_disparity == 16
+    # What is nearest has few features: there is a margin.
+    advised = report.advised_max_disparity
+    assert advised is not None
+    assert 1.5 * report.disparity_high_px <= advised <= 32
     assert report.grey_difference == pytest.approx(0, abs=2)
     assert report.moving is not None
     assert report.moving > 0.05
@@ -366,7 +369,7 @@ def sample(*sides: str) -> list[str]:
 def test_command(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["check", *sample("left", "right"), "--rig", str(SAMPLE / "rig.yaml")]) == 0
     out = capsys.readouterr().out
-    assert "advised: --max-disparity 16" in out
+    assert "advised: --max-disparity 32" in out
     assert out.endswith("nothing wrong found\n")
     assert main(["check", *sample("right", "left"), "--json"]) == 1
     report = json.loads(capsys.readouterr().out)
