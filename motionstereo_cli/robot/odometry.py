@@ -57,7 +57,7 @@ _MAX_TURN_RAD, _MAX_AHEAD = float(np.radians(15)), 0.5
 
 #: A camera that moves its points by less than the first of these, the median, stands still; so does
 #: one that moves them by less than the second where grey agrees nearly as well if it does.
-_STILL_PX, _NEARLY_STILL_PX, _STILL_SCORE = 0.1, 1.0, 0.94
+_STILL_PX, _NEARLY_STILL_PX, _STILL_SCORE = 0.1, 8.0, 0.94
 
 #: What is known before of the constant error of disparity.
 ERROR_SIGMA_PX = 0.3
