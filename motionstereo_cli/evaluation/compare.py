@@ -234,8 +234,9 @@ class _Comparison:
             output.differ("columns", "they are in another order")
         for key in sorted(golden.rows.keys() | actual.rows.keys()):
             if key in golden.rows and key in actual.rows:
+                mine, theirs = actual.rows[key], golden.rows[key]
                 for column in shared:
-                    self._cell(output, key[0], column, actual.rows[key], golden.rows[key])
+                    self._cell(output, key[0], column, mine, theirs)
                 output.compared += 1
             else:
                 output.differ("rows", "missing" if key in golden.rows else "not in golden", key[0])

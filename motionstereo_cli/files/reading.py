@@ -22,8 +22,8 @@ PILLOW_MAX_PIXELS = 178_000_000
 MAX_CALIBRATION_BYTES = 16_000_000
 MAX_TABLE_BYTES = 256_000_000
 
-#: Neither the table of a run nor its record is as large: rows of 1,000,000 frames, and some.
-MAX_RESULT_BYTES = 100_000_000
+#: Tables of runs: rows of five hours at 30 images per second. Records are far smaller.
+MAX_RESULT_BYTES, MAX_RECORD_BYTES = 48_000_000, 16_000_000
 
 
 def real(path: str | Path) -> Path:

@@ -17,7 +17,7 @@ import msgspec
 import numpy as np
 
 from motionstereo_cli.errors import InputError
-from motionstereo_cli.files.reading import MAX_RESULT_BYTES, read_bytes
+from motionstereo_cli.files.reading import MAX_RECORD_BYTES, read_bytes
 
 #: The version of all records. Readers skip fields that they do not know, so it grows only when a
 #: field gets another meaning.
@@ -49,7 +49,7 @@ def read_json(path: Path, within: Path | None = None) -> Any:
     Raises:
         InputError: it cannot be read, or is not JSON.
     """
-    return parse_json(read_bytes(path, "the record", MAX_RESULT_BYTES, within), path)
+    return parse_json(read_bytes(path, "the record", MAX_RECORD_BYTES, within), path)
 
 
 def parse_json(content: bytes, name: object) -> Any:

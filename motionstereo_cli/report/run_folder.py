@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -32,7 +32,7 @@ FRAME_S = float(DEFAULT_TIME_BASE)
 #: Pixel formats of H.264 that browsers play.
 _PLAYED = ("yuv420p", "yuvj420p")
 
-Rows = list[dict[str, str]]
+Rows = Collection[dict[str, str]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,7 +158,7 @@ class Results:
     def _rows(self, output: str) -> Rows | None:
         path = self._file(output)
         part = path.suffix == ".part"
-        return list(read_table(path, part=part).rows.values()) if os.path.lexists(path) else None
+        return read_table(path, part=part).rows.values() if os.path.lexists(path) else None
 
     def _lines(self, output: str) -> Rows | None:
         path = self._file(output)
@@ -202,12 +202,16 @@ def numbers(texts: Iterable[str]) -> NDArray[np.float64]:
 
 
 def _steering(path: Path, rows: Rows) -> SteeringTable:
+    cells: dict[str, list[str]] = {name: [] for name in ("frame", "time_s", "status", *SERIES)}
     try:
+        for row in rows:  # each is made when it is asked for
+            for name, column in cells.items():
+                column.append(row[name])
         return SteeringTable(
-            frames=np.array([int(row["frame"]) for row in rows]),
-            time_s=numbers(row["time_s"] for row in rows),
-            status=tuple(row["status"] for row in rows),
-            series={name: numbers(row[name] for row in rows) for name in SERIES},
+            frames=np.array([int(text) for text in cells["frame"]]),
+            time_s=numbers(cells["time_s"]),
+            status=tuple(cells["status"]),
+            series={name: numbers(cells[name]) for name in SERIES},
         )
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(f"the steering table in {path} is damaged: {error}") from error

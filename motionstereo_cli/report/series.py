@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -80,7 +80,7 @@ def _known(values: NDArray[np.float64]) -> list[float | None]:
 
 
 def tracks(
-    rows: Sequence[Mapping[str, str]], x_of: Mapping[int, float], frame_x: float
+    rows: Iterable[Mapping[str, str]], x_of: Mapping[int, float], frame_x: float
 ) -> tuple[list[dict[str, Any]], int]:
     """Return the objects to show, and how many there are.
 

@@ -14,7 +14,7 @@ from typing import Any
 from motionstereo_cli.errors import InputError
 from motionstereo_cli.files.atomic import is_left_over, is_segment, part_of
 from motionstereo_cli.files.folders import remove_empty
-from motionstereo_cli.files.reading import MAX_RESULT_BYTES, open_regular, read_bytes
+from motionstereo_cli.files.reading import MAX_RECORD_BYTES, open_regular, read_bytes
 from motionstereo_cli.files.records import encode, parse_json, typed
 from motionstereo_cli.report import PAGE, is_report
 from motionstereo_cli.runs.checkpoint import frames_of
@@ -104,7 +104,7 @@ def read_record(path: Path, kind: FolderKind) -> FolderRecord | None:
     try:
         if path.is_symlink():
             return None
-        content = read_bytes(path, "the record", MAX_RESULT_BYTES)
+        content = read_bytes(path, "the record", MAX_RECORD_BYTES)
         said = kind.parse(content) if kind.parse else parse_json(content, path)
     except (InputError, ValueError):
         return None  # not a record of ours

@@ -8,6 +8,7 @@ from __future__ import annotations
 import csv
 import io
 import re
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -15,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from motionstereo_cli.errors import InputError
-from motionstereo_cli.files.reading import MAX_RESULT_BYTES, read_text, real
+from motionstereo_cli.files.reading import MAX_RESULT_BYTES, read_bytes, real
 from motionstereo_cli.files.records import read_json, typed
 from motionstereo_cli.files.stills import DamagedImageError, read_still, shown
 from motionstereo_cli.rig import read_rig
@@ -173,6 +174,31 @@ def size_of(image: NDArray[Any]) -> str:
     return f"{image.shape[1]}x{image.shape[0]}"
 
 
+class Rows(Mapping[tuple[int, str], dict[str, str]]):
+    """Rows of a table by frame and id, which take little more memory than the file.
+
+    Args:
+        columns: their names.
+    """
+
+    def __init__(self, columns: tuple[str, ...]) -> None:
+        self._columns = columns
+        self._joined: dict[tuple[int, str], str] = {}
+
+    def add(self, key: tuple[int, str], cells: Sequence[str]) -> None:
+        """Add a row."""
+        self._joined[key] = "\0".join(each.replace("\0", "\ufffd") for each in cells)
+
+    def __getitem__(self, key: tuple[int, str]) -> dict[str, str]:
+        return dict(zip(self._columns, self._joined[key].split("\0"), strict=True))
+
+    def __iter__(self) -> Iterator[tuple[int, str]]:
+        return iter(self._joined)
+
+    def __len__(self) -> int:
+        return len(self._joined)
+
+
 class Table(NamedTuple):
     """A CSV table with a row for each frame, or for each frame and id.
 
@@ -182,7 +208,7 @@ class Table(NamedTuple):
     """
 
     columns: tuple[str, ...]
-    rows: dict[tuple[int, str], dict[str, str]]
+    rows: Rows
 
 
 def read_table(path: Path, *, part: bool = False) -> Table:
@@ -196,17 +222,22 @@ def read_table(path: Path, *, part: bool = False) -> Table:
         InputError: it cannot be read, has no or a second column of a name, no column ``frame``, a
             row of another length, or two rows for the same frame and id.
     """
+    content = read_bytes(path, "the table", MAX_RESULT_BYTES, within=path.parent)
+    if part:
+        content = content[: content.rfind(b"\n") + 1]
+    text = io.TextIOWrapper(io.BytesIO(content), "utf-8-sig", errors="replace", newline="")
     try:
-        text = read_text(path, "the table", MAX_RESULT_BYTES, within=path.parent)
-        whole = text[: text.rfind("\n") + 1] if part else text
-        lines = list(csv.reader(io.StringIO(whole, newline=""), strict=True))
+        return _table(path, csv.reader(text, strict=True))
     except csv.Error as error:
         raise InputError(f"cannot read the table {path}: {error}") from error
-    header = lines[0] if lines else []
+
+
+def _table(path: Path, lines: Iterator[list[str]]) -> Table:
+    header = next(lines, [])
     if "frame" not in header or len(set(header)) < len(header):
         raise InputError(f"{path} is no table of a run: its first line has to name each column")
-    rows: dict[tuple[int, str], dict[str, str]] = {}
-    for number, cells in enumerate(lines[1:], 2):
+    rows = Rows(tuple(header))
+    for number, cells in enumerate(lines, 2):
         if len(cells) != len(header):
             raise InputError(
                 f"{path} row {number} has {len(cells)} cells and not {len(header)}: write it again"
@@ -220,7 +251,7 @@ def read_table(path: Path, *, part: bool = False) -> Table:
             ) from None
         if key in rows:
             raise InputError(f"{path} row {number}: frame {key[0]} comes twice: write it again")
-        rows[key] = row
+        rows.add(key, cells)
     return Table(tuple(header), rows)
 
 
