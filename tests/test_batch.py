@@ -156,7 +156,7 @@ def test_a_plan_survives_the_way_to_another_process():
 
 
 def test_a_status_is_read_as_it_was_written_and_a_broken_one_is_waiting(tmp_path):
-    status = Status("day/a", "failed", 3, 1.5, 0.25, None, 0, 'a "reason", with commas')
+    status = Status("day/a", "failed", 3, 1.5, 0.25, None, reason='a "reason", with commas')
     write_status(tmp_path, status)
     assert read_status(tmp_path, "day/a") == status
     rows = list(csv.DictReader(format_statuses([status]).decode().splitlines()))

@@ -208,12 +208,12 @@ def test_the_histogram_counts_known_pixels(copy):
 
 
 BATCH = """\
-name,status,frames,seconds,charged,matched,damage,reason,worker
-good,done,24,1.5,0.5,0.4,,,1
-bad <i>,failed,,,,,,left.mp4: cannot be read,2
-torn,damaged,20,1.0,0.5,0.25,1,left.mp4: 3 images lost,1
-gone,lost,3,,,,,,2
-../out,done,24,1.5,0.5,0.4,,,1
+name,status,frames,seconds,charged,matched,damage,warnings,said,reason,worker
+../out,done,24,1.5,0.5,0.4,0,0,,,1
+good,done,24,1.5,0.5,0.4,0,1,rows do not agree,,1
+bad <i>,failed,,,,,0,0,,left.mp4: cannot be read,2
+torn,damaged,20,1.0,0.5,0.25,1,0,left.mp4: 3 images lost,,1
+gone,lost,3,,,,,,,,2
 """
 
 
@@ -225,6 +225,8 @@ def batch(run, tmp_path):
     (out / "good" / "report.html").write_text("<p>")
     (out / "torn").mkdir()
     (out / "batch.csv").write_text(BATCH)
+    (out / ".batch/logs").mkdir(parents=True)
+    (out / ".batch/logs/torn.log").write_text("warning: 3 images lost\n")
     return out
 
 
@@ -237,13 +239,15 @@ def test_a_batch_has_a_row_for_each_recording_failures_first(batch):
     assert "left.mp4: cannot be read" in failed
     assert "<a" not in failed + lost + outside
     assert 'href="torn"' in torn
-    assert "3 images lost" in torn
+    assert 'left.mp4: 3 images lost <a href=".batch/logs/torn.log">log</a>' in torn
+    assert '<td class="reason">rows do not agree</td>' in good
+    assert '<td class="reason"></td>' in outside + lost
     assert 'href="good/report.html"' in good
     assert "data:image/jpeg" in good
     points = re.search(r'polyline points="([^"]*)"', good)[1].split()
     rows = rows_of(batch / "good" / "steering.csv")
     assert len(points) == sum(bool(row["steer"]) for row in rows)
-    assert "3 of 5" in page
+    assert "3 of 5 not as they should be, 1 with warnings" in page
 
 
 @pytest.mark.parametrize("content", ["", "a,b\n1,2\n", "name\nx\n"])

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from motionstereo_cli.check.shortfall import shortfall
+from motionstereo_cli.check.shortfall import falls_short, shortfall
 
 
 def views(disparity):
@@ -19,8 +19,8 @@ def reason(right, left, reach=32):
 
 
 def test_enough_is_no_reason_to_speak():
-    assert shortfall(0.5, 0.3, *views(10), 32) is None
-    assert shortfall(0.001, 0.0, *views(10), 32) is None
+    assert [falls_short(0.5, matched) for matched in (0.3, 0.05)] == [False, True]
+    assert not falls_short(0.001, 0.0)
 
 
 def test_swapped_views_are_told():

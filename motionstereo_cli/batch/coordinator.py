@@ -285,7 +285,9 @@ class _Batch:
 
     def _submit(self, client: Client, item: Item, jobs: int) -> Future:
         plan = self._plans[item.name]
-        measured = {} if item.max_disparity is None else {"max_disparity": item.max_disparity}
+        # Pieces have the range that was measured; the whole warns of what was wrong with that.
+        known = item.piece is not None and item.max_disparity is not None
+        measured = {"max_disparity": item.max_disparity} if known else {}
         settings = {**plan["settings"], **measured}
         task = {
             "plan": {**plan, "jobs": plan["jobs"] or jobs, "settings": settings},

@@ -140,4 +140,5 @@ def _is_table(path: Path) -> bool:
         content = read_bytes(path, "the table of a batch", _MAX_TABLE_BYTES)
     except InputError:
         return False
-    return content.partition(b"\n")[0] == ",".join(COLUMNS).encode()
+    columns = content.partition(b"\n")[0].decode("utf-8", "replace").split(",")
+    return columns[:2] == list(COLUMNS[:2]) and set(columns) <= set(COLUMNS)  # earlier: fewer

@@ -18,6 +18,7 @@ import math
 import struct
 import time
 import zlib
+from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -28,6 +29,8 @@ import numpy as np
 from msgspec import UNSET, UnsetType, structs
 from numpy.typing import NDArray
 
+from motionstereo_cli.check.findings import Finding
+from motionstereo_cli.check.measure import watched
 from motionstereo_cli.errors import NO_FRAMES, InputError, OutputError, SettingsError
 from motionstereo_cli.files.atomic import Temporary, reported
 from motionstereo_cli.files.folders import make_folder, remove_empty
@@ -45,6 +48,7 @@ from motionstereo_cli.pipeline import (
     follow,
     recent_frames,
 )
+from motionstereo_cli.rig.calibration import rectify_source
 from motionstereo_cli.robot.guide import ImageProfile, MapProfile
 from motionstereo_cli.robot.movers import RUN_IN_FRAMES as MOVERS_FRAMES
 from motionstereo_cli.robot.odometry import BLOCK_FRAMES
@@ -52,8 +56,24 @@ from motionstereo_cli.runs.folder import RunFolder, discard, record_of
 from motionstereo_cli.runs.folder_files import FolderKind
 from motionstereo_cli.runs.open_outputs import Totals
 from motionstereo_cli.runs.plan import RunPlan
-from motionstereo_cli.runs.record import Job, RunReport, identity_of, outcome, report_of, report_on
-from motionstereo_cli.runs.run import Watcher, add_table, inputs_of, job_of, opened, table_of
+from motionstereo_cli.runs.record import (
+    Job,
+    RunReport,
+    Warned,
+    identity_of,
+    outcome,
+    report_of,
+    report_on,
+)
+from motionstereo_cli.runs.run import (
+    Watcher,
+    add_table,
+    inputs_of,
+    job_of,
+    opened,
+    table_of,
+    warn_of_what_is_missing,
+)
 from motionstereo_cli.sinks.outputs import OUTPUTS
 from motionstereo_cli.sinks.records import Counts, FolderRecord, RunRecord
 from motionstereo_cli.sinks.videos import beginning
@@ -154,7 +174,7 @@ def run_piece(
     if not seek and (done := _done(folder)) and done.sought:
         discard(folder, PIECE)
     with open_stereo(plan.left, plan.right, plan.input_settings) as source:
-        job = job_of(plan, source, watcher)
+        job = job_of(plan, source, Warned(watcher.say))
         names = tuple(name for name in job.save if OUTPUTS[name].takes == "images")
         outputs = (*names, _KEPT)
         identity = PieceRecord(
@@ -281,7 +301,7 @@ def join_pieces(plan: RunPlan, pieces: Sequence[Piece], home: Path, watcher: Wat
     """
     started_s = time.perf_counter()
     with open_stereo(plan.left, plan.right, plan.input_settings) as source:
-        job = job_of(plan, source, watcher)
+        job = job_of(plan, source, Warned(watcher.say))
         assert plan.folder is not None
         inputs = inputs_of(job)
         with RunFolder(
@@ -302,18 +322,37 @@ def join_pieces(plan: RunPlan, pieces: Sequence[Piece], home: Path, watcher: Wat
             last = _done(folders[-1])
             if last is None or not last.outcome or not last.outcome.counts:
                 raise OutputError(f"{folders[-1]} has no outcome: give the same command again")
+            _warn(job, sinks.totals, damaged=bool(last.outcome.damage))
             report = report_on(job, sinks.totals, 0, started_s)
             counts = structs.replace(last.outcome.counts, written=report.frames)
-            came = outcome(source, report) | {
-                "counts": counts,
-                "warnings": last.outcome.warnings,
-                "damage": last.outcome.damage,
-            }
+            came = outcome(source, report) | {"counts": counts, "damage": last.outcome.damage}
             sinks.complete(options=plan.options, **came)
     for folder in folders:
         discard(folder, PIECE)
     remove_empty(home)
     return report
+
+
+def _warn(job: Job, totals: Totals, *, damaged: bool) -> None:
+    """Warn of what a whole run warns of by its first frames and its last."""
+    plan = job.plan
+    told: list[Sequence[Finding]] = []
+    if plan.with_check:
+        reach, rig = plan.settings.max_disparity, job.context.rig
+        for _ in watched(job.frames, reach, told.append, rig=rig):
+            if told:
+                break
+    for findings in told:
+        job.warned.warn_of(findings)
+
+    def last() -> StereoFrame:
+        with open_stereo(plan.left, plan.right, plan.input_settings) as source:
+            rectify_source(source, plan.rig, plan.rig_settings)
+            if not damaged:  # a seek passes over damage without seeing it
+                source.begin_at(totals.frames - 1)
+            return deque(source, maxlen=1).pop()
+
+    warn_of_what_is_missing(job, totals, last)
 
 
 def _follow(job: Job, folders: Sequence[Path], sinks: RunFolder, watcher: Watcher) -> None:

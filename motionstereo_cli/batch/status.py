@@ -25,7 +25,6 @@ def row_of(status: Status) -> dict[str, Any]:
     return {name: getattr(status, name) for name in COLUMNS}
 
 
-# >>>>0ef07af (Records are typed once; pickle goes)
 def format_statuses(statuses: Iterable[Status]) -> bytes:
     """Return the table of a batch: RFC 4180 but for LF, a row a recording; empty = unknown."""
     text = io.StringIO()

@@ -113,6 +113,8 @@ def _ended(status: Status, report: RunReport) -> Status:
         charged=report.charged,
         matched=report.matched,
         damage=len(report.damage),
+        warnings=len(report.warnings),
+        said="; ".join((*report.damage, *(each.text for each in report.warnings))),
     )
 
 

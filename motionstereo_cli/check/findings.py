@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -102,7 +102,7 @@ class CheckReport:
     def findings(self) -> tuple[Finding, ...]:
         """What is wrong, what ruins the result first."""
         found = [
-            Finding(rule.name, rule.ruins(self), rule.text(self))
+            Finding(rule.name, rule.ruins(self), rule.text(self), rule.numbers(self))
             for rule in RULES
             if self.frames and rule.applies(self)
         ]
@@ -134,11 +134,13 @@ class Finding:
         name: which, for programs: the name of one of the :data:`RULES`.
         ruins: whether the result would be of no use.
         text: what, how much, and what to do, in one line.
+        numbers: what it was judged by, by the fields of the report.
     """
 
     name: str
     ruins: bool
     text: str
+    numbers: Mapping[str, float] = dataclasses.field(default_factory=dict)
 
 
 class Rule(NamedTuple):
@@ -151,6 +153,7 @@ class Rule(NamedTuple):
         applies: whether something is wrong.
         ruins: whether that ruins the result.
         text: what, how much, and what to do, in one line.
+        fields: the fields of the report that it is judged by.
     """
 
     name: str
@@ -159,6 +162,12 @@ class Rule(NamedTuple):
     applies: Callable[[CheckReport], bool]
     ruins: Callable[[CheckReport], bool]
     text: Callable[[CheckReport], str]
+    fields: Sequence[str] = ()
+
+    def numbers(self, report: CheckReport) -> dict[str, float]:
+        """Return what a report is judged by, as far as it was measured."""
+        found = {name: getattr(report, name) for name in self.fields}
+        return {name: round(value, 4) for name, value in found.items() if value is not None}
 
 
 def _always(_: CheckReport) -> bool:
@@ -184,6 +193,7 @@ def _repeated(side: str) -> Rule:
             f"first in frame {getattr(r, f'first_repeated_{side}')}, while objects move: record it "
             "again, or leave these out with --start, --end or --every"
         ),
+        (f"repeated_{side}", f"first_repeated_{side}", "frames"),
     )
 
 
@@ -238,6 +248,7 @@ RULES = (
             "left and right show the same view, so every disparity is 0: give the recordings of "
             "two cameras (two tracks of one file: --layout tracks), and of what is not too far"
         ),
+        ("alike", "disparity_low_px", "disparity_high_px"),
     ),
     Rule(
         "turned",
@@ -258,6 +269,7 @@ RULES = (
             "where a camera puts few bits into many, give --white (4095 for 12 bits); else give "
             "more light or exposure"
         ),
+        ("brightest", "moving"),
     ),
     Rule(
         "drifting",
@@ -278,6 +290,7 @@ RULES = (
             f"out of step: the right recording is {r.ahead_frames:+.1f} frames ahead of the "
             f"left one: add {-r.step_frames} to --sync-offset"
         ),
+        ("ahead_frames", "step_frames"),
     ),
     Rule(
         "still",
@@ -298,6 +311,7 @@ RULES = (
             f"{r.frames} frames, and what stands still gets no depth: move the camera, or give a "
             "part with motion"
         ),
+        ("moving", "frames"),
     ),
     _repeated("left"),
     _repeated("right"),
@@ -311,6 +325,7 @@ RULES = (
             f"only {r.matches} features agree between left and right, too few to check "
             "alignment: see that both show the same scene, in focus and lit"
         ),
+        ("matches",),
     ),
     Rule(
         "misaligned",
@@ -336,6 +351,7 @@ RULES = (
                 else "rectify, by giving the calibration to --rig"
             )
         ),
+        ("misaligned_px", "misaligned_p90_px", "shifted_px", "turned_deg"),
     ),
     Rule(
         "swapped",
@@ -353,6 +369,7 @@ RULES = (
             )
             + "; if both are upside down, give --rotate-left 180 --rotate-right 180 instead"
         ),
+        ("behind",),
     ),
     Rule(
         "negative-disparity",
@@ -369,6 +386,7 @@ RULES = (
                 else "the cameras converge, so rectify them by giving the calibration to --rig"
             )
         ),
+        ("negative", "disparity_low_px"),
     ),
     Rule(
         "beyond-range",
@@ -380,6 +398,7 @@ RULES = (
             f"{r.beyond:.0%} of the matches have disparities above {r.max_disparity} px (up "
             f"to {r.disparity_high_px:.0f}): give --max-disparity {r.advised_max_disparity}"
         ),
+        ("beyond", "disparity_high_px", "advised_max_disparity"),
     ),
     Rule(
         "grey-difference",
@@ -392,5 +411,6 @@ RULES = (
             f"{abs(r.grey_difference or 0):.0f} grey levels brighter: give both cameras the same "
             "exposure and gain"
         ),
+        ("grey_difference",),
     ),
 )

@@ -91,11 +91,11 @@ def check(
 def watched(
     frames: Iterable[StereoFrame],
     max_disparity: int,
-    say: Callable[[Finding], object],
+    tell: Callable[[Sequence[Finding]], object],
     *,
     rig: Rig | None = None,
 ) -> Iterator[StereoFrame]:
-    """Yield the frames as they come, and say what is wrong once the first window has gone by.
+    """Yield the frames as they come, and tell once what is wrong, after the first window.
 
     Where that is dark, the window is the first one in the light.
 
@@ -112,10 +112,10 @@ def watched(
             if not left_to_see:
                 in_the_dark = _is_dark(frame)
                 if not in_the_dark:
-                    _tell(checker, max_disparity, rig, say)
+                    tell(_opening(checker, max_disparity, rig))
         yield frame
     if left_to_see or in_the_dark:
-        _tell(checker, max_disparity, rig, say)
+        tell(_opening(checker, max_disparity, rig))
 
 
 def advised_range(sample: Iterable[StereoFrame]) -> CheckReport:
@@ -135,12 +135,10 @@ def _is_dark(frame: StereoFrame) -> bool:
     return bool(np.percentile(frame.left[::4, ::4], 99.9) < DARK_GREY)
 
 
-def _tell(
-    checker: _Checker, max_disparity: int, rig: Rig | None, say: Callable[[Finding], object]
-) -> None:
-    for finding in checker.report(max_disparity, rig).findings:
-        if finding.name != "few-matches":  # so little seen is no reason to interrupt a run
-            say(finding)
+def _opening(checker: _Checker, max_disparity: int, rig: Rig | None) -> list[Finding]:
+    found = checker.report(max_disparity, rig).findings
+    # So little seen is no reason to interrupt a run.
+    return [finding for finding in found if finding.name != "few-matches"]
 
 
 def starts(expected_frames: int | None) -> Sequence[int]:

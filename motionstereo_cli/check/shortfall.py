@@ -33,10 +33,13 @@ MIN_AT_LIMIT_SHARE = 0.02
 _MIN_BRIGHTNESS = 5.0
 
 
-def shortfall(
-    charged: float, matched: float, right: Grey, left: Grey, max_disparity: int
-) -> str | None:
-    """Return why little of what is charged was matched, as a sentence; None where enough was.
+def falls_short(charged: float, matched: float) -> bool:
+    """Return whether little of what is charged was matched, by mean shares of the image, 0..1."""
+    return charged >= _MIN_CHARGED_SHARE and matched < MIN_MATCHED_SHARE * charged
+
+
+def shortfall(charged: float, matched: float, right: Grey, left: Grey, max_disparity: int) -> str:
+    """Return why little of what is charged was matched, as a sentence.
 
     Other explanations are tried on one pair of images: swapped views, rows that are off, a larger
     range. The one under which most pixels find a certain partner is the reason, if that is much
@@ -47,8 +50,6 @@ def shortfall(
         right, left: a pair of images of the run, (height, width) uint8.
         max_disparity: as the run has it, px.
     """
-    if charged < _MIN_CHARGED_SHARE or matched >= MIN_MATCHED_SHARE * charged:
-        return None
     said = f"only {matched / charged:.0%} of what is charged was matched"
     scale = min(1.0, _WIDTH / right.shape[1])
     if scale < 1:

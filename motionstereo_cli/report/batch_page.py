@@ -25,6 +25,9 @@ from motionstereo_cli.sinks.writers import cell_text
 #: The table of a batch, in its output folder.
 TABLE = "batch.csv"
 
+#: The logs of its recordings, by name.
+LOGS = ".batch/logs"
+
 #: The statuses of a recording, worst first; unknown ones come before these.
 STATUSES = ("failed", "lost", "interrupted", "damaged", "done")
 
@@ -42,14 +45,18 @@ class RecordingRow:
     Attributes:
         status: its row of the table.
         rank: 0 for the worst status.
+        wrong: why it failed, what was lost, and the warnings, in words; empty if nothing.
         address: of its own page or its folder; None if neither exists.
+        log: address of its log; None if there is none.
         poster: a frame of its reference view.
         plot: its heading over time as points of a polyline in a box of 100 by 20; empty if unknown.
     """
 
     status: Status
     rank: int
+    wrong: str
     address: str | None
+    log: str | None
     poster: Picture | None
     plot: str
 
@@ -64,7 +71,7 @@ def batch_page(out: Path, page: Path) -> str:
     Raises:
         InputError: the table cannot be read.
     """
-    rows = sorted(_rows(out / TABLE), key=lambda row: _rank(row.status))
+    rows = sorted(_rows(out / TABLE), key=lambda row: (_rank(row.status), not row.warnings))
     recordings = [
         _recording(out, row, page, with_picture=index < _MAX_PICTURES)
         for index, row in enumerate(rows)
@@ -77,6 +84,7 @@ def batch_page(out: Path, page: Path) -> str:
         recordings=recordings,
         counts=sorted(counts.items(), key=lambda item: _rank(item[0])),
         bad=sum(each.rank < STATUSES.index("done") for each in recordings),
+        warned=sum(bool(each.status.warnings) for each in recordings),
         frames=sum(each.status.frames for each in recordings),
         seconds=sum(each.status.seconds for each in recordings),
         statuses=STATUSES,
@@ -114,13 +122,20 @@ def _recording(out: Path, row: Status, page: Path, *, with_picture: bool) -> Rec
         if with_picture:
             with contextlib.suppress(InputError):  # a run that failed early has no results
                 picture, plot = _shown(read_results(folder))
-    return RecordingRow(row, _rank(row.status), address, picture, plot)
+    log = out / LOGS / f"{row.name}.log"
+    shown = address_of(log, page) if _lies_in(out, log) else None
+    wrong = "; ".join(filter(None, (row.reason, row.said)))
+    return RecordingRow(row, _rank(row.status), wrong, address, shown, picture, plot)
 
 
 def _is_folder_in(out: Path, folder: Path) -> bool:
     """Return whether there is a folder, which no link leads out of ``out`` to."""
+    return _lies_in(out, folder) and folder.is_dir()
+
+
+def _lies_in(out: Path, path: Path) -> bool:
     try:
-        return real(folder).is_relative_to(real(out)) and folder.is_dir()
+        return real(path).is_relative_to(real(out)) and path.exists()
     except (OSError, ValueError, RuntimeError):  # too long, a NUL, a circle of links
         return False
 

@@ -51,13 +51,14 @@ def command(record: RunRecord) -> str | None:
 
 
 def troubles(record: RunRecord, shares: Mapping[str, float]) -> Sequence[str]:
-    """Return the problems of the input, one sentence each.
+    """Return what was warned of, what was lost, and what stands out, one sentence each.
 
     Args:
         record: of the run.
         shares: of the frames that have each status.
     """
-    lines = [_sentence(line) for line in (*(record.warnings or ()), *(record.damage or ()))]
+    said = (*(each.text for each in record.warned), *(record.damage or ()))
+    lines = [_sentence(line) for line in said]
     found = record.shares
     if found and found.charged > 0.05 and found.matched < 0.1 * found.charged:
         lines.append(

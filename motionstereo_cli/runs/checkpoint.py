@@ -136,7 +136,12 @@ def with_guided(state: State, kind: str) -> State:
 
 
 def _digest(identity: FolderRecord) -> str:
-    return hashlib.sha256(json.dumps(builtins_of(identity), sort_keys=True).encode()).hexdigest()
+    return hashlib.sha256(json.dumps(_followed(identity), sort_keys=True).encode()).hexdigest()
+
+
+def _followed(identity: FolderRecord) -> dict[str, Any]:
+    """Return what results follow from; what was warned of is no part of it."""
+    return {key: each for key, each in builtins_of(identity).items() if key != "warnings"}
 
 
 def check_state(state: State, settings: Settings, width: int, height: int) -> None:
@@ -173,7 +178,7 @@ def check_same(out: Path, identity: FolderRecord, found: FolderRecord) -> None:
     Raises:
         OutputError: it is not.
     """
-    wanted, there = builtins_of(identity), builtins_of(found)
+    wanted, there = _followed(identity), builtins_of(found)
     if difference := _difference(wanted, {key: there.get(key) for key in wanted}):
         raise OutputError(
             f"{out} is of another run, {difference}: "

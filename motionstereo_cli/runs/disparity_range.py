@@ -20,6 +20,9 @@ from motionstereo_cli.types import StereoFrame
 #: A recording that cannot be read from the middle is decoded up to here.
 _MAX_DECODED_FRAMES = 1000
 
+#: Code of the warning that the range could not be measured.
+RANGE = "range"
+
 Say = Callable[[str, str], object]
 
 
@@ -38,8 +41,11 @@ def with_range(plan: RunPlan, say: Say) -> RunPlan:
     """
     if plan.settings.max_disparity != AUTO:
         return plan
-    if found := _begun_with(plan):
-        return _settled(plan, found)
+    if begun := _begun_with(plan):
+        for warning in begun.warned:
+            if warning.code == RANGE:
+                say("warning", warning.text)
+        return _settled(plan, int(begun.values("settings")["max_disparity"]))
     return _measured(plan, sample_of(plan), say)
 
 
@@ -96,8 +102,8 @@ def _settled(plan: RunPlan, max_disparity: int) -> RunPlan:
     return dataclasses.replace(plan, settings=settings)
 
 
-def _begun_with(plan: RunPlan) -> int | None:
-    """Return the number that the run was begun with, if it is one to go on with."""
+def _begun_with(plan: RunPlan) -> RunRecord | None:
+    """Return the record of the run that is to go on, if it has a number."""
     if plan.folder is None or not plan.resume:
         return None
     place = plan.folder / RUN.record
@@ -105,5 +111,5 @@ def _begun_with(plan: RunPlan) -> int | None:
         found = read_record(place, RUN) or read_record(part_of(place), RUN)
     except InputError:
         return None  # the record is damaged, and the run will say so
-    number = found.values("settings").get("max_disparity") if isinstance(found, RunRecord) else None
-    return None if number is None else int(number)
+    known = isinstance(found, RunRecord) and found.values("settings").get("max_disparity")
+    return found if known and isinstance(found, RunRecord) else None

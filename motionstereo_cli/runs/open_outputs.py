@@ -35,6 +35,12 @@ class Totals:
     matched: float = 0.0
     at_limit: float = 0.0
 
+    @property
+    def means(self) -> tuple[float, float, float]:
+        """Means of the shares: charged, matched, at the limit."""
+        count = max(self.frames, 1)
+        return self.charged / count, self.matched / count, self.at_limit / count
+
     def plus(self, shares: Step | FrameSummary) -> Totals:
         """Return the sums with a further frame."""
         return Totals(

@@ -11,7 +11,7 @@ import os
 import platform
 import re
 import time
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +22,7 @@ from msgspec import UNSET, UnsetType, structs
 
 import motionstereo_cli
 from motionstereo_cli import __version__
+from motionstereo_cli.check.findings import Finding
 from motionstereo_cli.errors import OutputError
 from motionstereo_cli.files.reading import real, sha256_of
 from motionstereo_cli.files.records import typed
@@ -42,6 +43,7 @@ from motionstereo_cli.sinks.records import (
     RunRecord,
     Shares,
     Timing,
+    WarningRecord,
 )
 from motionstereo_cli.sinks.sink import RunContext
 from motionstereo_cli.sources import StereoSource
@@ -65,6 +67,7 @@ class RunReport:
         wall_s: duration in s, from the first frame's decoding to the last output's completion.
         outputs: paths under the output folder, numbered files as their folder.
         damage: what was lost of the input, one line each.
+        warnings: what looks wrong, in the order in which it was said.
         interrupted: the run was ended before the end of the input; see :func:`run`.
     """
 
@@ -76,12 +79,47 @@ class RunReport:
     wall_s: float
     outputs: tuple[str, ...]
     damage: tuple[str, ...]
+    warnings: tuple[WarningRecord, ...]
     interrupted: bool
 
     @property
     def frames_per_second(self) -> float:
         """Speed of this process, 0 if there was nothing left to do."""
         return (self.frames - self.resumed) / self.wall_s if self.wall_s else 0.0
+
+
+class Warned:
+    """The warnings of a run: said when they come, and kept for its record.
+
+    Args:
+        say: called with a kind, ``note`` or ``warning``, and a line.
+    """
+
+    def __init__(self, say: Callable[[str, str], object]) -> None:
+        self._say = say
+        self._found: list[WarningRecord] = []
+
+    @property
+    def found(self) -> tuple[WarningRecord, ...]:
+        """The warnings so far."""
+        return tuple(self._found)
+
+    def warn(self, code: str, text: str, numbers: Mapping[str, int | float] | None = None) -> None:
+        """Say and keep a warning, see :class:`~motionstereo_cli.sinks.records.WarningRecord`."""
+        self._found.append(WarningRecord(code, text, dict(numbers or {})))
+        self._say("warning", text)
+
+    def say(self, code: str, kind: str, text: str) -> None:
+        """Say a line, and keep it if it is a warning."""
+        if kind == "warning":
+            self.warn(code, text)
+        else:
+            self._say(kind, text)
+
+    def warn_of(self, findings: Iterable[Finding]) -> None:
+        """Say and keep what a check has found."""
+        for finding in findings:
+            self.warn(finding.name, finding.text, finding.numbers)
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -94,6 +132,7 @@ class Job:
         frames: all frames of the source.
         context: what the outputs need.
         poses: where the rig was; None if it is not known.
+        warned: the warnings so far.
         motion_offset_px: constant that own motion is found with, added to disparity.
     """
 
@@ -102,6 +141,7 @@ class Job:
     frames: Iterable[StereoFrame]
     context: RunContext
     poses: Trajectory | None
+    warned: Warned
     motion_offset_px: float = 0.0
 
     @property
@@ -174,6 +214,7 @@ def identity_of(job: Job, inputs: Iterable[Path]) -> RunRecord:
         pose_settings=dataclasses.asdict(job.poses.settings) if job.poses else UNSET,
         poses=AUTO_POSES if plan.poses and own_motion else UNSET,
         motion_offset_px=job.motion_offset_px if own_motion else UNSET,
+        warnings=list(job.warned.found),
     )
 
 
@@ -228,15 +269,17 @@ def report_on(job: Job, totals: Totals, resumed: int, started_s: float) -> RunRe
         resumed: how many of them an earlier process had done.
         started_s: when it began, as ``time.perf_counter`` has it.
     """
+    charged, matched, at_limit = totals.means
     return RunReport(
         frames=totals.frames,
         resumed=resumed,
-        charged=totals.charged / max(totals.frames, 1),
-        matched=totals.matched / max(totals.frames, 1),
-        at_limit=totals.at_limit / max(totals.frames, 1),
+        charged=charged,
+        matched=matched,
+        at_limit=at_limit,
         wall_s=time.perf_counter() - started_s,
         outputs=_shown(job.save),
         damage=tuple(job.source.damage),
+        warnings=job.warned.found,
         interrupted=False,
     )
 
@@ -248,7 +291,7 @@ def outcome(source: StereoSource, report: RunReport) -> dict[str, Any]:
         **({} if source.rereadable else {"inputs": _described(source)}),
         "counts": Counts(written=report.frames, **source.counts),
         "shares": Shares(report.charged, report.matched, report.at_limit),
-        "warnings": list(source.warnings),
+        "warnings": list(report.warnings),
         "damage": list(report.damage),
         "timing": Timing(round(report.wall_s, 3), round(report.frames_per_second, 2)),
     }
@@ -281,6 +324,7 @@ def report_of(record: FolderRecord, plan: RunPlan) -> RunReport:
         wall_s=0.0,
         outputs=_shown(name for name in record.outputs or () if name in OUTPUTS),
         damage=tuple(record.damage),
+        warnings=record.warned,
         interrupted=False,
     )
 

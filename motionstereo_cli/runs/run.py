@@ -13,7 +13,7 @@ from typing import Any, BinaryIO
 
 from motionstereo_cli.check.measure import watched
 from motionstereo_cli.check.offset import with_offset
-from motionstereo_cli.check.shortfall import beyond_range, shortfall
+from motionstereo_cli.check.shortfall import beyond_range, falls_short, shortfall
 from motionstereo_cli.errors import (
     NO_FRAMES,
     InputError,
@@ -32,13 +32,21 @@ from motionstereo_cli.rig.settings import NO_RIG
 from motionstereo_cli.runs.checkpoint import check_state
 from motionstereo_cli.runs.cores import check_memory, usable_cores
 from motionstereo_cli.runs.disparity_offset import with_measured_offset
-from motionstereo_cli.runs.disparity_range import with_range, with_range_of_opening
+from motionstereo_cli.runs.disparity_range import RANGE, with_range, with_range_of_opening
 from motionstereo_cli.runs.folder import RunFolder
 from motionstereo_cli.runs.folder_files import TABLE
 from motionstereo_cli.runs.interrupts import finishing
-from motionstereo_cli.runs.open_outputs import Sinks
+from motionstereo_cli.runs.open_outputs import Sinks, Totals
 from motionstereo_cli.runs.plan import RunPlan
-from motionstereo_cli.runs.record import Job, RunReport, identity_of, outcome, report_of, report_on
+from motionstereo_cli.runs.record import (
+    Job,
+    RunReport,
+    Warned,
+    identity_of,
+    outcome,
+    report_of,
+    report_on,
+)
 from motionstereo_cli.runs.threaded_sink import Threaded
 from motionstereo_cli.sinks.outputs import OUTPUTS, available, check_video_size
 from motionstereo_cli.sinks.sink import DEFAULT_TIME_BASE, RunContext, Sink
@@ -95,10 +103,14 @@ def run(plan: RunPlan, watcher: Watcher | None = None, stdout: BinaryIO | None =
     watcher = watcher or Watcher()
     stdout = stdout or _standard_output(plan)
     check_memory()
-    measured = with_offset(plan.left, plan.right, plan.input_settings, watcher.say)
+    warned = Warned(watcher.say)
+    say = partial(warned.say, "sync-offset")
+    measured = with_offset(plan.left, plan.right, plan.input_settings, say)
     plan = dataclasses.replace(plan, input_settings=measured)
     with open_stereo(plan.left, plan.right, plan.input_settings) as source:
-        job = job_of(plan, source, watcher)
+        job = job_of(plan, source, warned)
+        latest = _Latest(job.frames)
+        job = dataclasses.replace(job, frames=latest)
         check_memory()
         watcher.begin(source.expected_frames)
         sinks = _sinks(job)
@@ -111,9 +123,9 @@ def run(plan: RunPlan, watcher: Watcher | None = None, stdout: BinaryIO | None =
                         return report_of(sinks.finished, plan)
                 resumed = sinks.totals.frames
                 _open(sinks, job, stdout)
-                last = _write(sinks, job, watcher)
+                _write(sinks, job, watcher)
+                warn_of_what_is_missing(job, sinks.totals, lambda: latest.frame)
                 report = report_on(job, sinks.totals, resumed, started_s)
-                _say_what_is_missing(report, last, job, watcher)
                 sinks.complete(options=plan.options, **outcome(source, report))
                 return report
         except BrokenPipeError:
@@ -143,59 +155,62 @@ def _standard_output(plan: RunPlan) -> BinaryIO | None:
     return sys.stdout.buffer
 
 
-def job_of(plan: RunPlan, source: StereoSource, watcher: Watcher) -> Job:
+def job_of(plan: RunPlan, source: StereoSource, warned: Warned) -> Job:
     """Have the source rectify, and read what is known before the first frame."""
+    note = partial(warned.say, "", "note")
     for line in source.warnings:
-        watcher.say("warning", line)
+        warned.warn("recording", line)
     calibration = rectify_source(source, plan.rig, plan.rig_settings)
     if calibration is not None:
         for line in calibration.notes:
-            watcher.say("note", line)
+            note(line)
         for line in calibration.warnings:
-            watcher.say("warning", line)
+            warned.warn("calibration", line)
         plan = dataclasses.replace(plan, rig=calibration.found or plan.rig)
     rig, poses = None, None
     if calibration is None:
-        _do_without_rig(plan, watcher)
+        _do_without_rig(plan, note)
         for line in source.calibration_notes:
-            watcher.say("note", line)
+            note(line)
     else:
         check_size(calibration.rig, source)
         rig = adapted_rig(calibration.rig, source.settings)
         if plan.poses_file:
-            poses = _poses(plan.poses_file, plan, calibration, source, watcher)
+            poses = _poses(plan.poses_file, plan, calibration, source, warned)
     shows_colours = any(OUTPUTS[name].shows_colours for name in plan.outputs)
     source.keep_colours(plan.settings.reference if shows_colours else "")
     time_base = source.time_base or DEFAULT_TIME_BASE
     frames: Iterable[StereoFrame] = source
+    say = partial(warned.say, RANGE)
     if source.rereadable:
-        plan = with_range(plan, watcher.say)
+        plan = with_range(plan, say)
     else:
-        plan, frames = with_range_of_opening(plan, source, watcher.say)
+        plan, frames = with_range_of_opening(plan, source, say)
     context = RunContext(time_base, plan.settings, rig, plan.output_settings)
-    job = with_measured_offset(Job(plan, source, frames, context, poses), watcher.say)
+    job = Job(plan, source, frames, context, poses, warned)
+    job = with_measured_offset(job, partial(warned.say, "disparity-offset"))
     if plan.folder is not None:
         check_video_size(job.save, source.width, source.height)
     if job.with_own_motion and plan.poses is None:
         rows = ((name, OUTPUTS[name]) for name in job.save)
         asking = ", ".join(name for name, row in rows if row.needs_poses or row.needs_movers)
-        watcher.say("note", f"{asking}: the rig's own motion is found, as by --poses auto")
+        note(f"{asking}: the rig's own motion is found, as by --poses auto")
     return job
 
 
 def _poses(
-    path: Path, plan: RunPlan, calibration: Calibration, source: StereoSource, watcher: Watcher
+    path: Path, plan: RunPlan, calibration: Calibration, source: StereoSource, warned: Warned
 ) -> Trajectory:
     """Return the poses of a file that covers a source."""
     poses = read_poses(path, plan.pose_settings, calibration.rig, calibration.body_from_left)
     first, last = source.numbers if poses.by_number else source.span_s
     whole = source.last_number if poses.by_number else source.last_s
     for line in poses.check_covers(first, last, whole):
-        watcher.say("warning", line)
+        warned.warn("poses", line)
     return poses
 
 
-def _do_without_rig(plan: RunPlan, watcher: Watcher) -> None:
+def _do_without_rig(plan: RunPlan, note: Callable[[str], object]) -> None:
     """Make sure that a run without a calibration needs none."""
     output = plan.output_settings
     for flags, given in (
@@ -206,7 +221,7 @@ def _do_without_rig(plan: RunPlan, watcher: Watcher) -> None:
         if given:
             raise SettingsError(f"{flags} need --rig: without it nothing is in metres")
     if available(plan.outputs, rig=False) != plan.outputs:
-        watcher.say("note", "depth in m needs --rig: disparity takes the place of depth")
+        note("depth in m needs --rig: disparity takes the place of depth")
 
 
 def check_size(rig: Rig, source: StereoSource) -> None:
@@ -305,11 +320,26 @@ def default_jobs(source: StereoSource) -> int:
     return max(1, min(usable_cores(), _IN_FLIGHT_BYTES // frame_bytes))
 
 
-def _write(sinks: Sinks, job: Job, watcher: Watcher) -> StereoFrame | None:
-    """Process the frames that are left, complete the outputs, and return the last of the frames."""
-    last = None
-    for frame, step, state in _steps(job, sinks, watcher):
-        last = frame
+class _Latest:
+    """Frames as they come.
+
+    Attributes:
+        frame: the latest; None before the first.
+    """
+
+    def __init__(self, frames: Iterable[StereoFrame]) -> None:
+        self._frames = frames
+        self.frame: StereoFrame | None = None
+
+    def __iter__(self) -> Iterator[StereoFrame]:
+        for frame in self._frames:
+            self.frame = frame
+            yield frame
+
+
+def _write(sinks: Sinks, job: Job, watcher: Watcher) -> None:
+    """Process the frames that are left, and complete the outputs."""
+    for _, step, state in _steps(job, sinks, watcher):
         with finishing():
             sinks.write(step, state)
             due = sinks.totals.frames % job.context.output.checkpoint_frames == 0
@@ -319,21 +349,31 @@ def _write(sinks: Sinks, job: Job, watcher: Watcher) -> StereoFrame | None:
     if not sinks.totals.frames:
         raise InputError(NO_FRAMES)
     sinks.close()
-    return last
 
 
-def _say_what_is_missing(
-    report: RunReport, last: StereoFrame | None, job: Job, watcher: Watcher
+def warn_of_what_is_missing(
+    job: Job, totals: Totals, last: Callable[[], StereoFrame | None]
 ) -> None:
-    """Warn where little of what is charged was matched, with the reason that the last frame has."""
+    """Warn where little of what is charged was matched, with the reason that the last frame has.
+
+    Args:
+        job: the run.
+        totals: sums over all its frames.
+        last: returns the last frame; called where little was matched.
+    """
     s = job.plan.settings
-    if last is None or s.max_age < FOREVER or s.min_confidence > 0:  # what is missing was asked for
+    if s.max_age < FOREVER or s.min_confidence > 0:  # what is missing was asked for
         return
-    found = shortfall(report.charged, report.matched, last.right, last.left, s.max_disparity)
-    if found is None:
-        found = beyond_range(report.matched, report.at_limit, s.max_disparity)
-    if found is not None:
-        watcher.say("warning", found)
+    charged, matched, at_limit = totals.means
+    numbers = {"charged": charged, "matched": matched, "at_limit": at_limit}
+    numbers = {name: round(share, 4) for name, share in numbers.items()}
+    if falls_short(charged, matched):
+        frame = last()
+        if frame is not None:
+            found = shortfall(charged, matched, frame.right, frame.left, s.max_disparity)
+            job.warned.warn("unmatched", found, numbers)
+    elif text := beyond_range(matched, at_limit, s.max_disparity):
+        job.warned.warn("at-limit", text, numbers)
 
 
 def _steps(job: Job, sinks: Sinks, watcher: Watcher) -> Iterator[_Step]:
@@ -343,7 +383,7 @@ def _steps(job: Job, sinks: Sinks, watcher: Watcher) -> Iterator[_Step]:
         frames = watched(
             frames,
             plan.settings.max_disparity,
-            lambda finding: watcher.say("warning", finding.text),
+            job.warned.warn_of,
             rig=job.context.rig,
         )
     frames = iter(frames)

@@ -138,6 +138,20 @@ class SumRecord(Struct, frozen=True):
     sha256: str
 
 
+class WarningRecord(Struct, frozen=True):
+    """What a run warned of.
+
+    Attributes:
+        code: which warning, for programs: the name of a finding of ``check``, or what it is of.
+        text: what, how much, and what to do, in one line.
+        numbers: what was measured, by name.
+    """
+
+    code: str
+    text: str
+    numbers: dict[str, int | float] = {}
+
+
 class RunRecord(FolderRecord, kw_only=True, frozen=True):
     """``run.json``: what a run is and, once it is done, what came of it.
 
@@ -162,7 +176,7 @@ class RunRecord(FolderRecord, kw_only=True, frozen=True):
     motion_offset_px: float | UnsetType = UNSET
     options: list[str] | UnsetType = UNSET
     shares: Shares | UnsetType = UNSET
-    warnings: list[str] | UnsetType = UNSET
+    warnings: list[WarningRecord | str] | UnsetType = UNSET
     damage: list[str] | UnsetType = UNSET
     timing: Timing | UnsetType = UNSET
     sums: dict[str, SumRecord] | UnsetType = UNSET
@@ -183,6 +197,12 @@ class RunRecord(FolderRecord, kw_only=True, frozen=True):
         return getattr(self, group) or {}
 
     @property
+    def warned(self) -> tuple[WarningRecord, ...]:
+        """The warnings, those of earlier versions too, which recorded their text alone."""
+        each = self.warnings or ()
+        return tuple(WarningRecord("recording", w) if isinstance(w, str) else w for w in each)
+
+    @property
     def camera(self) -> Rig | None:
         """The rig, None where none is recorded."""
         if not self.rig:
@@ -201,7 +221,9 @@ class Status(Record, frozen=True):
         frames: frames processed.
         seconds: how long that took, in s.
         charged, matched: mean shares of the image, 0..1, with charge and with a disparity.
-        damage: lines that say what was lost of the input.
+        damage: number of lines that say what was lost of the input.
+        warnings: number of warnings.
+        said: what was lost, and the warnings, in words.
         reason: why it failed, in one line.
         worker: where it was processed.
         plan: hash of what was to be done.
@@ -214,6 +236,8 @@ class Status(Record, frozen=True):
     charged: Share | None = None
     matched: Share | None = None
     damage: Count = 0
+    warnings: Count = 0
+    said: str = ""
     reason: str = ""
     worker: str = ""
     plan: str = ""

@@ -1,0 +1,190 @@
+"""What a run warns of is said, kept in its record, and shown, however the run is done."""
+
+import csv
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from recordings import encode
+from recordings import folder as images_in
+from test_resume import KILLED
+
+from motionstereo_cli.__main__ import main
+from motionstereo_cli.batch.pieces import join_pieces, pieces_of, run_piece
+from motionstereo_cli.method.settings import Settings
+from motionstereo_cli.report.batch_page import batch_page
+from motionstereo_cli.report.run_page import run_page
+from motionstereo_cli.runs import disparity_offset
+from motionstereo_cli.runs import run as runs
+from motionstereo_cli.runs.plan import RunPlan
+from motionstereo_cli.runs.run import Watcher, run
+from motionstereo_cli.simulate.settings import SimulateSettings
+from motionstereo_cli.simulate.write import simulate
+from motionstereo_cli.sinks.settings import OutputSettings
+
+FRAMES = 23
+
+
+@pytest.fixture(scope="module")
+def clips(tmp_path_factory):
+    """Good recordings, ``a``; of noise, ``b``; of nothing; of few of 16 bits; and files beside."""
+    folder = tmp_path_factory.mktemp("clips")
+    simulate(folder / "a", SimulateSettings(frames=f"300:{300 + FRAMES}", width=96, height=64))
+    (folder / "b").mkdir()
+    blank = [np.full((48, 64), 90, np.uint8)] * 3
+    for seed, side in enumerate(("left", "right")):
+        noise = np.random.default_rng(seed).integers(0, 255, (FRAMES, 64, 96), np.uint8)
+        encode(folder / f"b/{side}.mp4", list(noise), "libx264", "yuv420p")
+        encode(folder / f"blank_{side}.mkv", blank, "ffv1", "gray", 2)
+        images_in(folder / f"dark_{side}", [image.astype(np.uint16) for image in noise], ".png")
+    poses = "".join(f"{t} 0 0 {0.1 * t} 0 0 0 1\n" for t in range(200))
+    (folder / "long.txt").write_text(poses)
+    rig = (folder / "a/rig.yaml").read_text()
+    focal = next(line for line in rig.splitlines() if line.startswith("focal_px"))
+    (folder / "far.yaml").write_text(rig.replace(focal, "focal_px: 4000"))
+    return folder
+
+
+def pair(folder, order=("left", "right")):
+    return [str(folder / f"{side}.mp4") for side in order]
+
+
+def given(clips, code):
+    """Return the arguments of a run that warns of ``code``."""
+    a, rig = pair(clips / "a"), ["--rig", str(clips / "a/rig.yaml")]
+    blank = [str(clips / f"blank_{side}.mkv") for side in ("left", "right")]
+    return {
+        "recording": [str(clips / f"dark_{side}") for side in ("left", "right")],
+        "calibration": [*a, "--rig", str(clips / "far.yaml")],
+        "poses": [*a, *rig, "--poses", str(clips / "long.txt")],
+        "range": [*blank, "--max-disparity", "auto"],
+        "sync-offset": [*a, "--sync-offset", "auto"],
+        "disparity-offset": [*a, *rig, "--poses", "auto"],
+        "swapped": pair(clips / "a", ("right", "left")),
+        "unmatched": pair(clips / "b"),
+        "at-limit": [*a, "--max-disparity", "4"],
+    }[code]
+
+
+CODES = (
+    *("recording", "calibration", "poses", "range", "sync-offset", "disparity-offset"),
+    *("swapped", "unmatched", "at-limit"),
+)
+
+
+@pytest.mark.parametrize("code", CODES)
+def test_each_warning_is_said_recorded_and_on_the_page(clips, tmp_path, capsys, monkeypatch, code):
+    # How these two are measured has tests of its own.
+    monkeypatch.setattr(disparity_offset, "disparity_offset_px", lambda *_: 0.7)
+    if code == "sync-offset":
+        monkeypatch.setattr(runs, "with_offset", unsure_offset)
+    out = tmp_path / "o"
+    assert main(["run", *given(clips, code), "--save", "steering", "-o", str(out)]) == 0
+    said = [
+        line.removeprefix("warning: ")
+        for line in capsys.readouterr().err.splitlines()
+        if line.startswith("warning: ")
+    ]
+    found = json.loads((out / "run.json").read_text())["warnings"]
+    assert [each["text"] for each in found] == said
+    assert code in [each["code"] for each in found]
+    assert all(each["numbers"] for each in found if each["code"] in CODES[6:])
+    page = run_page(out, out / "report.html")
+    assert "What to know" in page
+    assert "Nothing was wrong" not in page
+    assert page.count("<li>") >= len(said)
+
+
+def unsure_offset(left, right, settings, say):
+    say("note", "it is measured")
+    say("warning", "other offsets explain it nearly as well")
+    return settings.__class__()
+
+
+def test_check_and_run_say_the_same(clips, tmp_path, capsys):
+    swapped = pair(clips / "a", ("right", "left"))
+    assert main(["check", *swapped, "--json"]) == 1
+    findings = json.loads(capsys.readouterr().out)["findings"]
+    assert main(["run", *swapped, "--save", "steering", "-o", str(tmp_path / "o")]) == 0
+    found = json.loads((tmp_path / "o/run.json").read_text())["warnings"]
+    assert found[0]["code"] == findings[0]["name"] == "swapped"
+    assert found[0]["text"].partition(":")[0] == findings[0]["text"].partition(":")[0]
+    assert found[0]["numbers"].keys() == findings[0]["numbers"].keys()
+
+
+def test_good_input_has_nothing_to_know(clips, tmp_path):
+    assert main(["run", *pair(clips / "a"), "--save", "steering", "-o", str(tmp_path / "o")]) == 0
+    assert json.loads((tmp_path / "o/run.json").read_text())["warnings"] == []
+    page = run_page(tmp_path / "o", tmp_path / "o/report.html")
+    assert "Nothing was wrong" in page
+    assert "What to know" not in page
+
+
+def record_of(out):
+    return {**json.loads((out / "run.json").read_text()), "timing": None, "options": None}
+
+
+@pytest.mark.parametrize("code", ["range", "swapped", "unmatched", "at-limit"])
+def test_the_record_is_the_same_however_the_run_is_done(clips, tmp_path, code):
+    words = given(clips, code)
+    auto = "auto" in words
+    settings = Settings(max_disparity=0 if auto else 4 if code == "at-limit" else 64)
+
+    def plan(name, **more):
+        output = OutputSettings(checkpoint_frames=1 if auto else 5)
+        return RunPlan(
+            *(words[0], words[1], tmp_path / name),
+            save=("steering",),
+            settings=settings,
+            output_settings=output,
+            **more,
+        )
+
+    run(plan("whole", jobs=1))
+    whole = record_of(tmp_path / "whole")
+    assert code in [each["code"] for each in whole["warnings"]]
+    run(plan("jobs", jobs=3))
+    assert record_of(tmp_path / "jobs") == whole
+
+    command = [*words, "--save", "steering", "-o", str(tmp_path / "killed")]
+    command += ["--checkpoint-frames", "1" if auto else "5"]
+    # Before a frame, and when all of them are done and in a checkpoint.
+    when = "2" if auto else "12"
+    script = [sys.executable, "-c", KILLED, when, "run", *command]
+    assert subprocess.run(script, capture_output=True, check=False).returncode == -9
+    assert main(["run", *command, "--resume"]) == 0
+    assert record_of(tmp_path / "killed") == whole
+
+    parts = plan("parts")
+    pieces = pieces_of(parts, 3)
+    assert len(pieces) > 1
+    for piece in pieces:
+        run_piece(parts, piece, tmp_path / "pieces", Watcher())
+    join_pieces(parts, pieces, tmp_path / "pieces", Watcher())
+    assert record_of(tmp_path / "parts") == whole
+
+
+def test_a_batch_has_the_warnings_in_its_table_and_on_its_page(clips, tmp_path):
+    rows = ["left,right,out", ",".join([*pair(clips / "a", ("right", "left")), "swapped"])]
+    rows.append(",".join([*pair(clips / "a"), "good"]))
+    (tmp_path / "all.csv").write_text("\n".join(rows) + "\n")
+    out = tmp_path / "out"
+    batch = ["batch", str(tmp_path / "all.csv"), "-o", str(out), "--save", "steering"]
+    assert main([*batch, "--workers", "1"]) == 0
+    table = {row["name"]: row for row in csv.DictReader((out / "batch.csv").open())}
+    assert (table["good"]["warnings"], table["good"]["said"]) == ("0", "")
+    assert table["swapped"]["warnings"] == "1"
+    assert table["swapped"]["said"].startswith("left and right are swapped")
+    page = batch_page(out, out / "report.html")
+    assert page.index("left and right are swapped") < page.index('data-sort="good"')
+
+
+def test_warnings_of_earlier_versions_are_read(clips, tmp_path):
+    out: Path = tmp_path / "o"
+    assert main(["run", *pair(clips / "a"), "--save", "steering", "-o", str(out)]) == 0
+    record = json.loads((out / "run.json").read_text())
+    (out / "run.json").write_text(json.dumps({**record, "warnings": ["left.mp4 is dark"]}))
+    assert "<li>Left.mp4 is dark.</li>" in run_page(out, out / "report.html")
