@@ -1,8 +1,10 @@
 """ROS bags: found, read and paired as the images that were put into them."""
 
 import dataclasses
+import html
 import json
 import re
+import shlex
 from pathlib import Path
 
 import cv2
@@ -12,6 +14,7 @@ from bags import Bag
 
 from motionstereo_cli.__main__ import main
 from motionstereo_cli.errors import InputError, SettingsError
+from motionstereo_cli.report.run_page import run_page
 from motionstereo_cli.rig.calibration import rectify_source
 from motionstereo_cli.sources import open_stereo
 from motionstereo_cli.sources.bag import BagRecording
@@ -377,8 +380,15 @@ def test_info_and_run_take_a_bag(tmp_path, capsys):
     facts = json.loads(capsys.readouterr().out)
     assert facts["left"]["topic"] == "/cam/left/image_raw"
     assert facts["rig"]["focal_px"] == pytest.approx(50)
-    assert main(["run", str(path), "-o", str(tmp_path / "out"), "--save", "steering,depth"]) == 0
-    assert (tmp_path / "out/depth/000005.png").exists()
+    out = tmp_path / "out"
+    assert main(["run", str(path), "-o", str(out), "--save", "steering,depth"]) == 0
+    assert (out / "depth/000005.png").exists()
+    # The command on its page gives the same again.
+    shown = re.search(r'<code id="command">(.*?)</code>', run_page(out, out / "report.html"))[1]
+    words = shlex.split(html.unescape(shown))
+    assert words.count(str(path)) == 1
+    assert main([*words[1:], "-o", str(tmp_path / "again")]) == 0
+    assert (tmp_path / "again/steering.csv").read_bytes() == (out / "steering.csv").read_bytes()
 
 
 def test_what_needs_a_calibration_takes_that_of_a_bag(tmp_path, capsys):

@@ -15,7 +15,9 @@ from hypothesis import strategies as st
 from motionstereo_cli.__main__ import main
 from motionstereo_cli.report.run_page import run_page
 from motionstereo_cli.report.series import kept_rows, tracks
+from motionstereo_cli.sinks.legend import time_text
 from motionstereo_cli.sinks.steering_table import HEADER
+from motionstereo_cli.types import FrameTime
 
 SAVED = "steering,depth,charge,depth-video,objects"
 NASTY = "</script><script>alert(1)<b>&amp;"
@@ -307,3 +309,29 @@ def test_without_times_frames_are_counted(copy):
     assert not data["timed"]
     assert data["x"][5] / data["frameS"] == pytest.approx(5)
     assert "seen from frame" in page
+
+
+def test_times_since_an_epoch_count_from_0_and_the_start_is_said_once(copy):
+    before = page_of(copy)
+    table = (copy / "steering.csv").read_text()
+    moved = re.sub(
+        r"^(\d+,\d+),([\d.]+)",
+        lambda found: f"{found[1]},{float(found[2]) + 1_317_000_000:.6f}",
+        table,
+        flags=re.MULTILINE,
+    )
+    (copy / "steering.csv").write_text(moved)
+    page = page_of(copy)
+    one, other = (data_in(each)["run"]["x"] for each in (before, page))
+    assert other == pytest.approx(one, abs=1e-6)
+    assert page.count("begins 2011-09-26 01:20:00 UTC") == 1
+    assert "begins 20" not in before
+    assert "1317000" not in page
+
+
+@pytest.mark.parametrize(
+    ("time_s", "text"),
+    [(None, "frame 7"), (3.456, "3.46 s"), (1_317_000_002.58, "01:20:02.58")],
+)
+def test_the_time_in_a_picture_is_short(time_s, text):
+    assert time_text(FrameTime(7, 0, time_s)) == text

@@ -145,7 +145,7 @@ def _shown(run: Results) -> tuple[Picture | None, str]:
     steering = run.steering()
     if not steering:
         return None, ""
-    when_s = float(steering.places[steering.best]) - steering.video_begin
+    when_s = float(steering.places[steering.best])
     view, _ = run.view()
     videos = [view, run.video("depth-video"), run.video("charge")]
     pictures = (poster(each, run.path, when_s, max_width=_POSTER_PX) for each in videos if each)

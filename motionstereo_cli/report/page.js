@@ -64,7 +64,7 @@
   const seek = (i) => {
     show(i);
     // A little after the frame begins: at its very begin a player may still show the one before.
-    for (const video of videos) video.currentTime = x[now] - run.videoBegin + Math.min(step / 4, 0.004);
+    for (const video of videos) video.currentTime = x[now] + Math.min(step / 4, 0.004);
   };
   const playing = () => leader() && !leader().paused && !leader().ended;
   const play = () => {
@@ -73,7 +73,7 @@
     if (now >= count - 1) seek(0);
     videos.forEach((video) => { video.playbackRate = +$("speed").value; video.play().catch(() => {}); });
   };
-  const follow = (time) => { if (playing()) show(indexAt(time + run.videoBegin)); };
+  const follow = (time) => { if (playing()) show(indexAt(time)); };
   const lead = () => {
     const video = leader();
     $("play").disabled = !video;

@@ -17,8 +17,7 @@ from motionstereo_cli.files.reading import MAX_RESULT_BYTES, read_bytes, real
 from motionstereo_cli.sinks.outputs import OUTPUTS, RECORD
 from motionstereo_cli.sinks.read_back import read_record, read_table
 from motionstereo_cli.sinks.records import RunRecord
-from motionstereo_cli.sinks.sink import DEFAULT_TIME_BASE
-from motionstereo_cli.sinks.videos import EPOCH_S
+from motionstereo_cli.sinks.sink import DEFAULT_TIME_BASE, EPOCH_S
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -61,14 +60,19 @@ class SteeringTable:
 
     @property
     def places(self) -> NDArray[np.float64]:
-        """The x of each frame in the plots in s: its time, if the source has times."""
-        return self.time_s if self.timed else np.asarray(self.frames * FRAME_S, np.float64)
+        """The x of each frame in the plots and videos in s: its time, if the source has times.
+
+        Times since an epoch count from :attr:`begin_s`, as those of the videos do.
+        """
+        if not self.timed:
+            return np.asarray(self.frames * FRAME_S, np.float64)
+        return self.time_s - (self.begin_s or 0.0)
 
     @property
-    def video_begin(self) -> float:
-        """The x at which the videos begin: 0, or the first of times since an epoch."""
-        first = float(self.places[0])
-        return first if first > EPOCH_S else 0.0
+    def begin_s(self) -> float | None:
+        """The first of times since an epoch, in s; None where times are no such."""
+        first = float(self.time_s[0])
+        return first if self.timed and first > EPOCH_S else None
 
     @property
     def best(self) -> int:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from datetime import UTC, datetime
 from fractions import Fraction
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -63,7 +64,7 @@ def run_page(out: Path, page: Path, record: RunRecord | None = None) -> str:
         name=real(out).name,
         run=run,
         reference=run.reference,
-        about=_about(said),
+        about=_about(said, steering),
         panels=_panels(run, page, steering),
         scale=_drawn(scale),
         facts=facts,
@@ -100,10 +101,13 @@ def _drawn(scale: DepthScale) -> dict[str, Any]:
     }
 
 
-def _about(record: RunRecord) -> list[str]:
+def _about(record: RunRecord, steering: SteeringTable | None) -> list[str]:
     """Return the facts of the input and the rig, in a few words each."""
     inputs = list((record.inputs or {}).values())
-    about = [" + ".join(Path(each.path).name for each in inputs)] if inputs else []
+    names = dict.fromkeys(Path(each.path).name for each in inputs)
+    about = [" + ".join(names)] if names else []
+    if steering and steering.begin_s is not None:
+        about.append(f"begins {_date(steering.begin_s)}")
     for each in inputs[:1]:
         if each.width and each.height:
             about.append(f"{each.width}x{each.height} px")
@@ -114,6 +118,14 @@ def _about(record: RunRecord) -> list[str]:
     elif record.rig is None:
         about.append("no calibration: results are in px")
     return about
+
+
+def _date(time_s: float) -> str:
+    """Return a time since 1970 in words."""
+    try:
+        return f"{datetime.fromtimestamp(time_s, UTC):%Y-%m-%d %H:%M:%S} UTC"
+    except (OverflowError, ValueError, OSError):  # a clock that counts from elsewhere
+        return f"at {time_s:.2f} s"
 
 
 class Fact(NamedTuple):
@@ -151,7 +163,7 @@ def _panels(run: Results, page: Path, steering: SteeringTable | None) -> list[di
     """Return the three videos with their posters."""
     when_s, number = 0.0, 0
     if steering:
-        when_s = float(steering.places[steering.best]) - steering.video_begin
+        when_s = float(steering.places[steering.best])
         number = int(steering.frames[steering.best])
     view, plays = run.view()
     shown = []

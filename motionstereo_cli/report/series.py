@@ -65,7 +65,6 @@ def plotted(steering: SteeringTable) -> dict[str, Any]:
     return {
         "timed": steering.timed,
         "frameS": FRAME_S,
-        "videoBegin": steering.video_begin,
         "x": steering.places[kept].tolist(),
         "frame": None if len(kept) == len(steering) else steering.frames[kept].tolist(),
         "firstFrame": int(steering.frames[0]),

@@ -41,7 +41,11 @@ def command(record: RunRecord) -> str | None:
     """Return the shell command that repeats the run; None if its options are unknown."""
     if record.options is UNSET or not record.inputs:
         return None
-    words = ["motionstereo", "run", *(each.path for each in record.inputs.values())]
+    inputs = record.inputs.values()
+    paths = [each.path for each in inputs]
+    if any(each.topic or each.track for each in inputs):  # topics or tracks of one file
+        paths = list(dict.fromkeys(paths))
+    words = ["motionstereo", "run", *paths]
     words += record.options
     save = list(record.outputs or ())
     if tuple(save) != DEFAULT_OUTPUTS:

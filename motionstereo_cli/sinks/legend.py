@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from motionstereo_cli.files.lettering import DARK, Label, lettered, text_width
+from motionstereo_cli.sinks.sink import EPOCH_S
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -45,8 +46,16 @@ def strip(
 
 
 def time_text(time: FrameTime) -> str:
-    """Return when a frame is in words: its time or, where the source has none, its number."""
-    return f"frame {time.index}" if time.time_s is None else f"{time.time_s:.2f} s"
+    """Return when a frame is in words: its time or, where the source has none, its number.
+
+    Of times since an epoch, as camera clocks have them, that is the time of the day.
+    """
+    if time.time_s is None:
+        return f"frame {time.index}"
+    if time.time_s <= EPOCH_S:
+        return f"{time.time_s:.2f} s"
+    minutes, seconds = divmod(round(time.time_s, 2) % 86_400, 60)
+    return f"{minutes // 60:02.0f}:{minutes % 60:02.0f}:{seconds:05.2f}"
 
 
 @functools.lru_cache(maxsize=8)

@@ -17,6 +17,9 @@ if TYPE_CHECKING:
 #: Time from frame to frame in the videos, in s, where the source has no time.
 DEFAULT_TIME_BASE = Fraction(1, 25)
 
+#: Times in s that begin beyond this count from an epoch; no player waits for that long.
+EPOCH_S = 86_400
+
 _Input_contra = TypeVar("_Input_contra", FrameImages, Step, contravariant=True)
 
 

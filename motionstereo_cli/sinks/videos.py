@@ -20,6 +20,7 @@ from motionstereo_cli.sinks.drawing import (
 from motionstereo_cli.sinks.images import asked_for, depth_png, known_depth_m, motion_png
 from motionstereo_cli.sinks.legend import strip, time_text
 from motionstereo_cli.sinks.preview import preview_picture
+from motionstereo_cli.sinks.sink import EPOCH_S
 from motionstereo_cli.types import FrameImages
 
 if TYPE_CHECKING:
@@ -32,9 +33,6 @@ if TYPE_CHECKING:
 
 #: What is left of a video: that of its segments, and the first time stamp.
 _Mark = tuple[VideoMark, int | None]
-
-#: Time stamps that begin beyond this count from an epoch; no player waits for that long.
-EPOCH_S = 86_400
 
 
 def beginning(pts: int, time_base: Fraction) -> int:
