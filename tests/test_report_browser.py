@@ -172,3 +172,20 @@ def test_a_batch_is_sorted_and_filtered_by_a_click(browser, tmp_path):
     assert after_click_on("failed") == ["c"]
     assert after_click_on("failed") == ["a", "b", "c"]
     assert browser.get_log("browser") == []
+
+
+def test_a_batch_fits_a_phone(browser, tmp_path):
+    wrong = "rows do not agree: " + 9 * "objects are 1.7 px higher or lower on the right, "
+    (tmp_path / "batch.csv").write_text(
+        "name,status,frames,seconds,charged,matched,damage,warnings,said,reason,worker\n"
+        f"a,done,9,1,0.5,0.4,0,1,{wrong.replace(',', ';')},,1\nc,failed,,,,,,,,broken,1\n"
+    )
+    assert main(["report", str(tmp_path)]) == 0
+    screen = {"width": 390, "height": 800, "deviceScaleFactor": 1, "mobile": True}
+    browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", screen)
+    try:
+        browser.get((tmp_path / "report.html").as_uri())
+        wide = "return [document.documentElement.scrollWidth, document.querySelector('.reason')"
+        assert browser.execute_script(f"{wide}.getBoundingClientRect().width > 300]") == [390, True]
+    finally:
+        browser.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
