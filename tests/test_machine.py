@@ -48,7 +48,8 @@ def test_without_affinity_all_cores_count(quota, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("width", "height", "jobs"), [(640, 480, 8), (3840, 2160, 3), (60_000, 60_000, 1)]
+    ("width", "height", "jobs"),
+    [(640, 480, 8), (1920, 1080, 4), (3840, 2160, 1), (60_000, 60_000, 1)],
 )
 def test_large_frames_are_fewer_at_a_time(quota, width, height, jobs):
     quota("max 100000")

@@ -28,7 +28,7 @@ def recording(tmp_path_factory):
     """A small recording in a folder whose name would be markup."""
     scene = tmp_path_factory.mktemp("report") / NASTY.replace("/", "")
     size = ["--width", "96", "--height", "64", "--frames", "24"]
-    assert main(["simulate", str(scene), "--scene", "cards", "--pan", *size]) == 0
+    assert main(["simulate", str(scene), "--scene", "cards", *size]) == 0
     return scene
 
 

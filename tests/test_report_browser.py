@@ -34,13 +34,17 @@ def browser(tmp_path_factory):
     driver.quit()
 
 
+#: The view among them: a recording outside the folder is not opened.
+SAVED = "steering,depth,charge,depth-video,view-video,objects"
+
+
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
     home = tmp_path_factory.mktemp("browser") / "a <b>name</b> & #1"
     size = ["--width", "96", "--height", "64", "--frames", "24"]
-    assert main(["simulate", str(home), "--scene", "cards", "--pan", *size]) == 0
+    assert main(["simulate", str(home), "--scene", "cards", *size]) == 0
     views = [str(home / f"{side}.mp4") for side in ("left", "right")]
-    given = ["--rig", str(home / "rig.yaml"), "--save", "steering,depth,charge,depth-video,objects"]
+    given = ["--rig", str(home / "rig.yaml"), "--save", SAVED]
     assert main(["run", *views, "-o", str(home / "out"), *given]) == 0
     assert main(["report", str(home / "out")]) == 0
     return home / "out"

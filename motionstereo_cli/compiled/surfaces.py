@@ -17,6 +17,7 @@ def enter(
     down: cython.const[cython.double][::1],
     edges: cython.const[cython.double][:, ::1],
     holes: cython.const[cython.uchar][:, ::1],
+    nearest: cython.double,
 ) -> None:
     """Enter the samples of a surface that nothing nearer hides.
 
@@ -26,6 +27,7 @@ def enter(
         bounds: first row and column in which it may be seen, and those after the last, px.
         near, right, down, edges: linear forms, see ``simulate/surfaces.py``.
         holes: where its texture has a hole, 0 or 1; its sides are powers of two, or 0.
+        nearest: largest reciprocal depth that is visible.
     """
     row: cython.Py_ssize_t
     column: cython.Py_ssize_t
@@ -39,7 +41,7 @@ def enter(
             for column in range(bounds[1] * SAMPLES, bounds[3] * SAMPLES):
                 u: cython.double = (column + HALF) / samples - HALF
                 here: cython.double = near[0] + near[1] * u + near[2] * v
-                if here <= nearness[row, column]:
+                if here <= nearness[row, column] or here > nearest:
                     continue
                 inside: cython.bint = True
                 for edge in range(edges.shape[0]):

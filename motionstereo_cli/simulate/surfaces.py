@@ -121,7 +121,7 @@ class _Seen:
         """Enter its samples that are nearest, in place."""
         forms = self.nearness, self.right, self.down
         holes = self.surface.texture.holes.view(np.uint8)
-        loops.enter(nearness, owner, number, self.bounds, *forms, self.edges, holes)
+        loops.enter(nearness, owner, number, self.bounds, *forms, self.edges, holes, 1 / NEAR_M)
 
     def paint(self, grey: NDArray[np.float32], owner: NDArray[np.int32], number: int) -> None:
         """Add its share of each pixel's grey, in place."""

@@ -96,4 +96,7 @@ def _deep(frame: av.VideoFrame) -> np.ndarray[tuple[int, ...], np.dtype[np.uint1
 
 def _reformatted(frame: av.VideoFrame, form: str) -> av.VideoFrame:
     source = ColorRange.JPEG if is_full_range(frame) else ColorRange.MPEG
-    return frame.reformat(format=form, src_color_range=source, dst_color_range=ColorRange.JPEG)
+    # One thread: a pool for each frame costs more than it gains, and outlives no fork.
+    return frame.reformat(
+        format=form, src_color_range=source, dst_color_range=ColorRange.JPEG, threads=1
+    )

@@ -186,7 +186,7 @@ def stage_clock() -> Iterator[dict[str, float]]:
             *("match_trails", "balanced", "match_dense", "residual"),
             *("without_speckles", "filled", "confidence"),
         ),
-        pipeline: ("depth",),
+        pipeline: ("depth_of",),
     }
     for owner, names in looked_up.items():
         for name in names:

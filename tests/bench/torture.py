@@ -196,7 +196,7 @@ def damaged(clip: Clip, folder: Path, trials: Sequence[int], seed: int) -> Verdi
         clean = [_run_on(sample, sample.path, out) for _ in range(3)]
         for each in clean:
             if each.exit_code:
-                raise RuntimeError(f"{sample.kind}: {each.said}")
+                raise RuntimeError(f"{sample.kind}: exit code {each.exit_code}: {each.said}")
         cpu_s = sorted(each.cpu_s for each in clean)[1]
         samples.append(_Sample(sample.kind, sample.args, sample.path, sample.seen, cpu_s))
     exits: Counter[int] = Counter()
