@@ -10,7 +10,7 @@ from hypothesis.extra.numpy import arrays
 
 from motionstereo_cli.compiled import planes as loops
 from motionstereo_cli.method.confidence import margin_of_planes, sigma_px
-from motionstereo_cli.method.planes import Surface, planed
+from motionstereo_cli.method.planes import Surface, with_planes
 from motionstereo_cli.method.refine import refined
 from motionstereo_cli.method.rows import halved, halved_exactly, whole, without_fringes
 from motionstereo_cli.pipeline import process
@@ -81,7 +81,7 @@ class TestPlanes:
         surface = Surface.of(grey, everywhere, np.full(truth.shape, age, np.uint8))
         assert surface.smooth[:, 68:92].all()
         assert surface.smooth[:, :50].mean() < 0.05
-        found, share = planed(matched, np.full_like(matched, np.nan), surface, 64)
+        found, share = with_planes(matched, np.full_like(matched, np.nan), surface, 64)
         wrong = np.abs(found - truth)[:, 68:92] > 1
         assert wrong.mean() < 0.05 < (np.abs(matched - truth)[:, 68:92] > 1).mean()
         assert (share[:, 68:92] > 0.6).all()
@@ -91,14 +91,14 @@ class TestPlanes:
         truth, grey, matched = self.wall()
         matched[:, 60:100] = np.nan
         surface = Surface.of(grey, np.ones(truth.shape, np.bool_), np.zeros(truth.shape, np.uint8))
-        found, _ = planed(matched, truth.copy(), surface, 64)
+        found, _ = with_planes(matched, truth.copy(), surface, 64)
         assert (np.abs(found - truth)[:, 68:92] < 0.5).all()
 
     def test_what_lies_beyond_the_left_views_border_is_unknown(self):
         grey = texture(24, 80)
         surface = Surface.of(grey, np.ones(grey.shape, np.bool_), np.zeros(grey.shape, np.uint8))
         known = np.full(grey.shape, 20, np.float32)
-        found, _ = planed(known, np.full_like(known, np.nan), surface, 64)
+        found, _ = with_planes(known, np.full_like(known, np.nan), surface, 64)
         np.testing.assert_array_equal(found[:, :60], known[:, :60])
         assert np.isnan(found[:, 60:]).all()
 

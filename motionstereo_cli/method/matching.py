@@ -18,7 +18,7 @@ from motionstereo_cli.method.cleaning import filled, without_speckles
 from motionstereo_cli.method.confidence import confidence, confidence_by_margin, margin_of_planes
 from motionstereo_cli.method.dense import match_dense, smoothed, weights_of
 from motionstereo_cli.method.memory import Memory, age_of, blurred, keys_of
-from motionstereo_cli.method.planes import Surface, planed
+from motionstereo_cli.method.planes import Surface, with_planes
 from motionstereo_cli.method.refine import refined
 from motionstereo_cli.method.regions import match_regions
 from motionstereo_cli.method.residual import residual
@@ -102,7 +102,7 @@ def _dense(right: Memory, left: Memory, settings: Settings) -> Found:
     brighter = halved_exactly(left_grey) - halved_exactly(left_smoothed)
     half = refined(half, halved_exactly(right.grey), halved_exactly(left.grey) + brighter)
     surface = Surface.of(half_grey, charged[::ROWS], age)
-    half, share = planed(half, proposed, surface, s.max_disparity)
+    half, share = with_planes(half, proposed, surface, s.max_disparity)
     half[half > s.max_disparity - _LIMIT_PX] = np.nan
     disparity = trimmed(whole(half, half_grey, right_grey), right_grey, left_grey)
     matched = without_speckles(disparity, ~np.isnan(disparity), s.speckle_px)

@@ -88,7 +88,7 @@ class Surface(NamedTuple):
         return cls(grey, smooth, slope > _TEXTURED, wanted, age_frames)
 
 
-def planed(
+def with_planes(
     disparity_px: Reals, trails_px: Reals, surface: Surface, max_disparity: int
 ) -> tuple[Reals, Reals]:
     """Return disparity with planes on what is smooth, and the inliers' share, (rows, width).
