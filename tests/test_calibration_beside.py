@@ -37,11 +37,14 @@ def images(folder: Path, left: str, right: str, count: int = 3) -> Path:
         ("stereodemo_calibration.json", json.dumps({**STEREODEMO, "baseline_meters": 0.12})),
     ],
 )
+@pytest.mark.parametrize("times", [False, True])
 @pytest.mark.parametrize("sides", [("image_0", "image_1"), ("left", "right")])
 def test_a_file_beside_the_images_is_found(
-    tmp_path: Path, name: str, text: str, sides: tuple[str, str]
+    tmp_path: Path, name: str, text: str, sides: tuple[str, str], times: bool
 ) -> None:
     images(tmp_path, *sides)
+    if times:
+        (tmp_path / "times.txt").write_text("0.0\n0.1\n0.2\n")
     (tmp_path / name).write_text(text)
     with open_stereo(tmp_path / sides[0], tmp_path / sides[1]) as source:
         found = rectify_source(source, [])
@@ -117,3 +120,27 @@ def test_read_rig_says_what_reads_other_formats(tmp_path: Path, text: str) -> No
     path.write_text(text)
     with pytest.raises(InputError, match=r"no rig.yaml: rectify_source\(source, \[path\]\)"):
         read_rig(path)
+
+
+def test_the_cameras_of_the_images_count_beside_a_table_of_times(tmp_path: Path) -> None:
+    images(tmp_path, "image_2", "image_3")
+    (tmp_path / "times.txt").write_text("0.0\n0.1\n0.2\n")
+    rows = [f"300 0 159 {shift} 0 300 120 0 0 0 1 0" for shift in (0, -36, 0, -90)]
+    text = "".join(f"P{number}: {row}\n" for number, row in enumerate(rows))
+    (tmp_path / "calib.txt").write_text(text)
+    with open_stereo(tmp_path / "image_2", tmp_path / "image_3") as source:
+        found = rectify_source(source, [tmp_path / "calib.txt"])
+        assert found is not None
+        assert found.rig.baseline_m == pytest.approx(0.3)
+
+
+def test_empty_folders_with_times_are_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for side in ("image_0", "image_1"):
+        (tmp_path / side).mkdir()
+    (tmp_path / "times.txt").write_text("0.0\n")
+    assert main(["info", str(tmp_path)]) == 1
+    said = capsys.readouterr().err
+    assert "internal" not in said
+    assert len(said.splitlines()) == 1

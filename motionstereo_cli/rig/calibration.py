@@ -264,11 +264,11 @@ def rectify_source(
         if calibration.maps is not None:
             source.rectify(*calibration.rectifiers())
         return calibration
-    found = () if paths else calibration_beside(source.paths)
+    found = () if paths else calibration_beside(source.recorded)
     if not (paths or found):
         return None
     s = source.settings
-    numbers = [re.findall(r"image_0?(\d)", str(path)) for path in source.paths]
+    numbers = [re.findall(r"image_0?(\d)", str(path)) for path in source.recorded]
     pair = (
         (int(numbers[0][-1]), int(numbers[1][-1])) if len(numbers) == 2 and all(numbers) else None
     )

@@ -58,6 +58,8 @@ class StereoSource:
         frame_rate: frames delivered per second, a mean; None if unknown.
         expected_frames: how many there seem to be, None if unknown.
         paths: files and folders that are read.
+        recorded: the first file or folder of each recording, left then right; tables of times,
+            which are among ``paths``, are not.
         first_pts: time stamp of frame 0, once this or a later one was delivered.
         warnings: what looks wrong at the outset, one line each.
 
@@ -76,6 +78,7 @@ class StereoSource:
         self.settings = s = settings or InputSettings()
         self._streams = list(streams)
         self.paths = tuple(dict.fromkeys(path for stream in streams for path in stream.files))
+        self.recorded = tuple(stream.files[0] for stream in streams if stream.files)
         if len(self._streams) == 1:
             self._sides = [Side(self._streams[0], half) for half in (0, 1)]
         else:

@@ -100,6 +100,8 @@ def _by_number(table: Path, files: list[Path], parse: Callable[[str], int], form
         ) from None
     if any(after <= before for before, after in itertools.pairwise(stamps_ns)):
         raise InputError(f"{table}: the times do not rise: mend it, or take it away")
+    if not files:
+        return Timeline(files, [], table, _sha256(content))
     count, last = len(as_text(content).rstrip().splitlines()), int(files[-1].stem)
     note = (
         f"{table} has {count} times, but the last image is {files[-1].name}: the time of line n is "
