@@ -289,7 +289,7 @@ class Head(io.BytesIO):
 
 
 def test_a_reader_that_has_seen_enough_leaves_what_is_complete(run_args, recording):
-    with pytest.raises(OutputError, match="has gone before the run was done"):
+    with pytest.raises(OutputError, match="closed it before the run was done"):
         run_library(RunPlan(*run_args[1:], Path("out"), table=Path("-")), stdout=Head())
     assert {"run.json.part", "steering.csv.part", "charge.0000.mp4.part"} <= names(Path("out"))
     assert images("disparity", 4) <= names(Path("out"))

@@ -3,12 +3,12 @@
 import ast
 import subprocess
 import sys
-from graphlib import TopologicalSorter
 from pathlib import Path
 
 import pytest
 
 import motionstereo_cli
+from bench import house
 
 PACKAGE = Path(motionstereo_cli.__file__).parent
 MODULES = sorted(PACKAGE.rglob("*.py"))
@@ -106,22 +106,11 @@ def test_rooms_import_nothing_above_them(name):
             assert known <= MAY_IMPORT[name] | {name, "__version__"}, path
 
 
-def test_no_two_files_and_no_two_rooms_import_each_other():
-    names = {
-        ".".join(("motionstereo_cli", *path.relative_to(PACKAGE).with_suffix("").parts)): path
-        for path in MODULES
-        if path.name != "__init__.py"
-    }
-    files = {
-        path: {names[name] for name in imports(path) if name in names} for path in names.values()
-    }
-    rooms = {}
-    for path, known in files.items():
-        rooms.setdefault(room(path) or path.name, set()).update(
-            {room(other) or other.name for other in known} - {room(path) or path.name}
-        )
-    for graph in (files, rooms):
-        assert list(TopologicalSorter(graph).static_order())  # raises CycleError
+def test_no_import_goes_round_or_up_and_no_two_classes_have_one_name():
+    measured = house.measured()
+    for what in ("circles", "arrows up", "class names twice"):
+        assert measured[what] == 0, what
+    assert measured["imports in functions that a circle forces"] == 0
 
 
 def test_only_commands_and_the_entry_point_know_click():
@@ -208,15 +197,3 @@ def test_a_command_says_what_happens_and_leaves_the_work_to_others():
                 if isinstance(node, ast.FunctionDef):
                     code = node.body[1:] if ast.get_docstring(node) else node.body
                     assert not code or node.end_lineno - code[0].lineno < 40, node.name
-
-
-def test_no_two_classes_have_one_name():
-    # Loops compile apart: each file declares what it works with.
-    found = [
-        node.name
-        for path in MODULES
-        if room(path) != "compiled"
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
-        if isinstance(node, ast.ClassDef)
-    ]
-    assert sorted(name for name in set(found) if found.count(name) > 1) == []

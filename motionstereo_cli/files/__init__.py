@@ -1,1 +1,1 @@
-"""The ground floor: atomic writes, bounded reads, hashes, image and video encoders."""
+"""Access to the file system: atomic writes, bounded reads, hashes, image and video encoders."""

@@ -1,8 +1,9 @@
-"""Writing so that nothing incomplete ever has a final name, and nothing of others is touched.
+"""Atomic writes: no incomplete file has its final name, and no foreign file is touched.
 
-What is written at once bears a random name until it is whole: one that is made for it, so that no
-file, link or folder of others can be in its way. What takes longer (tables, segments of videos)
-has a name that ends in ``.part``, in a folder of results whose names are this program's.
+A file that is written at once has a random name until it is complete. The name is created
+exclusively, so no existing file, link or folder can collide with it. A file that takes longer
+(tables, segments of videos) has a name that ends in ``.part``, in a folder of results, where all
+names are this program's.
 """
 
 from __future__ import annotations
@@ -19,18 +20,18 @@ from typing import BinaryIO
 
 from motionstereo_cli.errors import OutputError
 
-#: Flags that some systems do not have.
+#: Flags that not all systems have.
 _NO_LINK = getattr(os, "O_NOFOLLOW", 0)
 _BINARY = getattr(os, "O_BINARY", 0)
 _NO_WAIT = getattr(os, "O_NONBLOCK", 0)
 
-#: How random names begin and end, by which those that a kill left are known.
+#: Prefix and suffix of random names; they identify files left over after a kill.
 _MARK, _PART = ".motionstereo-", ".part"
 _MARKED = re.compile(rf"{re.escape(_MARK)}[0-9a-f]{{16}}{re.escape(_PART)}")
 
 
 def part_of(path: Path) -> Path:
-    """Return the name that ``path`` has while it is being written over several frames."""
+    """Return the name of ``path`` while it is written, frame by frame."""
     return path.with_name(path.name + _PART)
 
 
@@ -46,7 +47,7 @@ def is_segment(name: str, path: Path) -> bool:
 
 
 def is_left_over(path: Path) -> bool:
-    """Return whether a file is one that this program was killed over before it had its name."""
+    """Return whether a file was left over because this program was killed while writing it."""
     return _MARKED.fullmatch(path.name) is not None and path.is_file() and not path.is_symlink()
 
 
@@ -57,7 +58,7 @@ def reported(path: Path | str) -> Iterator[None]:
     Raises:
         OutputError: the block raised an OSError (full disk, no permission, ...), or a ValueError
             because the name has a NUL.
-        BrokenPipeError: as it stands, because a reader that has gone is no failure.
+        BrokenPipeError: unchanged, because a reader that closes its end is not a failure.
     """
     try:
         yield
@@ -72,7 +73,7 @@ def reported(path: Path | str) -> Iterator[None]:
 
 
 class Temporary:
-    """A new file beside its final name, which it gets when it is whole.
+    """A new file in the folder of its final name, renamed when it is complete.
 
     Args:
         final: that name.
@@ -92,9 +93,9 @@ class Temporary:
         self._status = os.fstat(self.content.fileno())
 
     def place(self, *, durable: bool = False) -> None:
-        """Give the file its name, in the place of what has it; a link is replaced as such.
+        """Give the file its final name, replacing a file or link that has it.
 
-        With ``durable``, the disk holds it before it gets its name.
+        With ``durable``, it is synced to disk before that.
 
         Raises:
             OSError: it cannot be written.
@@ -103,7 +104,7 @@ class Temporary:
         os.replace(self.path, self._final)
 
     def place_new(self) -> None:
-        """Give the file its name, which nothing has yet; the disk holds it before.
+        """Give the file its final name, which must be free; it is synced to disk first.
 
         Raises:
             FileExistsError: something has the name.
@@ -121,7 +122,7 @@ class Temporary:
             self.discard()
 
     def discard(self) -> None:
-        """Remove the file, if it did not get its name; never another one that took its place."""
+        """Remove the file if it did not get its final name; a file that took its place stays."""
         with contextlib.suppress(OSError):
             self.content.close()
         with contextlib.suppress(OSError):
@@ -146,9 +147,9 @@ def make_new(path: Path) -> int:
 
 
 def open_new(path: Path) -> int:
-    """Return the descriptor of a new, empty file in a folder of results, whose names are ours.
+    """Return the descriptor of a new, empty file in a folder of results.
 
-    What bore its name is removed, a link as such.
+    An existing file or link of that name is removed first.
 
     Raises:
         OSError: the file cannot be made.
@@ -158,7 +159,7 @@ def open_new(path: Path) -> int:
 
 
 def open_log(path: Path) -> int:
-    """Return the descriptor of a file to append to, new where there is none.
+    """Return the descriptor of a file to append to; it is created if missing.
 
     Raises:
         OSError: it cannot be opened, is no regular file, or has a further name elsewhere.
@@ -168,12 +169,12 @@ def open_log(path: Path) -> int:
     status = os.fstat(descriptor)
     if not stat.S_ISREG(status.st_mode) or status.st_nlink > 1:
         os.close(descriptor)
-        raise OSError(errno.EINVAL, "it is no file of this program", str(path))
+        raise OSError(errno.EINVAL, "it was not written by this program", str(path))
     return descriptor
 
 
 def open_again(path: Path) -> int:
-    """Return the descriptor of an existing file, for reading and writing; a link is refused.
+    """Open an existing file for reading and writing, and return its descriptor; a link is refused.
 
     Raises:
         OSError: there is no such file, or it cannot be opened.
@@ -182,7 +183,7 @@ def open_again(path: Path) -> int:
 
 
 def name_part(path: Path) -> None:
-    """Give what was written as the ``.part`` of ``path`` its name.
+    """Rename the ``.part`` file of ``path`` to ``path``.
 
     Raises:
         OSError: it cannot be renamed.
@@ -191,7 +192,7 @@ def name_part(path: Path) -> None:
 
 
 def unname(path: Path) -> None:
-    """Make a file the ``.part`` of its name again.
+    """Rename a file back to its ``.part`` name.
 
     Raises:
         OSError: it cannot be renamed.
@@ -200,7 +201,7 @@ def unname(path: Path) -> None:
 
 
 def remove_own(path: Path) -> None:
-    """Remove a file in a folder of results, whose names are ours, if it is there.
+    """Remove a file from a folder of results, if it exists.
 
     Raises:
         OutputError: it cannot be removed.
@@ -210,9 +211,9 @@ def remove_own(path: Path) -> None:
 
 
 def write_whole(path: Path, content: bytes, *, durable: bool = False) -> None:
-    """Write a small file at once: under a random name, then renamed; the last writer wins.
+    """Write a small file atomically: under a random name, then renamed; the last writer wins.
 
-    With ``durable``, the disk holds it before it gets its name.
+    With ``durable``, it is synced to disk before that.
 
     Raises:
         OutputError: the file cannot be written.
@@ -228,13 +229,13 @@ def write_whole(path: Path, content: bytes, *, durable: bool = False) -> None:
 
 
 def sync(path: Path) -> None:
-    """Make sure that a file is on the disk, even if the machine goes down.
+    """Sync a file to disk.
 
     Raises:
-        OutputError: it cannot.
+        OutputError: it cannot be synced.
     """
     with reported(path):
-        file = open_again(path)  # for writing: Windows syncs nothing else
+        file = open_again(path)  # opened for writing, because Windows syncs no other files
         try:
             os.fsync(file)
         finally:

@@ -1,4 +1,4 @@
-"""Decompression with a cap: what is small in a file may be as large as it says in memory."""
+"""Decompression with a cap: a small compressed file may claim any size in memory."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, BinaryIO, Protocol
 
-#: No message or chunk of a bag is as large: two raw images of 64 million px with 16 bits.
+#: The largest message or chunk of a bag: two raw 16-bit images of 64 million px.
 MAX_CONTENT_BYTES = 256_000_000
-#: A compressed file becomes at most so many times as large, or as the content above.
+#: A compressed file may grow by this factor, or up to the size above.
 _MAX_RATIO = 30
 
 
@@ -21,7 +21,7 @@ class _Decompressor(Protocol):
 
 
 def decompressed(decompressor: _Decompressor, data: bytes) -> bytes:
-    """Return what is compressed, if it is whole and no larger than :data:`MAX_CONTENT_BYTES`.
+    """Decompress content that is complete and at most :data:`MAX_CONTENT_BYTES` long.
 
     Raises:
         ValueError: it is not.
@@ -35,7 +35,7 @@ def decompressed(decompressor: _Decompressor, data: bytes) -> bytes:
 
 
 class _Capped:
-    """A compressed file, of which not more than so many bytes can be read."""
+    """A compressed file with a limit on the bytes that are read from it."""
 
     def __init__(self, file: BinaryIO, max_bytes: int) -> None:
         self._file, self._left = file, max_bytes
@@ -47,7 +47,7 @@ class _Capped:
         self._file.close()
 
     def read(self, size: int = -1) -> bytes:
-        """Read up to so many bytes, a block if not said."""
+        """Read up to ``size`` bytes, by default one block."""
         block = self._file.read(size if size > 0 else 1 << 20)
         self._left -= len(block)
         if self._left < 0:
@@ -56,7 +56,7 @@ class _Capped:
 
 
 def bound_rosbags() -> None:
-    """Have rosbags decompress with a cap; it has none itself."""
+    """Make rosbags decompress with a cap; it has none of its own."""
     import lz4.frame
     from rosbags.rosbag1 import reader as ros1
     from rosbags.rosbag2 import reader as ros2
@@ -80,7 +80,7 @@ def bound_rosbags() -> None:
         return decompressed(bz2.BZ2Decompressor(), data)
 
     def message(data: bytes) -> bytes:
-        """Return a message; a damaged one is empty, so that those behind it are read."""
+        """Return a message; a damaged one is empty, so that the ones after it are still read."""
         try:
             return of_zstd(data)
         except (ValueError, zstd.ZstdError):

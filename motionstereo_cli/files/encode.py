@@ -28,8 +28,8 @@ _LEVEL = 2
 def encode_png(image: NDArray[np.uint8] | NDArray[np.uint16]) -> bytes:
     """Return a uint8 or uint16 image, grey or BGR, as a PNG file.
 
-    The difference to the left pixel in every row (the filter Sub), at a level of compression that
-    takes little time: what takes longer saves a few per cent.
+    Each pixel is stored as its difference to the left one (filter Sub), at a compression level that
+    takes little time: slower levels save a few per cent.
 
     Raises:
         OutputError: the image cannot be encoded.

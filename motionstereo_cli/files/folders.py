@@ -1,4 +1,4 @@
-"""Folders of results: made without links, emptied of what is ours only."""
+"""Folders of results: no links in their paths, and only this program's files are removed."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _FOLDER = getattr(os, "O_DIRECTORY", 0)
 
 
 def make_folder(path: Path, root: Path | None = None) -> None:
-    """Make a folder for results where it is missing, and those above it up to ``root``.
+    """Create a folder for results, and its parents up to ``root``, where missing.
 
     Args:
         path: the folder.
@@ -24,7 +24,7 @@ def make_folder(path: Path, root: Path | None = None) -> None:
             ``path.parent``, which has to be there, if None.
 
     Raises:
-        OutputError: it cannot be made, or a link or a file stands in its place or above it.
+        OutputError: it cannot be created, or a link or file is in its place or in its path.
     """
     if root is not None:
         with reported(root):
@@ -38,7 +38,7 @@ def make_folder(path: Path, root: Path | None = None) -> None:
 
 
 def check_no_links(path: Path, root: Path) -> None:
-    """Make sure that neither a name nor one above it, below ``root``, is a link.
+    """Check that a path and its parents below ``root`` are not links.
 
     Raises:
         OutputError: one is.
@@ -54,9 +54,9 @@ def check_no_links(path: Path, root: Path) -> None:
 
 
 def remove(root: Path, paths: Iterable[Path]) -> None:
-    """Remove files in a folder or one level below, in order; those that are gone are passed over.
+    """Remove files in a folder or one level below, in order; missing ones are skipped.
 
-    No link is followed but ``root`` itself: where one takes the place of a folder below, what it
+    No link but ``root`` itself is followed: if a folder below is replaced by a link, the files it
     leads to stays.
 
     Args:

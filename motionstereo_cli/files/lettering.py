@@ -1,4 +1,4 @@
-"""Text in pictures: titles, keys of colours, bars of length."""
+"""Text in pictures: titles, colour keys, scale bars."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Label(NamedTuple):
 
 
 class Style(NamedTuple):
-    """How captions look: size of the letters in px, colours of letters and ground, RGB."""
+    """How captions look: size of the letters in px, colours of letters and background, RGB."""
 
     size_px: int
     ink: tuple[int, int, int]

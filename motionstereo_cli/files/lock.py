@@ -1,4 +1,4 @@
-"""A folder that one process at a time writes to."""
+"""A lock on a folder: one process at a time writes to it."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ LOCK = "run.lock"
 
 @contextlib.contextmanager
 def locked(folder: Path) -> Iterator[None]:
-    """Make a folder, and keep other processes out of it until the block is done.
+    """Create a folder, and keep other processes out of it until the block ends.
 
-    The lock ends with its process, however that ends. On disks without locks there is none.
+    The lock ends with its process, even if that is killed. Disks without locks get none.
 
     Raises:
         BusyError: another process is writing there.
@@ -61,7 +61,7 @@ def _folder_lock(folder: Path) -> Iterator[None]:
 @contextlib.contextmanager
 def _file_lock(folder: Path) -> Iterator[None]:
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # that there is no fcntl is known
+        warnings.simplefilter("ignore")  # imported where needed
         import filelock  # where it is needed: it takes a tenth of a second to load
 
     lock = filelock.FileLock(folder / LOCK)

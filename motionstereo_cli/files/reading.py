@@ -1,4 +1,4 @@
-"""Reading files that others wrote."""
+"""Reading input files."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from pathlib import Path
 
 from motionstereo_cli.errors import InputError, is_damage
 
-#: Larger images than these, in px, come from a damaged or hostile file unless the user says
+#: Larger images, in px, come from damaged or hostile files unless the user says
 #: otherwise. Beyond the second number Pillow reads none.
 MAX_PIXELS = 64_000_000
 PILLOW_MAX_PIXELS = 178_000_000
 
-#: No calibration, and no table of poses or time stamps for a day's recording, is as large.
+#: Larger than any calibration, and any table of poses or time stamps of a day's recording.
 MAX_CALIBRATION_BYTES = 16_000_000
 MAX_TABLE_BYTES = 256_000_000
 
@@ -27,7 +27,7 @@ MAX_RESULT_BYTES, MAX_RECORD_BYTES = 48_000_000, 16_000_000
 
 
 def real(path: str | Path) -> Path:
-    """Return where a path leads, absolute and without links; one of a circle stays in it."""
+    """Return a path, absolute and with links resolved; a circle of links is left as it is."""
     return Path(os.path.realpath(path))
 
 
@@ -72,8 +72,8 @@ def read_bytes(path: str | Path, what: str, max_bytes: int, within: Path | None 
 
     Args:
         path: the file.
-        what: what to call it in messages.
-        max_bytes: the largest that makes sense.
+        what: its name in messages.
+        max_bytes: the maximum size.
         within: see :func:`open_regular`.
 
     Raises:
@@ -95,7 +95,7 @@ def read_text(path: str | Path, what: str, max_bytes: int, within: Path | None =
 
 
 def open_fifo(path: Path) -> int:
-    """Return the descriptor of a FIFO or device for reading, without waiting for a writer.
+    """Open a FIFO or device for reading without waiting for a writer, and return its descriptor.
 
     Raises:
         OSError: it cannot be opened.
@@ -105,14 +105,14 @@ def open_fifo(path: Path) -> int:
 
 @contextlib.contextmanager
 def damage_of(path: Path, advice: str = "write it again") -> Iterator[None]:
-    """Turn what a block makes of damaged content into an error that names the file.
+    """Turn errors that damaged content causes in a block into one that names the file.
 
     Args:
         path: the file, or the folder of several.
         advice: what to do.
 
     Raises:
-        InputError: the block raised an error of a kind that content can cause.
+        InputError: the block raised an error that damaged content can cause.
     """
     try:
         yield
@@ -125,7 +125,7 @@ def damage_of(path: Path, advice: str = "write it again") -> Iterator[None]:
 
 
 def check_regular(path: Path, within: Path) -> None:
-    """Make sure that what has a name, if anything does, is a regular file.
+    """Check that a path is a regular file or does not exist.
 
     Raises:
         InputError: it is something else, or a link that leads out of ``within``.
@@ -138,7 +138,7 @@ def check_regular(path: Path, within: Path) -> None:
 
 
 def as_text(content: bytes) -> str:
-    """Return UTF-8 as text; what is none in it becomes a replacement character."""
+    """Decode UTF-8; invalid bytes become replacement characters."""
     text = content.decode("utf-8-sig", errors="replace")
     return text.replace("\r\n", "\n").replace("\r", "\n")
 
@@ -154,9 +154,9 @@ def sha256_of(path: Path) -> str:
 
 
 class HeldFile:
-    """A file that stays open, so that its hash is of what is read of it.
+    """A file that stays open, so that its hash belongs to the content that was read.
 
-    Its name may be given to another file meanwhile.
+    Another file may get its name meanwhile.
 
     Attributes:
         size_bytes: size when it was opened.
@@ -179,7 +179,7 @@ class HeldFile:
         return (now.st_size, now.st_mtime_ns) != (self.size_bytes, self._status.st_mtime_ns)
 
     def check_same(self, file: BufferedReader) -> None:
-        """Make sure that another open file is the same.
+        """Check that another open file is the same file.
 
         Raises:
             OSError: it is not.

@@ -1,7 +1,7 @@
 """Typed records: one definition writes, reads and checks them.
 
-People and other programs read JSON; what holds arrays is an npz file with the rest as JSON in it.
-Kinds and ranges are those of the fields' annotations, which msgspec checks.
+Records are JSON; those with arrays are npz files that hold the rest as JSON.
+Types and ranges are those of the fields' annotations, which msgspec checks.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ import numpy as np
 from motionstereo_cli.errors import InputError
 from motionstereo_cli.files.reading import MAX_RECORD_BYTES, read_bytes
 
-#: The version of all records. Readers skip fields that they do not know, so it grows only when a
-#: field gets another meaning.
+#: The version of all records. Readers skip unknown fields, so it grows only when the meaning
+#: of a field changes.
 FORMAT_VERSION = 1
 
 #: Where the JSON is in an npz file.
@@ -53,7 +53,7 @@ def read_json(path: Path, within: Path | None = None) -> Any:
 
 
 def parse_json(content: bytes, name: object) -> Any:
-    """Return what JSON holds; all numbers are finite, all text can be encoded.
+    """Parse JSON; numbers have to be finite, and text has to be encodable.
 
     Args:
         content: the JSON.
@@ -91,8 +91,8 @@ def typed(value: Any, kind: type[_T], name: object, *, strict: bool = True) -> _
         strict: False reads numbers from text.
 
     Raises:
-        InputError: a field is missing, or its value is of another kind or out of range; or a later
-            version wrote it in another format.
+        InputError: a field is missing, or its value is of the wrong type or out of range; or a
+            later version wrote it in another format.
     """
     try:
         record = msgspec.convert(value, kind, strict=strict)
@@ -146,7 +146,7 @@ def unpack(content: bytes, kind: type[_T]) -> _T:
 
     Args:
         content: the npz file.
-        kind: what it has to be; of fields that are Any the values are dicts and lists, see
+        kind: its type; values of fields of type Any are dicts and lists, see
             :func:`restored`.
 
     Raises:
@@ -178,7 +178,7 @@ def restored(value: Any, kind: Any) -> Any:
 
 
 def _array(kind: Any, value: Any) -> Any:
-    """Return an array, if it is of the kind of number that the annotation says."""
+    """Return an array, if its dtype is of the annotated kind."""
     wanted = get_args(get_args(kind)[1])[0]
     if not isinstance(value, np.ndarray):
         raise ValueError(f"expected an array, got {type(value).__name__}")

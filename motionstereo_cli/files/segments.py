@@ -1,4 +1,4 @@
-"""A file that is written in segments, so that another process can go on with it."""
+"""A file that is written in segments, so that another process can continue it."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class Segments:
         return segment_of(self._path, len(self.sums))
 
     def end(self) -> None:
-        """Count the next segment, which was written, as complete, and have the disk hold it.
+        """Count the next segment, already written, as complete, and sync it to disk.
 
         Raises:
             OutputError: it cannot be read.

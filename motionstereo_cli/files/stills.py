@@ -28,24 +28,24 @@ if TYPE_CHECKING:
 
     from motionstereo_cli.types import Grey
 
-#: Files with these suffixes are images; all others are passed over. In the last two, both views
-#: are in one file: as two images, and side by side.
+#: Suffixes of images; all other files are skipped. The last two hold both views
+#: in one file: as two images, and side by side.
 SUFFIXES = frozenset(
     {".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm", ".ppm", ".webp", ".mpo", ".jps"}
 )
 
-#: What an image may hold, whatever its name. Pillow decodes these itself; it would start a
+#: The formats that are read, whatever a file's name. Pillow decodes these itself; it would start a
 #: program for others, such as EPS.
 _FORMATS = ("PNG", "JPEG", "TIFF", "BMP", "PPM", "WEBP")
 
-#: Those of them that may hold several images which are alike; a JPEG may hold a small one.
+#: Formats that may hold several images of one kind; a JPEG may hold a thumbnail.
 _PAGED = ("TIFF", "PNG", "WEBP")
 
-#: Modes of Pillow that are arrays as they are, and those that it makes RGB of.
+#: Modes of Pillow that are used unchanged, and those that are converted to RGB.
 _PLAIN_MODES = {"1", "L", "LA", "RGB", "RGBA", "I", "F", "I;16", "I;16B", "I;16L", "I;16N"}
 _RGB_MODES = {"P", "PA", "La", "RGBa", "RGBX", "CMYK", "YCbCr"}
 
-#: A TIFF of more images is no recording: each place in it takes memory.
+#: Limit of images in a TIFF: the position of each takes memory.
 MAX_PAGES = 10_000
 
 #: What Pillow raises on damaged images.
@@ -71,7 +71,7 @@ warnings.filterwarnings("ignore", module=r"PIL\.")
 
 
 class Stated(NamedTuple):
-    """How a recording says that it holds both views: the layout; the right view comes first."""
+    """The layout of both views that a recording states, and whether the right one is first."""
 
     layout: str
     swapped: bool
@@ -86,8 +86,8 @@ class Still(NamedTuple):
 
     Attributes:
         pixels: (height, width) or (height, width, channels: grey+alpha, RGB or RGBA); bool,
-            uint8, uint16, or float32 with NaN and inf as they are. The orientation that a camera
-            noted is obeyed.
+            uint8, uint16, or float32 with NaN and inf as they are. The orientation in its metadata
+            is applied.
         pages: images in the file, where it is a TIFF, PNG or WebP; the first is read.
         size_bytes, sha256: size and SHA-256 of the file as it was read.
         stated: how it says that it holds both views, None if it does not.
@@ -112,7 +112,7 @@ def images_in(folder: Path) -> list[Path]:
 def shown(files: Iterable[Path], suffixes: Collection[str]) -> list[Path]:
     """Return those of some files that have one of some suffixes, and are not hidden.
 
-    macOS leaves a ``._frame0.png`` beside each ``frame0.png``, which is no image.
+    macOS leaves a ``._frame0.png`` beside each ``frame0.png``; it is not an image.
     """
     return [
         file for file in files if file.suffix.lower() in suffixes and not file.name.startswith(".")
@@ -172,7 +172,7 @@ def grey_of(pixels: NDArray[Any], path: Path, white: int = 0) -> Grey:
         white: level that becomes 255 where there are 16 bits; 0 = 65535.
 
     Raises:
-        InputError: its pixels are floating-point numbers.
+        InputError: its pixels are floats.
     """
     if pixels.dtype == np.bool_:
         pixels = pixels * np.uint8(255)

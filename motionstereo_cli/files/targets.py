@@ -1,8 +1,7 @@
-"""What a command may write to: one rule for all of them.
+"""Where a command may write: one rule for all commands.
 
-Never an input, nor a file whose name while it is written (``.part``) is one, and nothing in a
-folder that is an input. What is no file, such as a device or a FIFO, is written into and not
-replaced by a file.
+Never to an input, to a file whose ``.part`` name is an input, or into a folder that is an input.
+Devices and FIFOs are written to; they are not replaced by a file.
 """
 
 from __future__ import annotations
@@ -33,14 +32,14 @@ _GLANCE_S = 0.05
 
 
 def check_target(path: Path, inputs: Iterable[Path]) -> None:
-    """Make sure that writing to a file or folder harms no input.
+    """Check that writing to a file or folder does not touch an input.
 
     Args:
         path: what is to be written.
         inputs: files and folders that are read.
 
     Raises:
-        OutputError: it is one of them, under whatever name, or lies in one.
+        OutputError: it is one of them, under any name, or inside one.
     """
     with reported(path):
         place = real(path)
@@ -54,7 +53,7 @@ def check_target(path: Path, inputs: Iterable[Path]) -> None:
 
 
 def check_targets(paths: Iterable[Path | None], inputs: Iterable[Path]) -> None:
-    """Make sure of several files, as :func:`check_target` does; None stands for none."""
+    """Check several files as :func:`check_target` does; None is skipped."""
     taken = tuple(inputs)
     for path in paths:
         if path is not None:
@@ -62,7 +61,7 @@ def check_targets(paths: Iterable[Path | None], inputs: Iterable[Path]) -> None:
 
 
 def write_output(path: Path, content: bytes, inputs: Iterable[Path] = ()) -> None:
-    """Write the file that a user named, in the place of an older one if there is one.
+    """Write a file that the user named, replacing an existing one.
 
     Args:
         path: the file; a device or FIFO is written into.
@@ -84,7 +83,7 @@ def write_output(path: Path, content: bytes, inputs: Iterable[Path] = ()) -> Non
 
 
 def is_stream(path: Path) -> bool:
-    """Return whether a name stands for no file but a device, a FIFO, or the standard output."""
+    """Return whether a name is a device, a FIFO, or standard output rather than a file."""
     try:
         status = path.stat()
     except OSError:
@@ -95,14 +94,14 @@ def is_stream(path: Path) -> bool:
 
 
 def open_replacing(path: Path, beginning: bytes) -> BinaryIO | None:
-    """Open a new file, or an older one of this program, which is emptied, for writing.
+    """Open a file for writing: a new one, or an older one of this program, which is truncated.
 
     Args:
         path: the file.
-        beginning: how a file of this program begins; an empty one is taken for one.
+        beginning: first bytes of this program's files; an empty file counts as one.
 
     Returns:
-        the file; None where another one, or a link, has the name.
+        the file; None if the name belongs to another file or a link.
 
     Raises:
         OSError: it cannot be opened.
@@ -164,17 +163,17 @@ def _same(path: Path, other: Path) -> bool:
 
 
 def check_place(path: Path) -> None:
-    """Make sure that a file can be made in the folder where it is to be.
+    """Check that a file can be created in its folder.
 
     Raises:
-        OutputError: there is no such folder, or it is not to be written to.
+        OutputError: the folder does not exist, or is not writable.
     """
     if not os.access(path.parent, os.W_OK | os.X_OK):
         raise OutputError(f"cannot write {path}: {path.parent} is no folder to write to")
 
 
 def copy_new(source: Path, target: Path) -> None:
-    """Copy a file to a name that nothing has; the same content there is taken as it stands.
+    """Copy a file to a free name; a file with the same content there is kept.
 
     Raises:
         OutputError: something else has the name, or it cannot be written.
@@ -194,7 +193,7 @@ def copy_new(source: Path, target: Path) -> None:
 
 
 def link_new(source: Path, target: Path) -> None:
-    """Give a file a further name that nothing has, or copy it where there are no hard links.
+    """Hard-link a file to a free name, or copy it where there are no hard links.
 
     Raises:
         OutputError: something else has the name, or it cannot be written.
@@ -206,7 +205,7 @@ def link_new(source: Path, target: Path) -> None:
 
 
 def sum_of(path: Path) -> str | None:
-    """Return the SHA-256 of a file; None where there is none, such as behind a link."""
+    """Return the SHA-256 of a file; None if it does not exist or is behind a link."""
     try:
         return None if path.is_symlink() else sha256_of(path)
     except OSError:

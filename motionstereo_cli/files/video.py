@@ -55,7 +55,7 @@ def table_of(palette: NDArray[np.uint8]) -> NDArray[np.uint8]:
 #: 0.997, 16.5 and 14 kB).
 _PREVIEW_QUANTIZER = "22"
 
-#: What shows for longer, in s, does not fit into MP4's numbers.
+#: The longest time in s that an image can show in MP4's numbers.
 _LONGEST_S = 10_000
 
 
@@ -64,7 +64,7 @@ Picture: TypeAlias = "NDArray[np.uint8] | NDArray[np.uint16] | Indexed"
 
 @contextlib.contextmanager
 def _reported(path: Path) -> Iterator[None]:
-    """Turn FFmpeg's errors, too, into one that names the path."""
+    """Turn errors of the system and of FFmpeg into one that names the path."""
     with reported(path):
         try:
             yield
@@ -84,7 +84,7 @@ def _container(path: Path) -> dict[str, Any]:
 
 
 class VideoWriter:
-    """A video file that appears under its name only when it is complete.
+    """A video file that gets its final name when it is complete.
 
     H.264 in yuv420p (limited range, one encoder thread, so that the same images give the same
     bytes everywhere) or, for names that end in ``.mkv``, lossless FFV1 of the grey levels, 8 or
@@ -96,8 +96,8 @@ class VideoWriter:
         time_base: seconds per unit of the time stamps given to :meth:`write`.
         quality: H.264 constant rate factor, 0 (best) to 51.
         part: its name while it is being written, in a folder of results; random if None.
-        preview: take a third of the time for a file twice as large, whatever the ``quality``, and
-            have no picture depend on a later one, so that files can be joined.
+        preview: encode in a third of the time into a file twice as large, ignoring ``quality``;
+            no picture depends on a later one, so that files can be joined.
         after: time stamp of the image before the first one, None if there was none.
 
     Attributes:
@@ -144,7 +144,7 @@ class VideoWriter:
         (height, width) uint8 grey; for .mp4 also (height, width, 3) uint8 RGB, :class:`Indexed`,
         or a list of such, one below the other; for .mkv also (height, width) uint16.
 
-        A time stamp that does not come after the one before is moved to just after it.
+        A time stamp that is not after the previous one is moved to just after it.
 
         Raises:
             OutputError: the file cannot be written.
@@ -161,7 +161,7 @@ class VideoWriter:
             self._mux(frame)
 
     def finish(self) -> None:
-        """Complete the file, which keeps the name that it has while it is being written.
+        """Complete the file, which keeps its temporary name.
 
         Raises:
             OutputError: the file cannot be written.
@@ -186,7 +186,7 @@ class VideoWriter:
             self._file.place()
 
     def abandon(self, *, keep: bool) -> None:
-        """Complete the file under the name ``part`` or, without ``keep`` or such, remove it.
+        """Complete the file under the name ``part``, or remove it without ``keep`` or ``part``.
 
         Raises:
             OutputError: the file cannot be written.
@@ -194,7 +194,7 @@ class VideoWriter:
         if keep and self._part is not None:
             self.finish()
             return
-        with contextlib.suppress(OSError):  # what is left to write does not matter
+        with contextlib.suppress(OSError):  # errors of the remaining writes do not matter
             self._container.close()
         if self._file is not None:
             self._file.discard()
@@ -204,7 +204,7 @@ class VideoWriter:
     def _mux(self, frame: av.VideoFrame | None) -> None:
         for packet in self._stream.encode(frame):
             if self._spacing is not None and self._spacing * self._time_base < _LONGEST_S:
-                packet.duration = self._spacing  # else the label says how long the last one lasts
+                packet.duration = self._spacing  # else that of the last image
             self._container.mux(packet)
 
     def _add_stream(self, frame: av.VideoFrame) -> Any:
@@ -258,16 +258,16 @@ def _convert(rgb: NDArray[np.uint8], planes: Sequence[NDArray[np.uint8]]) -> Non
         plane[:, : width // 2] = part.reshape(-1, width // 2)
 
 
-#: What is left of a video: the SHA-256 of each segment, and the last time stamp.
+#: Checkpoint of a video: the SHA-256 of each segment, and the last time stamp.
 VideoMark = tuple[tuple[str, ...], int | None]
 
 
 class SegmentedVideo:
-    """A preview that can go on after the process that began it is gone.
+    """A preview video that another process can continue.
 
     A new segment begins at each checkpoint: a video of its own, beside the final name. At the end
     the segments are joined, as they are, without decoding. They stay until the caller completes the
-    output folder: until then another process may have to begin here.
+    output folder: until then another process may have to continue from them.
 
     Args:
         path: final name; see :class:`VideoWriter`.
@@ -330,7 +330,7 @@ class SegmentedVideo:
 
 @contextlib.contextmanager
 def opened_result(path: Path, within: Path) -> Iterator[av.container.InputContainer]:
-    """Open a video that this program wrote, as what its name says; nothing besides is opened.
+    """Open a video that this program wrote, in the format of its suffix; it opens no other files.
 
     Args:
         path: the video, or a segment of it.
@@ -338,7 +338,7 @@ def opened_result(path: Path, within: Path) -> Iterator[av.container.InputContai
 
     Raises:
         OSError: it cannot be opened, or is no regular file.
-        av.FFmpegError: it is no such video.
+        av.FFmpegError: it is not such a video.
     """
     kinds = {".mkv": "matroska", ".mp4": "mp4"}
     kind = next((kinds[suffix] for suffix in path.suffixes if suffix in kinds), None)

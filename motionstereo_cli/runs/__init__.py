@@ -1,1 +1,1 @@
-"""One recording: its plan, its output folder, its record, and going on after an interruption."""
+"""One recording: its plan, its output folder, its record, and resuming it."""

@@ -1,4 +1,4 @@
-"""What a run leaves, so that another process can go on after its own is gone."""
+"""Checkpoints: what another process needs to resume a run."""
 
 from __future__ import annotations
 
@@ -24,18 +24,18 @@ from motionstereo_cli.sinks.sink import Sink
 
 _HEAD = b"motionstereo checkpoint 6"
 
-#: What a guide knows is of one of these.
+#: The classes of a guide's state.
 _GUIDED = {kind.__name__: kind for kind in (ImageHeading, MapCourse)}
 
 
 @dataclass(frozen=True, slots=True)
 class Checkpoint:
-    """Where a run stood after some frame.
+    """The state of a run after some frame.
 
     Attributes:
-        run: hash of what makes it this run and no other.
+        run: hash of the run's identity.
         state: all that is kept from frame to frame.
-        guided: which class the guide's part of the state is of.
+        guided: the class of the guide's state.
         totals: sums over the frames so far.
         sinks: the checkpoint of each output.
     """
@@ -54,16 +54,16 @@ def write_checkpoint(
     totals: Totals,
     sinks: Mapping[str, Sink[Any]],
 ) -> None:
-    """Write a checkpoint in the place of the one before, once all outputs have made theirs.
+    """Replace the checkpoint, after all outputs have made theirs.
 
     Args:
-        path: where to.
-        identity: what makes it this run and no other, as the record has it.
+        path: its file.
+        identity: the run's identity, as in the record.
         state, totals: see :class:`Checkpoint`.
         sinks: the outputs.
 
     Raises:
-        OutputError: it, or what the outputs have so far, cannot be written.
+        OutputError: the checkpoint or an output cannot be written.
     """
     marks = {name: sink.checkpoint() for name, sink in sinks.items()}
     made = {name: mark.result() for name, mark in marks.items() if isinstance(mark, Future)}
@@ -89,11 +89,11 @@ def read_checkpoint(
 
     Args:
         path: where it is.
-        identity: that of the run which is to go on.
-        check: raises a ValueError for a state that cannot be of this run.
+        identity: that of the run to resume.
+        check: raises a ValueError for a state that does not fit this run.
 
     Raises:
-        OutputError: the file is no checkpoint of this version and this run, or was changed.
+        OutputError: the file is not a checkpoint of this version and run, or was changed.
     """
     try:
         with open_regular(path) as file:
@@ -121,7 +121,7 @@ def read_checkpoint(
 
 
 def with_guided(state: State, kind: str) -> State:
-    """Return a state with what the guide knows as one of its classes.
+    """Return a state with the guide's part restored as its class.
 
     Raises:
         ValueError: it is not.
@@ -140,12 +140,12 @@ def _digest(identity: FolderRecord) -> str:
 
 
 def _followed(identity: FolderRecord) -> dict[str, Any]:
-    """Return what results follow from; what was warned of is no part of it."""
+    """Return what results depend on; warnings are no part of it."""
     return {key: each for key, each in builtins_of(identity).items() if key != "warnings"}
 
 
 def check_state(state: State, settings: Settings, width: int, height: int) -> None:
-    """Make sure that a state is one of a run with these settings and views of this size.
+    """Check that a state fits these settings and views of this size.
 
     Raises:
         ValueError: it is not.
@@ -173,7 +173,7 @@ def check_state(state: State, settings: Settings, width: int, height: int) -> No
 
 
 def check_same(out: Path, identity: FolderRecord, found: FolderRecord) -> None:
-    """Make sure that a run is the one that ``out`` was begun by.
+    """Check that a run is the one that ``out`` belongs to.
 
     Raises:
         OutputError: it is not.
@@ -186,12 +186,12 @@ def check_same(out: Path, identity: FolderRecord, found: FolderRecord) -> None:
         )
 
 
-#: What options give, where the record has another word for it.
+#: Names of options, where the record has another name.
 _IN_WORDS = {"table": "a table by --csv", "files": "the files of --rig and --poses"}
 
 
 def _difference(wanted: Any, there: Any, name: str = "") -> str:
-    """Return the first difference of two JSON values; where files lie makes none."""
+    """Return the first difference of two JSON values; the folders of files do not count."""
     if wanted is None or there is None:
         what = _IN_WORDS.get(name.partition(".")[0], name)
         return "" if wanted is there else f"with{'out' if there is None else ''} {what}"

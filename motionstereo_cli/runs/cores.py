@@ -1,4 +1,4 @@
-"""The cores and the memory that this process may use, and how it uses them."""
+"""The cores and the memory that this process may use."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ import sys
 from motionstereo_cli.errors import InputError
 from motionstereo_cli.files.reading import read_text
 
-#: Processor time and the time that it is for, in us, of the group of processes that a container
-#: is: version 2 in one file, version 1 in two.
+#: A container's quota: processor time and its period in us; cgroups version 2 has one file,
+#: version 1 two.
 _QUOTAS = (
     ("/sys/fs/cgroup/cpu.max",),
     ("/sys/fs/cgroup/cpu/cpu.cfs_quota_us", "/sys/fs/cgroup/cpu/cpu.cfs_period_us"),
@@ -23,7 +23,7 @@ _QUOTAS = (
 _MALLOC = {-3: 1 << 24, -1: 1 << 26, -8: 2}
 
 
-#: Threads and their stacks, the encoders, and the arrays of a small frame take so much.
+#: What threads and their stacks, the encoders, and the arrays of a small frame need.
 _LEAST_BYTES = 160_000_000
 
 
@@ -44,7 +44,7 @@ def usable_cores() -> int:
 
 
 def check_memory() -> None:
-    """Make sure that a limit on this process's memory leaves some for the work.
+    """Check that a limit on this process's memory leaves enough for the work.
 
     Close to a limit (``ulimit -v``), libraries end the process without a word.
 
@@ -64,13 +64,13 @@ def check_memory() -> None:
 
 
 def prepare() -> None:
-    """Make the libraries' defaults fit the work; called before OpenCV and OpenBLAS load.
+    """Set the libraries' defaults; called before OpenCV and OpenBLAS load.
 
-    They stay in one thread each. Frames are worked on side by side anyway: the threads of these
-    libraries would wait for their next call, and take processor time for it.
+    Each stays in one thread. Frames are processed side by side anyway; idle threads of these
+    libraries would spin and waste processor time.
 
-    Memory that is freed is kept. Each frame needs the arrays of the last one again; taken from
-    the system anew, every page of them costs an interrupt.
+    Freed memory is kept: each frame needs arrays of the same sizes again, and memory that is new
+    from the system costs a page fault for every page.
     """
     for name in ("OPENBLAS_NUM_THREADS", "OPENCV_FOR_THREADS_NUM"):
         os.environ.setdefault(name, "1")

@@ -20,10 +20,10 @@ MATTERS_PX = 0.15
 
 
 def with_measured_offset(job: Job, say: Say) -> Job:
-    """Return the job with a measured disparity offset where that is asked for.
+    """Return the job, with a measured disparity offset if the settings ask for one.
 
-    Own motion is found with what was measured even where depth is to be left as it is. The sample
-    is that of ``--max-disparity auto``.
+    Own motion always uses the measured offset, even if depth is not corrected by it. The sample is
+    that of ``--max-disparity auto``.
 
     Args:
         job: the job, with a range of disparities that is a number.
@@ -56,7 +56,7 @@ def with_measured_offset(job: Job, say: Say) -> Job:
 
 
 def offset_warning(offset_px: float) -> str:
-    """Return what to say where disparities are too small by a constant that matters."""
+    """Return the warning for a constant error of disparity that matters."""
     return (
         f"disparities are {abs(offset_px):.2f} px too {'small' if offset_px > 0 else 'large'} by "
         "how things move as the rig moves, as after a small turn between the cameras: depth is "

@@ -17,7 +17,7 @@ from motionstereo_cli.sinks.records import RunRecord
 from motionstereo_cli.sources import StereoSource, open_stereo
 from motionstereo_cli.types import StereoFrame
 
-#: A recording that cannot be read from the middle is decoded up to here.
+#: Frames that are decoded of a recording that cannot be read from the middle.
 _MAX_DECODED_FRAMES = 1000
 
 #: Code of the warning that the range could not be measured.
@@ -30,10 +30,10 @@ def with_range(plan: RunPlan, say: Say) -> RunPlan:
     """Return the plan with a measured ``max_disparity`` where it is to be measured.
 
     The sample is up to five windows of 16 frames spread over the recording, or over its beginning
-    where it cannot be read from the middle. A run that goes on keeps the number it began with.
+    where it cannot be read from the middle. A resumed run keeps its number.
 
     Args:
-        plan: the run; of recordings that can be read twice.
+        plan: the run; its recordings can be read twice.
         say: called with a kind, ``note`` or ``warning``, and a line.
 
     Raises:
@@ -66,7 +66,7 @@ def sample_of(plan: RunPlan) -> Iterator[StereoFrame]:
 def with_range_of_opening(
     plan: RunPlan, source: StereoSource, say: Say
 ) -> tuple[RunPlan, Iterator[StereoFrame]]:
-    """Do the same for a source that can be read once: its first 16 frames are the sample.
+    """Measure the range of a source that can be read only once, on its first 16 frames.
 
     Returns:
         The plan, and all frames of the source.
@@ -103,7 +103,7 @@ def _settled(plan: RunPlan, max_disparity: int) -> RunPlan:
 
 
 def _begun_with(plan: RunPlan) -> RunRecord | None:
-    """Return the record of the run that is to go on, if it has a number."""
+    """Return the record of the run to resume, if it has a measured range."""
     if plan.folder is None or not plan.resume:
         return None
     place = plan.folder / RUN.record

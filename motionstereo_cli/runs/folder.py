@@ -1,4 +1,4 @@
-"""The output folder: what may be written and removed there, and how it becomes complete."""
+"""The output folder: what may be written and removed there, and how it is completed."""
 
 from __future__ import annotations
 
@@ -57,27 +57,27 @@ _START_AGAIN = "give --overwrite to start again"
 class RunFolder(Sinks):
     """The output folder of a command, from its first file to its last.
 
-    Entering the block locks the folder, and prepares it or finds where to go on. The record is
-    written last, by :meth:`complete`: where it stands, everything beside it is complete. When the
+    Entering the block locks the folder, and prepares it or finds its checkpoint. The record is
+    written last, by :meth:`complete`: if it exists, everything beside it is complete. When the
     block ends before that, the outputs are abandoned: what was done is kept, or nothing is left.
 
     Args:
-        path: the folder; made where it is missing.
+        path: the folder; created if missing.
         outputs: names of what is to be written, from ``kind``.
-        kind: whose folder it is.
-        identity: the :func:`head` of the record and all that the results follow from. With
-            ``resume`` it has to be the same as before. None: who wrote it, no more.
-        frames: how many images of a kind there will be; others in their folders do not matter.
-            None: none of others may be there.
+        kind: the command whose folder it is.
+        identity: the :func:`head` of the record and all that the results depend on. With
+            ``resume`` it has to be the same as before. None: only who wrote it.
+        frames: how many numbered files there will be; files of others with higher numbers do
+            not matter. None: there may be no files of others.
         overwrite: replace what an earlier run wrote; other files are never touched.
-        resume: go on where the same run was ended, or begin if it has not yet.
+        resume: continue where the same run ended, or begin it.
         inputs: files and folders that must not be written to.
         table: a further steering table, elsewhere; see :func:`check_table`.
-        check: raises a ValueError for a state that cannot be of this run.
+        check: raises a ValueError for a state that does not fit this run.
 
     Raises:
         BusyError: another run is writing there.
-        OutputError: the folder cannot be written, is not empty, or is of another run.
+        OutputError: the folder cannot be written, is not empty, or belongs to another run.
     """
 
     def __init__(
@@ -128,10 +128,10 @@ class RunFolder(Sinks):
                     tidy(self.path, self._kind)
 
     def checkpoint(self) -> None:
-        """Leave what another process needs to go on after this frame.
+        """Write what another process needs to continue after this frame.
 
         Raises:
-            OutputError: it, or what the outputs have so far, cannot be written.
+            OutputError: the checkpoint or an output cannot be written.
         """
         assert self.state is not None
         path = self.path / CHECKPOINT
@@ -141,7 +141,7 @@ class RunFolder(Sinks):
         """Write the record, after the outputs were closed, and return it.
 
         Args:
-            outcome: what came of it, by the fields of the record besides the identity.
+            outcome: the outcome, by the fields of the record that are not in the identity.
 
         Raises:
             OutputError: it cannot be written.
@@ -154,7 +154,7 @@ class RunFolder(Sinks):
                 sums = {
                     name: sums_of(self.path, self._kind.outputs[name], record.counts.written)
                     for name in self._outputs
-                    if not OUTPUTS[name].finish  # what is made of others is made again
+                    if not OUTPUTS[name].finish  # outputs made of other outputs are made again
                 }
             if self._table is not None:
                 sums[TABLE] = sums_of(self._table.parent, [self._table.name], 1)
@@ -164,7 +164,7 @@ class RunFolder(Sinks):
         return record
 
     def _check_sums(self, finished: FolderRecord) -> None:
-        """Make sure that a complete run is still what it was."""
+        """Check that the files of a complete run are unchanged."""
         if not isinstance(finished, RunRecord) or not finished.counts:
             return
         for name, sums in (finished.sums or {}).items():
@@ -226,15 +226,15 @@ def prepare(
 ) -> None:
     """Make the output folder ready.
 
-    With ``overwrite``, exactly the files that an earlier run wrote are removed, as its record
-    has them. A file of others is neither removed nor written over. Killed in between, the
-    folder still says whose the rest is.
+    With ``overwrite``, exactly the files that the record of an earlier run lists are removed. Other
+    files are neither removed nor overwritten. After a kill in between, the record still lists
+    the remaining ones.
 
     Args:
         out: the folder; made where it is missing.
         outputs: names of the outputs.
         kind: whose folder it is.
-        identity: what the record says while it is incomplete; who wrote it if None.
+        identity: what the record says while the run is incomplete; if None, only who wrote it.
         frames: see :class:`RunFolder`.
         overwrite: accept a folder that is not empty.
         inputs: files and folders that are read.
@@ -271,9 +271,9 @@ def prepare(
                     raise OutputError(f"{place} is an input of this run: give another folder")
         if former_table and table is not None:
             remove(table.parent, [table])
-        if record in former:  # no longer complete, and still ours
+        if record in former:  # incomplete from now on, and still this program's
             unname(record)
-        # From the last image to the first: of a run that was cut off, those up to a gap are its.
+        # From the last image to the first: of an interrupted run, the images up to a gap count.
         remove(out, sorted(former - {record, part}, reverse=True))
         remove_empty_folders(out, kind)
     begun = identity or head(outputs)
@@ -285,13 +285,13 @@ def complete(out: Path, record: FolderRecord, kind: FolderKind = RUN) -> None:
 
     Args:
         out: the folder.
-        record: what to say.
-        kind: whose folder it is.
+        record: the record.
+        kind: the command whose folder it is.
 
     Raises:
         OutputError: the record cannot be written.
     """
-    # The .part stays what it is until all is on the disk: it says that this folder is ours.
+    # The .part stays until all is on disk: it marks the folder as this program's.
     part = part_of(out / kind.record)
     write_whole(part, kind.format(record), durable=True)
     with reported(out / kind.record):
@@ -300,16 +300,16 @@ def complete(out: Path, record: FolderRecord, kind: FolderKind = RUN) -> None:
 
 
 def clear(out: Path, record: FolderRecord, kind: FolderKind = RUN) -> None:
-    """Remove what a complete run needs no more: its checkpoint, and the segments of its videos."""
+    """Remove what a complete run no longer needs: its checkpoint, and segments of its videos."""
     with reported(out):
         remove(out, sorted(temporary(out, kind, kind.outputs.keys() & set(record.outputs or ()))))
 
 
 def _is_former(table: Path, out: Path, kind: FolderKind, *, overwrite: bool) -> bool:
-    """Return whether there is a table that an earlier run into the same folder wrote.
+    """Return whether a table exists that an earlier run into the same folder wrote.
 
-    It is known by its place, which the record has, and by its content: the sum in the record or,
-    where the run was ended before it wrote one, what is left of the table in the folder.
+    It is identified by its path, which is in the record, and by its content: the hash in the record
+    or, if the run ended before writing one, the partial table in the folder.
 
     Raises:
         OutputError: another file is there, or it must not be overwritten.
@@ -336,7 +336,7 @@ def _is_former(table: Path, out: Path, kind: FolderKind, *, overwrite: bool) -> 
 
 
 def record_of(out: Path, kind: FolderKind = RUN) -> FolderRecord | None:
-    """Return what a complete run says of itself, None where there is none.
+    """Return the record of a complete run, None if there is none.
 
     Raises:
         InputError: it is damaged.
@@ -345,7 +345,7 @@ def record_of(out: Path, kind: FolderKind = RUN) -> FolderRecord | None:
 
 
 def tidy(out: Path, kind: FolderKind = RUN) -> None:
-    """Remove what a run that failed left, if it left nothing of use."""
+    """Remove what a failed run left, if none of it is of use."""
     part = part_of(out / kind.record)
     with contextlib.suppress(OSError):
         if not kind.keeps or written(out, kind) == {part}:
@@ -353,7 +353,7 @@ def tidy(out: Path, kind: FolderKind = RUN) -> None:
 
 
 def discard(out: Path, kind: FolderKind) -> None:
-    """Remove what a run wrote, complete or not, and its folder if that is all there was.
+    """Remove what a run wrote, complete or not, and its folder if that is then empty.
 
     Raises:
         OutputError: a file cannot be removed.

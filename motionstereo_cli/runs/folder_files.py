@@ -1,4 +1,4 @@
-"""What commands leave in their output folders, and what of it is there."""
+"""The files of commands in their output folders."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ from motionstereo_cli.runs.checkpoint import frames_of
 from motionstereo_cli.sinks.outputs import OUTPUTS, RECORD
 from motionstereo_cli.sinks.records import FolderRecord, OutputRecord, RunRecord, SumRecord
 
-#: What a run needs to go on after its process is gone; removed when it is complete.
+#: The checkpoint; removed when the run is complete.
 CHECKPOINT = "run.checkpoint"
 
-#: The steering table that is meant for another place, until it is complete.
+#: The steering table for another place, until it is complete.
 TABLE = "table"
 
 _NUMBERED = re.compile(r"(\d{6,})(\.[a-z]+)")
@@ -32,14 +32,14 @@ _NUMBERED = re.compile(r"(\d{6,})(\.[a-z]+)")
 
 @dataclass(frozen=True, slots=True)
 class FolderKind:
-    """What a command leaves in its output folder.
+    """The files of a command in its output folder.
 
     Attributes:
-        program: how its record says who wrote it.
+        program: the program's name in its record.
         record: name of the record, which is written last and removed last.
         outputs: the files of each output by its name; ``{:06d}`` is the number of a frame.
-        keeps: what was done is kept when it ends early, for another process to go on.
-        kind: what its record says.
+        keeps: results are kept when it ends early, so that another process can continue.
+        kind: class of its record.
         format: writes a record.
         parse: reads a record that is no JSON.
     """
@@ -63,19 +63,19 @@ RUN = FolderKind(
 
 
 def head(save: Sequence[str]) -> RunRecord:
-    """Return the beginning of a run's record: who wrote the folder, and what is in it."""
+    """Return the first fields of a run's record: who wrote the folder, and what is in it."""
     rows = {name: OUTPUTS[name] for name in save}
     outputs = {name: OutputRecord(row.path.format(0), row.what) for name, row in rows.items()}
     return RunRecord(program=RUN.program, outputs=outputs)
 
 
 def written(out: Path, kind: FolderKind) -> set[Path]:
-    """Return the files present that earlier runs wrote, complete or not, as their records list."""
+    """Return the existing files that the records of earlier runs list, complete or not."""
     written: set[Path] = set()
     for path in (out / kind.record, part_of(out / kind.record)):
         try:
             record = read_record(path, kind)
-        except InputError:  # a damaged one gives no right to remove anything
+        except InputError:  # a damaged record allows no removal
             continue
         if record is None:
             continue
@@ -96,10 +96,10 @@ def written(out: Path, kind: FolderKind) -> set[Path]:
 
 
 def read_record(path: Path, kind: FolderKind) -> FolderRecord | None:
-    """Return what a record says, None where there is none of this kind.
+    """Return a record, None if there is none of this kind.
 
     Raises:
-        InputError: it is one, and damaged.
+        InputError: it is damaged.
     """
     try:
         if path.is_symlink():
@@ -107,7 +107,7 @@ def read_record(path: Path, kind: FolderKind) -> FolderRecord | None:
         content = read_bytes(path, "the record", MAX_RECORD_BYTES)
         said = kind.parse(content) if kind.parse else parse_json(content, path)
     except (InputError, ValueError):
-        return None  # not a record of ours
+        return None  # not a record of this program
     if isinstance(said, FolderRecord):
         return said
     ours = isinstance(said, dict) and said.get("program") == kind.program
@@ -115,9 +115,9 @@ def read_record(path: Path, kind: FolderKind) -> FolderRecord | None:
 
 
 def temporary(out: Path, kind: FolderKind, outputs: Iterable[str]) -> set[Path]:
-    """Return the files present that a run with some outputs needs only until it is complete.
+    """Return the existing files that a run needs only until it is complete.
 
-    What a kill left of other files is among them, wherever it is in the folder.
+    Leftovers of a kill are among them, wherever they are in the folder.
     """
     paths = [path for name in outputs for path in kind.outputs[name]]
     streams = [Path(path) for path in paths if "{" not in path]
@@ -137,7 +137,7 @@ def temporary(out: Path, kind: FolderKind, outputs: Iterable[str]) -> set[Path]:
 
 
 def present_of(out: Path, path: str) -> set[Path]:
-    """Return what stands where an output would go, complete or not; a linked folder as such."""
+    """Return the existing files of an output, complete or not; of a linked folder the link."""
     target = out / path
     if "{" not in path:
         return {place for place in (target, part_of(target)) if os.path.lexists(place)}
@@ -152,7 +152,7 @@ def present_of(out: Path, path: str) -> set[Path]:
 
 
 def up_to(frames: int | None, present: set[Path], at_least: int = 0, first: int = 0) -> set[Path]:
-    """Return the images of some frames; if None, of all at_least and on to the first gap."""
+    """Return the images of some frames; if None, of ``at_least`` and all after it up to a gap."""
     matches = {path: _NUMBERED.fullmatch(path.name) for path in present}
     numbers = {path: int(match[1]) for path, match in matches.items() if match}
     if frames is None:  # the run was cut off
@@ -163,7 +163,7 @@ def up_to(frames: int | None, present: set[Path], at_least: int = 0, first: int 
 
 
 def remove_empty_folders(out: Path, kind: FolderKind) -> None:
-    """Remove the folders of numbered files that have none."""
+    """Remove folders of numbered files that are empty."""
     for paths in kind.outputs.values():
         folder = (out / paths[0]).parent
         if folder != out:
@@ -173,7 +173,7 @@ def remove_empty_folders(out: Path, kind: FolderKind) -> None:
 def sums_of(out: Path, paths: Sequence[str], frames: int) -> SumRecord:
     """Return size and SHA-256 of an output.
 
-    That of several files is the hash of the text which ``sha256sum`` prints for them by bare name.
+    The hash of several files is that of the text which ``sha256sum`` prints for their bare names.
 
     Raises:
         OSError: a file cannot be read.

@@ -1,4 +1,4 @@
-"""Ctrl-C and SIGTERM at the right moment."""
+"""Ctrl-C and SIGTERM, deferred to a safe moment."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 @contextlib.contextmanager
 def finishing() -> Iterator[None]:
-    """Have interrupts wait until the block is done; a second one does not wait.
+    """Defer interrupts until the block ends; a second one is not deferred.
 
-    Only the main thread gets signals: in another one this does nothing.
+    Only the main thread gets signals: in other threads this does nothing.
     """
     if threading.current_thread() is not threading.main_thread():
         yield

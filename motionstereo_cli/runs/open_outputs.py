@@ -1,4 +1,4 @@
-"""The open outputs of a command, as one."""
+"""The open outputs of a command, handled together."""
 
 from __future__ import annotations
 
@@ -52,26 +52,26 @@ class Totals:
 
 
 class Ends(Protocol):
-    """An output that ends in one of two ways, see :class:`~motionstereo_cli.sinks.sink.Sink`."""
+    """An output that is closed or abandoned, see :class:`~motionstereo_cli.sinks.sink.Sink`."""
 
     def close(self) -> None:
         """Complete the output and give it its final name."""
 
     def abandon(self, *, keep: bool) -> None:
-        """End early, and keep what was done or remove it."""
+        """End early; keep the results so far, or remove them."""
 
 
 _Output = TypeVar("_Output", bound=Ends)
 
 
 class Sinks:
-    """Outputs that are completed together or, when the block ends before that, abandoned.
+    """Outputs that are completed together or, if the block ends before that, abandoned.
 
     Attributes:
         state: all that is kept from frame to frame, None before the first.
         totals: sums over the frames so far; at first those that an earlier process did.
-        resumed: an earlier process began the same run, and this one continues or starts again.
-        finished: what an earlier process said of itself that did all there is to do; None: none.
+        resumed: an earlier process began the same run, which this one continues or repeats.
+        finished: the record of an earlier process that completed the run; None if none did.
     """
 
     def __init__(self) -> None:
@@ -97,16 +97,16 @@ class Sinks:
     ) -> None:
         if not self._complete:
             for sink in (*self._sinks.values(), *self._others):
-                with contextlib.suppress(OutputError):  # why the block ends matters more
+                with contextlib.suppress(OutputError):  # the reason why the block ends matters more
                     sink.abandon(keep=self._keep)
 
     def add(self, name: str, opened: Callable[[Any], Sink[Any]], takes: Input = "step") -> None:
-        """Open an output that gets something of each frame.
+        """Open an output that takes something of each frame.
 
         Args:
-            name: what to call it.
-            opened: makes it from the checkpoint that it goes on from; None: from nothing.
-            takes: what it gets, see :class:`~motionstereo_cli.sinks.outputs.Output`.
+            name: its name.
+            opened: opens it from a checkpoint to continue from; None: from the beginning.
+            takes: what it takes, see :class:`~motionstereo_cli.sinks.outputs.Output`.
 
         Raises:
             OutputError: it cannot be opened, or is not what the checkpoint says.
@@ -123,7 +123,7 @@ class Sinks:
             ) from error
 
     def own(self, output: _Output) -> _Output:
-        """Take an output that is written otherwise, and return it."""
+        """Take over an output that is written by other means, and return it."""
         self._others.append(output)
         return output
 
@@ -132,7 +132,7 @@ class Sinks:
 
         Args:
             step: that of the frame.
-            state: what is known after it, which a checkpoint needs.
+            state: the state after it, for checkpoints.
 
         Raises:
             OutputError: it cannot be written.
@@ -143,7 +143,7 @@ class Sinks:
         self.state, self.totals = state, self.totals.plus(step)
 
     def show(self, images: FrameImages) -> None:
-        """Hand a frame to the outputs that take images only.
+        """Hand a frame to the outputs that take images.
 
         Raises:
             OutputError: it cannot be written.
@@ -157,10 +157,10 @@ class Sinks:
         self._keep = True
 
     def checkpoint(self) -> None:
-        """Do nothing: without a folder there is nothing to go on from."""
+        """Do nothing: without a folder there are no checkpoints."""
 
     def end_segments(self) -> None:
-        """Have videos go on with a key frame, once all is written so far."""
+        """Begin new segments of videos, with a key frame, once all so far is written."""
         for made in [sink.checkpoint() for sink in self._sinks.values()]:
             if isinstance(made, Future):
                 made.result()
@@ -175,10 +175,10 @@ class Sinks:
             sink.close()
 
     def complete(self, **outcome: Any) -> FolderRecord | None:
-        """Say that all is done, and return the record, None where none is written.
+        """Complete the run, and return its record, None if none is written.
 
         Args:
-            outcome: what came of it, by the fields of the record.
+            outcome: the outcome, by the fields of the record.
         """
         self._complete = True
         return None

@@ -1,4 +1,4 @@
-"""What a run is to do, as plain data."""
+"""What a run is to do, as data."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from motionstereo_cli.sources.settings import InputSettings
 
 #: Names of standard input and output. Files of that name are ``./-``.
 _STANDARD = "-"
-#: Name of poses that are found from the recording itself. A file of that name needs its folder's.
+#: Value for poses that are found from the recording itself. A file of that name is ``./auto``.
 AUTO_POSES = "auto"
 
 _PATHS = ("out", "poses", "table")
@@ -34,26 +34,26 @@ _PARAMETERS = {
 
 @dataclass(frozen=True, slots=True)
 class RunPlan:
-    """All that a run follows from: paths and options, which can go to another process.
+    """All that a run depends on: paths and options, which can be sent to another process.
 
     Attributes:
         left: a video file, a folder of images, a pattern of images, or ``-`` for standard input.
-        right: the like; None where ``left`` holds both views.
+        right: the same for the right view; None if ``left`` holds both.
         out: folder for the results; ``-`` writes only the steering table, to standard output.
         rig: calibration files, in any format that ``--rig`` takes; none: no lengths, no angles.
         rig_settings: how to understand the calibration.
-        poses: where the rig was, a file or ``auto``: found from the recording itself; needs a
-            calibration, of ``rig`` or in a bag.
+        poses: a file of poses, or ``auto``: found from the recording itself, which needs a
+            calibration, from ``rig`` or a bag.
         pose_settings: how to understand the poses.
         save: names of the outputs in ``out``, from :data:`~motionstereo_cli.sinks.outputs.OUTPUTS`.
         table: a further place for the steering table; ``-`` is standard output, row by row.
         overwrite: replace the results of an earlier run in ``out``, and a file ``table``.
-        resume: go on where the same run was ended in ``out``, or begin if it has not yet.
+        resume: continue where the same run ended in ``out``, or begin it.
         jobs: frames matched at a time; results do not depend on it. None: the number of cores,
             1 with a pipe.
-        with_check: look for mistakes in the first frames.
+        with_check: check the first frames for mistakes.
         settings, input_settings, output_settings: parameters of processing, input and output.
-        reads: further files that were read for the plan, and must not be written to.
+        reads: further files that the plan was made from, which must not be written to.
 
     Raises:
         SettingsError: two of the options contradict each other, or an output has no such name.
@@ -164,7 +164,7 @@ class RunPlan:
 
     @property
     def options(self) -> list[str]:
-        """The options that are neither parameters nor say where results go, as words."""
+        """The options besides parameters and outputs, as words."""
         words = [word for path in self.rig for word in ("--rig", str(path))]
         return words + (["--poses", str(self.poses)] if self.poses else [])
 

@@ -57,7 +57,7 @@ GREY = (
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class RunReport:
-    """What a run did.
+    """Outcome of a run.
 
     Attributes:
         frames: stereo frames processed.
@@ -67,8 +67,8 @@ class RunReport:
         wall_s: duration in s, from the first frame's decoding to the last output's completion.
         outputs: paths under the output folder, numbered files as their folder.
         damage: what was lost of the input, one line each.
-        warnings: what looks wrong, in the order in which it was said.
-        interrupted: the run was ended before the end of the input; see :func:`run`.
+        warnings: what looks wrong, in the order of the warnings.
+        interrupted: the run ended before the end of the input; see :func:`run`.
     """
 
     frames: int
@@ -89,7 +89,7 @@ class RunReport:
 
 
 class Warned:
-    """The warnings of a run: said when they come, and kept for its record.
+    """The warnings of a run: shown at once, and kept for its record.
 
     Args:
         say: called with a kind, ``note`` or ``warning``, and a line.
@@ -105,19 +105,19 @@ class Warned:
         return tuple(self._found)
 
     def warn(self, code: str, text: str, numbers: Mapping[str, int | float] | None = None) -> None:
-        """Say and keep a warning, see :class:`~motionstereo_cli.sinks.records.WarningRecord`."""
+        """Show and keep a warning, see :class:`~motionstereo_cli.sinks.records.WarningRecord`."""
         self._found.append(WarningRecord(code, text, dict(numbers or {})))
         self._say("warning", text)
 
     def say(self, code: str, kind: str, text: str) -> None:
-        """Say a line, and keep it if it is a warning."""
+        """Show a line, and keep it if it is a warning."""
         if kind == "warning":
             self.warn(code, text)
         else:
             self._say(kind, text)
 
     def warn_of(self, findings: Iterable[Finding]) -> None:
-        """Say and keep what a check has found."""
+        """Show and keep the findings of a check."""
         for finding in findings:
             self.warn(finding.name, finding.text, finding.numbers)
 
@@ -131,9 +131,9 @@ class Job:
         source: the input, which rectifies.
         frames: all frames of the source.
         context: what the outputs need.
-        poses: where the rig was; None if it is not known.
+        poses: poses of the rig; None if unknown.
         warned: the warnings so far.
-        motion_offset_px: constant that own motion is found with, added to disparity.
+        motion_offset_px: constant added to disparity for finding own motion.
     """
 
     plan: RunPlan
@@ -146,7 +146,7 @@ class Job:
 
     @property
     def save(self) -> tuple[str, ...]:
-        """The outputs, with a substitute for those that cannot be had."""
+        """The outputs, with substitutes for those that need a missing rig."""
         return available(
             self.plan.outputs,
             rig=self.context.rig is not None,
@@ -154,7 +154,7 @@ class Job:
         )
 
     def pose_of(self, frame: StereoFrame | FrameTime) -> Pose | None:
-        """Return where the rig was; None where it is not known, or to be found.
+        """Return the pose of the rig; None if it is unknown or to be found.
 
         Raises:
             InputError: the poses do not cover the frame.
@@ -171,7 +171,7 @@ class Job:
 
     @property
     def stream(self) -> StreamContext:
-        """What the outputs have the processing find, and no more: it takes time."""
+        """What the processing has to find for the outputs."""
         rows = [OUTPUTS[name] for name in self.save]
         with_poses = self.plan.poses is not None
         return StreamContext.of(
@@ -188,13 +188,13 @@ class Job:
 
 
 def identity_of(job: Job, inputs: Iterable[Path]) -> RunRecord:
-    """Return what ``run.json`` says of what the run is: its results follow from it."""
+    """Return the identity of a run in ``run.json``: all that its results depend on."""
     plan, source, context = job.plan, job.source, job.context
     known = {*source.paths, *plan.reads}
     files = [path for path in inputs if path not in known]
     table: str | UnsetType = UNSET
     if plan.table and plan.folder and not plan.to_stdout and not is_stream(plan.table):
-        # The same, however either is given.
+        # The same, however it is given.
         place = real(plan.table.parent) / plan.table.name
         table = os.path.relpath(place, real(plan.folder))
     own_motion = job.with_own_motion
@@ -223,7 +223,7 @@ def _described(source: StereoSource) -> dict[str, InputRecord]:
 
 
 def versions() -> dict[str, str]:
-    """Return the versions of all that results and speed depend on."""
+    """Return the versions of all packages that results and speed depend on."""
     return {
         "motionstereo": __version__,
         "python": platform.python_version(),
@@ -238,9 +238,9 @@ _LIBRARY = re.compile(r"\.(so|dll|dylib|pyd)\b")
 
 @functools.cache
 def builds() -> dict[str, str]:
-    """Return what the bytes of results depend on: versions, and how libraries were built.
+    """Return what the bytes of results depend on: versions and builds of libraries.
 
-    Of this package it is a hash of its own files: two states of one version may differ.
+    For this package it is a hash of its files: two states of one version may differ.
     """
     home = Path(motionstereo_cli.__file__).parent
     own = {str(path.relative_to(home)): sha256_of(path) for path in home.rglob("*.py")}
@@ -264,10 +264,10 @@ def report_on(job: Job, totals: Totals, resumed: int, started_s: float) -> RunRe
     """Return the report of a run.
 
     Args:
-        job: what it was.
+        job: the run.
         totals: sums over all its frames.
         resumed: how many of them an earlier process had done.
-        started_s: when it began, as ``time.perf_counter`` has it.
+        started_s: its start, by ``time.perf_counter``.
     """
     charged, matched, at_limit = totals.means
     return RunReport(
@@ -285,9 +285,9 @@ def report_on(job: Job, totals: Totals, resumed: int, started_s: float) -> RunRe
 
 
 def outcome(source: StereoSource, report: RunReport) -> dict[str, Any]:
-    """Return what ``run.json`` says of what came of it; all but ``timing`` is repeatable."""
+    """Return the outcome of a run in ``run.json``; all but ``timing`` is repeatable."""
     return {
-        # What came through a pipe is known at its end.
+        # The content of a pipe is known at its end.
         **({} if source.rereadable else {"inputs": _described(source)}),
         "counts": Counts(written=report.frames, **source.counts),
         "shares": Shares(report.charged, report.matched, report.at_limit),
@@ -301,7 +301,7 @@ def report_of(record: FolderRecord, plan: RunPlan) -> RunReport:
     """Return the report of a run that was complete already.
 
     Raises:
-        OutputError: its table is missing, or its record says too little.
+        OutputError: its table is missing, or its record lacks a field.
     """
     if plan.table is not None and not plan.table.exists():
         raise OutputError(

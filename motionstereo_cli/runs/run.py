@@ -55,8 +55,8 @@ from motionstereo_cli.sources import StereoSource, open_stereo
 from motionstereo_cli.sources.settings import adapted_rig
 from motionstereo_cli.types import Rig, Step, StereoFrame
 
-#: What frames under way may take together by default, and what a pixel of each takes: memories of
-#: both views, disparity, depth, and the workspace of a thread.
+#: Memory of all frames in flight by default, and of a pixel of each: memories of both views,
+#: disparity, depth, and the workspace of a thread.
 _IN_FLIGHT_BYTES, _BYTES_PER_PX = 1 << 30, 110
 
 _Step = tuple[StereoFrame, Step, State]
@@ -68,7 +68,7 @@ def _nothing(*_: object) -> None:
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Watcher:
-    """Called while a run goes on; by default nothing is.
+    """Callbacks during a run; by default they do nothing.
 
     Attributes:
         say: called with a kind, ``note`` or ``warning``, and a line.
@@ -84,21 +84,21 @@ class Watcher:
 def run(plan: RunPlan, watcher: Watcher | None = None, stdout: BinaryIO | None = None) -> RunReport:
     """Process recordings and write the results.
 
-    ``run.json`` is written last: where it stands, everything beside it is complete. However the
-    run ends before, what was done stays: images whole, tables and videos under ``.part`` names,
-    and what another process needs to go on from the last checkpoint. Its results are then the
-    same to the byte. An interrupt waits until all outputs have the frame at hand.
+    ``run.json`` is written last: if it exists, everything beside it is complete. If the run ends
+    early, its results so far stay: complete images, tables and videos under ``.part`` names, and
+    a checkpoint from which another process continues, with the same bytes in the end. An
+    interrupt waits until all outputs have the current frame.
 
     Args:
         plan: what to do.
-        watcher: called while it goes on.
-        stdout: where a table goes that is for standard output; the process's own if None.
+        watcher: its callbacks.
+        stdout: the stream for a table on standard output; the process's own if None.
 
     Raises:
         InputError: a recording, rig or pose cannot be used, or there are no frames.
-        OutputError: the results cannot be written, or what is there is of another run.
+        OutputError: the results cannot be written, or the folder belongs to another run.
         SettingsError: an output needs a rig, or poses.
-        BrokenPipeError: the reader of standard output has gone.
+        BrokenPipeError: the reader of standard output closed it.
     """
     watcher = watcher or Watcher()
     stdout = stdout or _standard_output(plan)
@@ -129,10 +129,10 @@ def run(plan: RunPlan, watcher: Watcher | None = None, stdout: BinaryIO | None =
                 sinks.complete(options=plan.options, **outcome(source, report))
                 return report
         except BrokenPipeError:
-            if plan.folder is None:  # the reader has seen enough
+            if plan.folder is None:  # the reader closed the pipe
                 raise
             raise OutputError(
-                "the reader of the steering table has gone before the run was done: what was done "
+                "the reader of the steering table closed it before the run was done: what was done "
                 f"is in {plan.folder}"
             ) from None
         except KeyboardInterrupt:
@@ -156,7 +156,7 @@ def _standard_output(plan: RunPlan) -> BinaryIO | None:
 
 
 def job_of(plan: RunPlan, source: StereoSource, warned: Warned) -> Job:
-    """Have the source rectify, and read what is known before the first frame."""
+    """Open a run's inputs, and read all that is known before the first frame."""
     note = partial(warned.say, "", "note")
     for line in source.warnings:
         warned.warn("recording", line)
@@ -211,7 +211,7 @@ def _poses(
 
 
 def _do_without_rig(plan: RunPlan, note: Callable[[str], object]) -> None:
-    """Make sure that a run without a calibration needs none."""
+    """Check that a run without a calibration needs none."""
     output = plan.output_settings
     for flags, given in (
         ("--poses", plan.poses),
@@ -225,7 +225,7 @@ def _do_without_rig(plan: RunPlan, note: Callable[[str], object]) -> None:
 
 
 def check_size(rig: Rig, source: StereoSource) -> None:
-    """Make sure that a rig is for the whole views of a source.
+    """Check that a rig is for the full views of a source.
 
     Raises:
         InputError: it is for another size.
@@ -249,7 +249,7 @@ def inputs_of(job: Job) -> list[Path]:
 
 
 def _sinks(job: Job) -> Sinks:
-    """Return the folder for the results, or what is there without one; not yet entered."""
+    """Return the folder of the results, or its substitute without one; not yet entered."""
     plan, source = job.plan, job.source
     inputs = inputs_of(job)
     if plan.folder is None:
@@ -275,7 +275,7 @@ def _sinks(job: Job) -> Sinks:
 
 
 def _open(sinks: Sinks, job: Job, stdout: BinaryIO | None) -> None:
-    """Open all outputs, from where an earlier process was ended."""
+    """Open all outputs, at the checkpoint of an earlier process."""
     plan, table_format = job.plan, job.context.output.steering_format
     if stdout is not None:
         stream = SteeringStream(stdout, "the steering table", table_format)
@@ -289,13 +289,13 @@ def _open(sinks: Sinks, job: Job, stdout: BinaryIO | None) -> None:
 
 
 def table_of(plan: RunPlan) -> Path | None:
-    """Return the file for a further steering table; None where there is none, or it is a stream."""
+    """Return the file of a further steering table; None if there is none, or it is a stream."""
     path = None if plan.to_stdout else plan.table
     return None if path is None or is_stream(path) else path
 
 
 def add_table(sinks: Sinks, job: Job) -> None:
-    """Open the steering table that a user named, if one did."""
+    """Open the steering table that the user named, if any."""
     if job.plan.table is not None:
         sinks.add(TABLE, partial(_table, job.plan, job.context.output.steering_format))
 
@@ -310,18 +310,18 @@ def _table(plan: RunPlan, table_format: str, since: Any) -> Sink[Step]:
 
 
 def opened(name: str, folder: Path, context: RunContext, since: object) -> Threaded:
-    """Return an output that writes in a thread of its own, going on from a checkpoint of it."""
+    """Return an output that writes in its own thread, continuing from a checkpoint."""
     return Threaded(OUTPUTS[name].open(folder, context, since))
 
 
 def default_jobs(source: StereoSource) -> int:
-    """Return how many frames are matched at the same time: large ones would fill the memory."""
+    """Return how many frames are matched at the same time, limited by memory."""
     frame_bytes = _BYTES_PER_PX * source.width * source.height
     return max(1, min(usable_cores(), _IN_FLIGHT_BYTES // frame_bytes))
 
 
 class _Latest:
-    """Frames as they come.
+    """Frames, of which the latest is kept.
 
     Attributes:
         frame: the latest; None before the first.
@@ -338,7 +338,7 @@ class _Latest:
 
 
 def _write(sinks: Sinks, job: Job, watcher: Watcher) -> None:
-    """Process the frames that are left, and complete the outputs."""
+    """Process the remaining frames, and complete the outputs."""
     for _, step, state in _steps(job, sinks, watcher):
         with finishing():
             sinks.write(step, state)
@@ -354,12 +354,12 @@ def _write(sinks: Sinks, job: Job, watcher: Watcher) -> None:
 def warn_of_what_is_missing(
     job: Job, totals: Totals, last: Callable[[], StereoFrame | None]
 ) -> None:
-    """Warn where little of what is charged was matched, with the reason that the last frame has.
+    """Warn if little of the charge was matched, with the reason found in the last frame.
 
     Args:
         job: the run.
         totals: sums over all its frames.
-        last: returns the last frame; called where little was matched.
+        last: returns the last frame; called if little was matched.
     """
     s = job.plan.settings
     if s.max_age < FOREVER or s.min_confidence > 0:  # what is missing was asked for
@@ -377,7 +377,7 @@ def warn_of_what_is_missing(
 
 
 def _steps(job: Job, sinks: Sinks, watcher: Watcher) -> Iterator[_Step]:
-    """Yield the frames that an earlier process did not do, the step and the state of each."""
+    """Yield images, step and state of the frames that an earlier process did not do."""
     plan, frames = job.plan, job.frames
     if plan.with_check:
         frames = watched(
@@ -402,13 +402,13 @@ def _steps(job: Job, sinks: Sinks, watcher: Watcher) -> Iterator[_Step]:
 
 
 def _first(results: Iterator[_Step], plan: RunPlan) -> Iterable[_Step]:
-    """Return the first result after a checkpoint, which tells whether it made sense."""
+    """Return the first result after a checkpoint; it shows whether the checkpoint fits."""
     try:
         return list(itertools.islice(results, 1))
     except (MotionStereoError, OSError, MemoryError):
         raise
     except Exception as error:
         raise OutputError(
-            f"{plan.folder} cannot be gone on with, its checkpoint does not fit ({error}): "
+            f"{plan.folder} cannot be resumed, its checkpoint does not fit ({error}): "
             "give --overwrite to start again"
         ) from error

@@ -1,4 +1,4 @@
-"""Writing that does not hold up the stream."""
+"""Sinks that write in threads of their own."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 from motionstereo_cli.sinks.sink import Sink
 from motionstereo_cli.types import FrameImages, Step
 
-#: Frames that may wait for a sink; the stream waits for the slowest sink beyond that.
+#: Frames that may wait for a sink; beyond that the stream waits for the slowest sink.
 _WAITING = 2
 
 
@@ -60,7 +60,7 @@ class Threaded:
         self._thread.join()
 
     def _work(self) -> None:
-        # After an error the queue is still emptied, so that no thread waits for room in it.
+        # After an error the queue is still drained, so that no thread waits for room in it.
         while (item := self._queue.get()) is not None:
             try:
                 if self._error is not None:
