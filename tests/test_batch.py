@@ -120,7 +120,7 @@ def test_paths_are_relative_to_the_manifest_and_cells_are_options(tmp_path):
         ("left,out\nx,a\nx,a\n", "line 3: out a is that of"),
         ("left,out\nx,a\nx,a/b\n", "line 3: out a/b and that of"),
         ("left,out\nx,a/b/c\nx,a\n", "line 3: out a and that of"),
-        ("left,out\nx,../a\n", "does not lie in the folder"),
+        ("left,out\nx,../a\n", "is outside the folder"),
         ("left,out,max-disparity\nx,a,none\n", "line 2: --max-disparity cannot be 'none'"),
         ("left,out\nmissing.mp4,a\n", "line 2: there is no"),
     ],
@@ -355,7 +355,7 @@ def test_what_ends_its_worker_is_lost_by_itself(archive, tmp_path, monkeypatch):
         "bad": "failed",
         "c": "done",
     }
-    assert "ended the process" in rows["b"]["reason"]
+    assert "its worker died twice" in rows["b"]["reason"]
     assert "Traceback" not in ended.stderr
 
 

@@ -275,7 +275,7 @@ def test_a_closed_pipe_ends_quietly_unless_there_are_files(run_args, rig, option
         assert (done.returncode, done.stderr) == (0, b"")
     else:
         assert done.returncode == 1
-        assert b"error: the reader of the steering table has gone before" in done.stderr
+        assert b"error: the reader of the steering table closed it before" in done.stderr
     assert not names(Path())
 
 

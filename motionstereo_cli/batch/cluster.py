@@ -1,4 +1,4 @@
-"""The processes that a batch is worked on by, as a client of Dask sees them."""
+"""Start or join a Dask cluster."""
 
 from __future__ import annotations
 
@@ -23,21 +23,21 @@ from motionstereo_cli.runs.record import builds
 if TYPE_CHECKING:
     from distributed import Client
 
-#: How long a scheduler may take to answer, in s.
+#: Timeout for a scheduler's answer, in s.
 _ANSWER_S = 10
 #: A scheduler's file has a few hundred bytes.
 _MAX_FILE_BYTES = 1_000_000
-#: How often processes on this machine are tried to be started.
+#: Attempts to start processes on this machine.
 _STARTS = 3
-#: How long its workers may take to come, in s.
+#: Timeout for its workers to connect, in s.
 _WORKERS_S = 60
 
-#: Of Dask. A task whose worker dies is tried once more. Workers are forks of one process that has
-#: loaded everything, where forks are safe: each would take 1.2 s of processor time otherwise.
+#: Dask's configuration. A task whose worker dies is tried once more. Where forks are safe, workers
+#: are forks of one process that has loaded everything: each would take 1.2 s to load otherwise.
 _SETTINGS: Mapping[str, object] = {
     "distributed.scheduler.allowed-failures": 1,
-    "distributed.admin.low-level-log-length": 20,  # of messages, which hold all of a task
-    "distributed.worker.profile.enabled": False,  # looks into each thread every 10 ms
+    "distributed.admin.low-level-log-length": 20,  # of messages, which hold whole tasks
+    "distributed.worker.profile.enabled": False,  # it would sample each thread every 10 ms
     "logging.distributed": "critical",
     "distributed.nanny.pre-spawn-environ.DASK_LOGGING__DISTRIBUTED": "critical",
     "distributed.nanny.pre-spawn-environ.PYTHONWARNINGS": "ignore",
@@ -51,13 +51,13 @@ _SETTINGS: Mapping[str, object] = {
 
 @dataclass(frozen=True, slots=True)
 class Cluster:
-    """Where to work.
+    """Where a batch is processed.
 
     Attributes:
-        workers: processes on this machine; None = one for each core. Of a cluster, not used.
+        workers: processes on this machine; None = one for each core. Not used with a scheduler.
         scheduler: address of a scheduler, ``tcp://host:port``; None = processes on this machine.
-        scheduler_file: file in which a scheduler has left its address.
-        tls: paths of ``ca``, ``cert`` and ``key``, for a scheduler that asks for them.
+        scheduler_file: file with a scheduler's address, written by it.
+        tls: paths of ``ca``, ``cert`` and ``key``, for a scheduler that requires them.
     """
 
     workers: int | None = None
@@ -72,18 +72,18 @@ class Cluster:
 
 
 def threads_of(client: Client) -> int:
-    """Return how many tasks the workers do at a time, at least 1."""
+    """Return how many tasks the workers process at a time, at least 1."""
     count: int = sum(client.nthreads().values())
     return max(count, 1)
 
 
 @contextlib.contextmanager
 def client_of(cluster: Cluster, tasks: int, say: Callable[[str, str], object]) -> Iterator[Client]:
-    """Yield a client of a cluster whose versions are those of this process.
+    """Yield a client of a cluster whose builds are those of this process.
 
     Args:
-        cluster: where to work; processes on this machine are started, and ended with the block.
-        tasks: how many there are; no more processes than that are started.
+        cluster: the cluster; processes on this machine are started, and ended with the block.
+        tasks: number of tasks; no more processes than that are started.
         say: called with a kind, ``note``, and a line.
 
     Raises:
@@ -95,7 +95,7 @@ def client_of(cluster: Cluster, tasks: int, say: Callable[[str, str], object]) -
     import distributed  # noqa: F401  # whose defaults would else go with the settings
 
     with dask.config.set(_SETTINGS), warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of Dask, which the users of a batch cannot do much about
+        warnings.simplefilter("ignore")  # of Dask, which users of a batch can do little about
         opened = _started(cluster, tasks, say) if cluster.local else _joined(cluster)
         with opened as client:
             if where := _words_of(client, local=cluster.local):
@@ -107,7 +107,7 @@ def client_of(cluster: Cluster, tasks: int, say: Callable[[str, str], object]) -
 def _words_of(client: Client, *, local: bool) -> str:
     """Return how many workers a cluster has, and where its dashboard is."""
     words = [] if local else [f"{threads_of(client)} workers"]
-    # The dashboard is drawn by a package that Dask does not bring.
+    # The dashboard needs a package that Dask does not install.
     if not local or importlib.util.find_spec("bokeh"):
         with contextlib.suppress(KeyError):  # a scheduler without one
             words += [f"dashboard at {link}"] if (link := client.dashboard_link) else []
@@ -125,14 +125,14 @@ def _started(cluster: Cluster, tasks: int, say: Callable[[str, str], object]) ->
     workers = min(cluster.workers or cores, tasks)
     if workers > cores:
         say("note", f"{workers} workers share {cores} cores: more than one for each gains nothing")
-    # A port of its own for Dask's pages, so that two batches do not want the same.
+    # A free port for Dask's dashboard, so that two batches do not collide.
     options = {"threads_per_worker": 1, "dashboard_address": "127.0.0.1:0"}
     for trial in range(_STARTS):
         try:
             with _deaf_children():
                 local = LocalCluster(n_workers=workers, **options)
             break
-        except Exception as error:  # a process was killed before it was ready, for one
+        except Exception as error:  # such as a process that was killed before it was ready
             if trial == _STARTS - 1:
                 raise InputError(
                     f"the processes to work in cannot be started ({first_line(error)}): give fewer "
@@ -143,14 +143,14 @@ def _started(cluster: Cluster, tasks: int, say: Callable[[str, str], object]) ->
 
 
 def first_line(error: BaseException) -> str:
-    """Return what an error of another program says, in a line."""
+    """Return the message of another program's error, in one line."""
     lines = str(error).splitlines()
     return lines[0] if lines else type(error).__name__
 
 
 @contextlib.contextmanager
 def _joined(cluster: Cluster) -> Iterator[Client]:
-    """Yield a client of a scheduler that is there, and has workers."""
+    """Yield a client of a running scheduler that has workers."""
     from distributed import Client
     from distributed.security import Security
 
@@ -165,7 +165,7 @@ def _joined(cluster: Cluster) -> Iterator[Client]:
     try:
         asyncio.run(_shake_hands(address, security))
         joined = Client(address, timeout=_ANSWER_S, security=security)
-    except Exception as error:  # whatever answers there may be no scheduler at all
+    except Exception as error:  # the answer may come from something else
         raise InputError(
             f"there is no scheduler at {address} ({first_line(error)}): start it, or check the "
             "address; the same command goes on then"
@@ -179,7 +179,7 @@ def _joined(cluster: Cluster) -> Iterator[Client]:
 
 
 def _address_in(path: Path | None) -> str:
-    """Return the address that a scheduler has left in a file."""
+    """Return the address that a scheduler wrote to a file."""
     assert path is not None
     if not path.is_file():
         raise InputError(f"there is no file {path}: a scheduler writes it when it is started")
@@ -191,7 +191,7 @@ def _address_in(path: Path | None) -> str:
 
 
 async def _shake_hands(address: str, security: Any) -> None:
-    """Make sure that what listens at an address answers: Dask itself would wait for ever."""
+    """Check that a server at an address answers: Dask itself would wait for ever."""
     from distributed.comm import connect
 
     arguments = security.get_connection_args("client") if security else {}
@@ -201,7 +201,7 @@ async def _shake_hands(address: str, security: Any) -> None:
 
 @contextlib.contextmanager
 def _deaf_children() -> Iterator[None]:
-    """Have processes that are started ignore Ctrl-C, which a terminal sends to all of them."""
+    """Make started processes ignore Ctrl-C, which a terminal sends to all of them."""
     former = signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:
         yield
@@ -210,7 +210,7 @@ def _deaf_children() -> Iterator[None]:
 
 
 def _check_versions(client: Client) -> None:
-    """Make sure that all workers would give the same bytes.
+    """Check that all workers give the same bytes.
 
     Raises:
         InputError: a version differs.
@@ -230,7 +230,7 @@ def _check_versions(client: Client) -> None:
 
 
 def difference_from(theirs: Mapping[str, str]) -> str:
-    """Return what differs in the builds that a process has, in words; empty if nothing does."""
+    """Return the difference between a process's builds and this one's, in words; empty if none."""
     for name, here in builds().items():
         if (there := theirs.get(name)) != here:
             return f"{name} is {there}, and not {here} as here,"

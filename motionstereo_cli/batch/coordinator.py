@@ -1,8 +1,8 @@
 """Many recordings, on this machine or a cluster, by Dask.
 
-The truth lies on the disk: a ``run.json`` where a recording is done, a status file beside each
-folder. Futures only say when to look, so that a batch whose client or workers were killed goes on
-from what is there.
+The state is on disk: a ``run.json`` in the folder of each complete recording, and a status file for
+each. Futures only tell when to read it, so a batch whose client or workers were killed continues
+from the disk.
 """
 
 from __future__ import annotations
@@ -48,24 +48,24 @@ from motionstereo_cli.sinks.records import Status
 if TYPE_CHECKING:
     from distributed import Client, Future
 
-#: Topic of the words of workers on how far they are.
+#: Topic of the workers' progress.
 _PROGRESS = "motionstereo-frames"
-#: The table is renewed at most once in this time, in s.
+#: Minimum time between writing the table, in s.
 _RENEW_S = 1.0
-#: Workers with other versions that are left out before the batch is given up.
+#: Workers with other builds that are excluded before the batch fails.
 _TRIES = 20
-#: The workers are counted at most once in this time, in s.
+#: Minimum time between counting the workers, in s.
 _ASK_S = 2.0
 
 
 @dataclass(frozen=True, slots=True)
 class BatchWatcher:
-    """Who hears how a batch goes.
+    """Callbacks during a batch.
 
     Attributes:
         say: called with a kind, ``note`` or ``warning``, and a line.
-        frames: called with how many more frames are done.
-        ended: called with what became of each recording.
+        frames: called with the number of further frames that are done.
+        ended: called with the status of each recording that ended.
     """
 
     say: Callable[[str, str], object]
@@ -83,25 +83,25 @@ def run_batch(
     retry_failed: bool = False,
     pieces: int | None = None,
 ) -> list[Status]:
-    """Process recordings, and return what became of each, in order.
+    """Process recordings, and return the status of each, in order.
 
-    What is done is not done again; what failed is only tried again with ``retry_failed``.
+    Complete recordings are skipped; failed ones are tried again only with ``retry_failed``.
 
     Args:
-        plans: what to do for each recording, by the name of its folder under ``out``.
+        plans: the plan of each recording, by the name of its folder under ``out``.
         out: folder of the batch.
-        cluster: where to work.
-        watcher: who hears how it goes.
+        cluster: where to process.
+        watcher: callbacks.
         inputs: further files that are read, and must not be written to.
-        retry_failed: try those again that failed or were lost.
+        retry_failed: try failed and lost ones again.
         pieces: into how many pieces each recording is cut; None: as many as keep all workers busy
-            where there are fewer recordings than workers, and the recordings can be cut.
+            if there are fewer recordings than workers and they can be cut.
 
     Raises:
         SettingsError: a recording cannot be done in pieces, and pieces were asked for.
         InputError: the cluster cannot be reached, or its versions differ.
         OutputError: the folder of the batch cannot be written.
-        KeyboardInterrupt: it was interrupted; the recordings under way have left checkpoints.
+        KeyboardInterrupt: it was interrupted; unfinished recordings have checkpoints.
     """
     read = [Path(name) for plan in plans.values() for name in plan.inputs]
     with locked(out):
@@ -130,14 +130,14 @@ def run_batch(
 
 @dataclass(frozen=True, slots=True)
 class Item:
-    """A task: a recording, a piece of one, or the joining of its pieces.
+    """A task: process a recording or a piece of one, or join the pieces.
 
     Attributes:
         name: the recording.
         piece: which piece.
         pieces: all pieces of the recording; empty where it is not cut.
-        max_disparity: the range of all pieces, where it was measured.
-        seek: whether the piece may begin at a seek.
+        max_disparity: the range of all pieces, if it was measured.
+        seek: whether the piece may begin by seeking.
     """
 
     name: str
@@ -148,7 +148,7 @@ class Item:
 
 
 def _items(name: str, plan: RunPlan, count: int, say: Say, *, asked: bool) -> list[Item]:
-    """Return the tasks of a recording that can be done at once."""
+    """Return the tasks of a recording that can start at once."""
 
     def named(kind: str, text: str) -> None:
         say(kind, f"{name}: {text}")
@@ -162,12 +162,12 @@ def _items(name: str, plan: RunPlan, count: int, say: Say, *, asked: bool) -> li
         except MotionStereoError:
             if asked:
                 raise
-            # As one, which says what is wrong.
+            # As one task, which reports what is wrong.
     return [Item(name)]
 
 
 class _Batch:
-    """The recordings of a batch, and what is known of each."""
+    """The recordings of a batch, and their states."""
 
     def __init__(self, plans: Mapping[str, RunPlan], out: Path, watcher: BatchWatcher) -> None:
         self._out, self._watcher, self._given = out, watcher, plans
@@ -190,7 +190,7 @@ class _Batch:
         return retry_failed or not (same and known.status in FAILED)
 
     def process(self, client: Client, items: Iterable[Item], jobs: int) -> None:
-        """Keep each worker busy with one task at a time, until all were tried."""
+        """Keep each worker busy with one task at a time, until all have ended."""
         from distributed import as_completed
 
         waiting = deque(items)
@@ -234,7 +234,7 @@ class _Batch:
                 fill()
         except KeyboardInterrupt:
             write_whole(self._stop, b"")
-            for future in ended:  # what is under way leaves its checkpoints
+            for future in ended:  # running tasks write their checkpoints
                 self._note(under_way[future.key].name, future)
             raise
         finally:
@@ -243,13 +243,13 @@ class _Batch:
                 self.renew(at_once=True)
 
     def _begin(self, name: str) -> None:
-        """Say once that a recording in pieces is running: they would contradict each other."""
+        """Write once that a recording in pieces is running: pieces would contradict each other."""
         if self._known[name].status != "running":
             self._known[name] = Status(name, "running", plan=self._hashes[name])
             self._write(self._known[name])
 
     def _following(self, item: Item) -> list[Item]:
-        """Return what is to be done when all pieces of a recording are: some again, or joining."""
+        """Return the tasks once all pieces of a recording are done: repeat some, or join them."""
         pieces = item.pieces or ()
         if again := behind_damage(pieces_path(self._out, item.name), pieces):
             self._watcher.say(
@@ -261,10 +261,10 @@ class _Batch:
         return [dataclasses.replace(item, piece=None)]
 
     def _left_out(self, client: Client, future: Future) -> bool:
-        """Tell whether a task came to a worker that joined later with other builds; it is closed.
+        """Return whether a worker that joined later has other builds; such a worker is closed.
 
         Raises:
-            InputError: that cannot be helped.
+            InputError: there are too many such workers, or it cannot be closed.
         """
         found = future.result() if future.status == "finished" else None
         if found is None:
@@ -285,7 +285,7 @@ class _Batch:
 
     def _submit(self, client: Client, item: Item, jobs: int) -> Future:
         plan = self._plans[item.name]
-        # Pieces have the range that was measured; the whole warns of what was wrong with that.
+        # Pieces have the measured range; the joined run warns of what was wrong with it.
         known = item.piece is not None and item.max_disparity is not None
         measured = {"max_disparity": item.max_disparity} if known else {}
         settings = {**plan["settings"], **measured}
@@ -300,7 +300,7 @@ class _Batch:
             "seek": item.seek,
             "builds": builds(),
         }
-        # Dask keeps what it knows of each kind of task, which is what the first word says.
+        # Dask keeps statistics for each prefix of keys.
         key = (
             "motionstereo",
             f"{item.name}-{item.piece}-{item.seek}-{os.getpid()}-{self._tries}",
@@ -317,16 +317,14 @@ class _Batch:
         self.renew()
 
     def _unended(self, name: str, status: Status, future: Future) -> Status:
-        """Return the status of a recording that did not say itself how it ended."""
+        """Return the status of a recording whose worker did not write one."""
         from distributed.scheduler import KilledWorker
 
         error = future.exception() if future.status == "error" else None
         if error is None:
-            raise InputError(
-                "the scheduler has gone: the same command goes on once it is there again"
-            )
+            raise InputError("lost the scheduler: start it, and run the same command again")
         lost = isinstance(error, KilledWorker)
-        reason = "it ended the process that worked on it, twice" if lost else str(error)
+        reason = "its worker died twice" if lost else str(error)
         status = structs.replace(
             status,
             status="lost" if lost else "failed",
@@ -337,19 +335,19 @@ class _Batch:
         return status
 
     def _write(self, status: Status) -> None:
-        """Write what became of a recording; where that cannot be, the table alone says it."""
+        """Write the status of a recording; if that fails, only the table has it."""
         with contextlib.suppress(OutputError):
             write_status(self._out, status)
 
     def renew(self, *, at_once: bool = False) -> None:
-        """Write the table of all recordings again, when it is due."""
+        """Write the table of all recordings, if it is due."""
         if at_once or time.monotonic() > self._renewed_s + _RENEW_S:
             write_whole(self._out / TABLE, format_statuses(self.statuses))
             self._renewed_s = time.monotonic()
 
 
 class _Room:
-    """How many tasks the workers do at a time; it takes a while to ask."""
+    """The number of tasks that the workers process at a time, cached because asking is slow."""
 
     def __init__(self, client: Client) -> None:
         self._client = client
@@ -363,15 +361,15 @@ class _Room:
 
 
 def _hash(plan: Mapping[str, Any]) -> str:
-    # How fast, and whether to replace what is there, changes nothing in the results.
+    # Speed, and replacing earlier results, do not change the results.
     said = {key: value for key, value in plan.items() if key not in ("jobs", "resume", "overwrite")}
     return hashlib.sha256(json.dumps(said, sort_keys=True).encode()).hexdigest()[:16]
 
 
 def _work(task: Mapping[str, Any]) -> tuple[str, dict[str, str]] | None:
-    """Work on a task in a worker of Dask; where its builds are others, return them and do nothing.
+    """Process a task in a Dask worker; if its builds differ, return them and do nothing.
 
-    They may have changed since the batch began: a worker may join at any time.
+    A worker may join at any time, so this is checked for each task.
     """
     from distributed import get_worker
 

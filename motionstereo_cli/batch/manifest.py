@@ -1,4 +1,4 @@
-"""What a batch is to do: a table of recordings, or patterns that find them."""
+"""The recordings of a batch: a manifest, or patterns that match them."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ from motionstereo_cli.report import PAGE
 from motionstereo_cli.rig.settings import NO_RIG
 from motionstereo_cli.runs.plan import RunPlan
 
-#: Columns that are no options of ``run``.
+#: Columns that are not options of ``run``.
 _OWN = ("left", "right", "out")
 _NEEDED = ("left", "out")
-#: Names in the folder of a batch that are no recording's.
+#: Names in the folder of a batch that cannot be a recording's.
 _RESERVED = (OWN, TABLE, PAGE)
 _MAX_BYTES = 16_000_000
-#: Between two calibration files in a cell.
+#: Separator of two calibration files in a cell.
 _BETWEEN = ";"
-#: What a cell of an option says that takes no value.
+#: Values of a cell for an option that is a flag.
 _FLAGS = {"yes": True, "true": True, "on": True, "1": True} | {
     "no": False,
     "false": False,
@@ -45,7 +45,7 @@ class ManifestRow:
         name: its folder under that of the batch.
         options: those of ``run``, without the folder.
         inputs: LEFT, and RIGHT if there is one.
-        place: where it stands, for messages.
+        place: where it is in the manifest, for messages.
     """
 
     name: str
@@ -57,7 +57,7 @@ class ManifestRow:
 def read_manifest(
     path: Path, options: Mapping[str, bool], files: Collection[str]
 ) -> list[ManifestRow]:
-    """Read a manifest: CSV with a header, a row a recording, paths relative to the manifest.
+    """Read a manifest: CSV with a header, one row per recording, paths relative to the manifest.
 
     Args:
         path: the file.
@@ -65,7 +65,7 @@ def read_manifest(
         files: those of them that are paths.
 
     Raises:
-        InputError: the table cannot be used; its notes say all that is wrong, a line each.
+        InputError: the table cannot be used; its notes list all that is wrong.
     """
     text = read_text(path, "the manifest", _MAX_BYTES)
     lines = csv.reader(io.StringIO(text, newline=""))
@@ -131,13 +131,13 @@ def _entry(
 
 
 def matched(left: str, right: str | None) -> list[ManifestRow]:
-    """Return the recordings that patterns find, one for each match, paired by what differs.
+    """Return the recordings that patterns match, paired by what the wildcards stand for.
 
-    ``archive/*/left.mp4`` and ``archive/*/right.mp4`` give a recording for each folder that both
-    have, named after it.
+    ``archive/*/left.mp4`` and ``archive/*/right.mp4`` give one recording for each folder that has
+    both, named after the folder.
 
     Raises:
-        InputError: nothing matches, or one side has no partner; the notes say which.
+        InputError: nothing matches, or one side has no partner; its notes say which.
     """
     sides = [_found(pattern) for pattern in (left, right) if pattern is not None]
     wrong = [
@@ -163,7 +163,7 @@ def _found(pattern: str) -> dict[str, str]:
         parts, wild = Path(path).parts, Path(pattern).parts
         different = [part for part, each in zip(parts, wild, strict=False) if glob.has_magic(each)]
         name = "/".join(different) if len(parts) == len(wild) else path[start:].strip("/")
-        # A file's own suffix says nothing of which recording it is.
+        # The suffix does not tell recordings apart.
         found[
             name if glob.has_magic(Path(pattern).parent.as_posix()) else Path(name or path).stem
         ] = path
@@ -173,21 +173,21 @@ def _found(pattern: str) -> dict[str, str]:
 def plans(
     entries: Iterable[ManifestRow], out: Path, plan_of: Callable[[Sequence[str]], RunPlan]
 ) -> dict[str, RunPlan]:
-    """Return what to do for each recording, by name.
+    """Return the plan of each recording, by name.
 
     Args:
         entries: the recordings.
         out: folder of the batch.
-        plan_of: makes a plan of the arguments of ``run``.
+        plan_of: makes a plan from arguments of ``run``.
 
     Raises:
-        InputError: names are used twice or lie in one another, an option cannot be used, or a
-            path is not there; its notes say all that is wrong, a line each.
+        InputError: names are used twice or are nested, an option cannot be used, or a path
+            does not exist; its notes list all that is wrong.
     """
     found: dict[str, RunPlan] = {}
     names = _Names()
     wrong = []
-    # Most have the same options: to take these apart is what takes time.
+    # Most rows have the same options, and parsing them is slow.
     with_options = functools.cache(lambda options: plan_of(("--resume", *options, "--", "left")))
     for entry in entries:
         if problem := names.add(entry.name, entry.place):
@@ -216,24 +216,24 @@ def _there(path: str) -> bool:
 
 
 class _Names:
-    """Folders of recordings, of which none may be that of another or lie in one."""
+    """Folders of recordings: each is used once, and none is inside another."""
 
     def __init__(self) -> None:
         self._places: dict[PurePosixPath, str] = {}
         self._above: dict[PurePosixPath, str] = {}
 
     def add(self, name: str, place: str) -> str:
-        """Take a name, and return what is wrong with it, empty if nothing is."""
+        """Add a name, and return what is wrong with it, empty if nothing."""
         path = PurePosixPath(name)
         if not path.parts or path.is_absolute() or ".." in path.parts:
-            return f"out {name!r} does not lie in the folder of the batch"
+            return f"out {name!r} is outside the folder of the batch"
         if path.parts[0] in _RESERVED:
-            return f"out {name!r} is a name of the batch itself"
+            return f"out {name!r} is reserved for the batch"
         if path in self._places:
             return f"out {name} is that of {self._places[path]}"
         nested = (self._places[each] for each in path.parents if each in self._places)
         if other := self._above.get(path) or next(nested, ""):
-            return f"out {name} and that of {other} lie in one another"
+            return f"out {name} and that of {other} are nested"
         self._places[path] = place
         self._above |= dict.fromkeys(path.parents, place)
         return ""
@@ -243,7 +243,7 @@ def _refuse(what: object, wrong: Sequence[str]) -> None:
     if not wrong:
         return
     count = "one mistake" if len(wrong) == 1 else f"{len(wrong)} mistakes"
-    error = InputError(f"{what} has {count}, nothing was begun: {wrong[0]}")
+    error = InputError(f"{what} has {count}, nothing was started: {wrong[0]}")
     for line in wrong[1:]:
         error.add_note(line)
     raise error

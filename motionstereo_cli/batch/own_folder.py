@@ -1,4 +1,4 @@
-"""What a batch keeps for itself beside the folders of its recordings: one folder, made by it."""
+"""The folder in which a batch keeps its own files, beside the folders of its recordings."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from motionstereo_cli.sinks.records import Status
 
 #: The table of all recordings.
 TABLE = "batch.csv"
-#: The folder, and the file in it that says whose it is.
+#: The folder, and the file that marks it as a batch's.
 OWN = ".batch"
 _MARK, _PROGRAM = "batch.json", "motionstereo batch"
 
@@ -29,14 +29,14 @@ _MAX_TABLE_BYTES = 256_000_000
 
 
 class BatchMark(Record, frozen=True):
-    """``batch.json``, which says whose the folder is."""
+    """``batch.json``, which marks the folder as a batch's."""
 
     program: str
     version: str
 
 
 def status_path(out: Path, name: str) -> Path:
-    """Return the file that says what became of a recording of the batch into ``out``."""
+    """Return the status file of a recording of the batch into ``out``."""
     return out / OWN / "status" / f"{name}.json"
 
 
@@ -51,12 +51,12 @@ def pieces_path(out: Path, name: str) -> Path:
 
 
 def stop_path(out: Path) -> Path:
-    """Return the file whose presence asks the workers of this process to end."""
+    """Return the file that asks the workers of this process to end."""
     return out / OWN / f"stop-{os.getpid()}"
 
 
 def write_status(out: Path, status: Status) -> None:
-    """Write what became of a recording, whole; of those who do at a time, the last one wins.
+    """Write the status of a recording, atomically; the last writer wins.
 
     Raises:
         OutputError: it cannot be written.
@@ -72,7 +72,7 @@ def read_status(out: Path, name: str, say: Callable[[str, str], object] | None =
     Args:
         out: the folder of the batch.
         name: the recording.
-        say: called with a kind and a line where it is damaged.
+        say: called with a kind and a line if it is damaged.
     """
     path = status_path(out, name)
     if not path.exists():
@@ -86,7 +86,7 @@ def read_status(out: Path, name: str, say: Callable[[str, str], object] | None =
 
 
 def open_log_of(out: Path, name: str) -> TextIO:
-    """Open the log of a recording, to append to.
+    """Open the log of a recording for appending.
 
     Raises:
         OutputError: it cannot be written.
@@ -98,14 +98,14 @@ def open_log_of(out: Path, name: str) -> TextIO:
 
 
 def claim(out: Path, inputs: Iterable[Path]) -> None:
-    """Make the folder of a batch its own, or find that it is.
+    """Mark the folder of a batch as its own, or check that it is.
 
     Args:
-        out: the folder, which is there.
+        out: the folder, which exists.
         inputs: files and folders that are read.
 
     Raises:
-        OutputError: an input or a file of others has a name that the batch needs.
+        OutputError: an input or a foreign file has a name that the batch needs.
     """
     own, table = out / OWN, out / TABLE
     taken = tuple(inputs)
@@ -113,7 +113,7 @@ def claim(out: Path, inputs: Iterable[Path]) -> None:
     place = real(own)
     for path in taken:
         if real(path).is_relative_to(place):
-            raise OutputError(f"{path}, an input, lies in {own}: give another folder")
+            raise OutputError(f"{path}, an input, is in {own}: give another folder")
     check_no_links(own / _MARK, out)
     check_no_links(table, out)
     with reported(own):
@@ -141,4 +141,6 @@ def _is_table(path: Path) -> bool:
     except InputError:
         return False
     columns = content.partition(b"\n")[0].decode("utf-8", "replace").split(",")
-    return columns[:2] == list(COLUMNS[:2]) and set(columns) <= set(COLUMNS)  # earlier: fewer
+    return columns[:2] == list(COLUMNS[:2]) and set(columns) <= set(
+        COLUMNS
+    )  # older tables have fewer columns

@@ -1,13 +1,13 @@
-"""One long recording in pieces, on several workers at a time; its files are those of one run.
+"""One long recording in pieces, on several workers at a time, with the same files as one run.
 
-What each frame decides by itself (images, videos and its
-:class:`~motionstereo_cli.pipeline.FrameSummary`) is made in pieces, each in a folder of its own. A
-piece begins as many frames early as results reach back. What follows from frame to frame (heading,
-objects, map) is then made in order, from the summaries that the pieces keep.
+What depends on single frames (images, videos and the
+:class:`~motionstereo_cli.pipeline.FrameSummary`) is made in pieces, each in its own folder. A
+piece begins as many frames early as results reach back. What is sequential (heading, objects, map)
+is then made in order, from the summaries that the pieces keep.
 
 Pieces begin at multiples of ``checkpoint_frames``, where videos have key frames. They seek where
-the recordings let them, which passes over damage without seeing it: behind damage that another
-piece has seen, a piece is made again by decoding from the start.
+the recordings allow it. Seeking skips damage without noticing it: a piece after damage that another
+piece noticed is made again by decoding from the start.
 """
 
 from __future__ import annotations
@@ -80,7 +80,7 @@ from motionstereo_cli.sinks.videos import beginning
 from motionstereo_cli.sources import open_stereo
 from motionstereo_cli.types import FrameImages, Rig, StereoFrame
 
-#: What a piece keeps of its frames, one after the other.
+#: The summaries that a piece keeps of its frames, in order.
 _KEPT = "summaries"
 
 
@@ -88,10 +88,10 @@ class PieceRecord(FolderRecord, kw_only=True, frozen=True):
     """``piece.json``.
 
     Attributes:
-        run: what run it is a piece of.
+        run: identity of its run.
         piece: its first frame and the one after its last, None = the end.
-        outcome: what came of it.
-        sought: whether it began at a seek.
+        outcome: its outcome.
+        sought: whether it began by seeking.
     """
 
     run: RunRecord | UnsetType = UNSET
@@ -108,10 +108,10 @@ PIECE = FolderKind(
 )
 
 
-#: What a guide takes from a frame is of one of these.
+#: The classes of what a guide takes from a frame.
 _PROFILES = {kind.__name__: kind for kind in (ImageProfile, MapProfile)}
 
-#: How many bytes of a frame follow.
+#: Length of a frame's bytes, which follow.
 _SIZE = struct.Struct("<Q")
 
 
@@ -127,10 +127,10 @@ def pieces_of(plan: RunPlan, count: int) -> list[Piece]:
 
     Args:
         plan: the run.
-        count: how many are wanted; there may be fewer, none has less than ``checkpoint_frames``.
+        count: the number wanted; fewer, if they were shorter than ``checkpoint_frames``.
 
     Raises:
-        InputError: the recordings cannot be read, or do not say how many frames they have.
+        InputError: the recordings cannot be read, or do not state their number of frames.
         SettingsError: this run cannot be done in pieces.
     """
     if plan.settings.charge_mode != "permanency":
@@ -149,22 +149,22 @@ def pieces_of(plan: RunPlan, count: int) -> list[Piece]:
 
 
 def folder_of(home: Path, piece: Piece) -> Path:
-    """Return the folder of a piece in that of all of them."""
+    """Return the folder of a piece."""
     return home / f"{piece.first:06d}"
 
 
 def run_piece(
     plan: RunPlan, piece: Piece, home: Path, watcher: Watcher, *, seek: bool = True
 ) -> None:
-    """Make all that the frames of a piece decide by themselves; a piece that is done is kept.
+    """Process the frames of a piece; a complete piece is kept.
 
     Args:
         plan: the run.
         piece: the piece.
         home: the folder of all pieces of the recording.
-        watcher: called while it goes on.
-        seek: begin at a seek where the recordings let it; else decode from the start, and make a
-            piece again that did seek.
+        watcher: callbacks.
+        seek: begin by seeking if the recordings allow it; else decode from the start, and repeat
+            a piece that began by seeking.
 
     Raises:
         InputError: the recordings cannot be read.
@@ -190,7 +190,7 @@ def run_piece(
             begin = max(piece.first - _run_in(job), 0)
             sought = seek and source.begin_at(begin)
             if seek and begin and not sought:
-                watcher.say("note", "the recordings do not let seek: decoded from the start")
+                watcher.say("note", "the recordings cannot be seeked: decoded from the start")
             frames = itertools.islice(source, 0 if seek else begin, None)
             kept = sinks.own(_KeptFile(folder / PIECE.outputs[_KEPT][0]))
             shows_images = any(OUTPUTS[name].shows_images for name in job.save)
@@ -212,7 +212,7 @@ def run_piece(
 
 
 def behind_damage(home: Path, pieces: Sequence[Piece]) -> list[Piece]:
-    """Return which pieces, of those that are done, have to be made again without a seek."""
+    """Return the complete pieces that have to be made again without seeking."""
     records = [_done(folder_of(home, piece)) or PieceRecord() for piece in pieces]
     damaged = [bool(record.outcome and record.outcome.damage) for record in records]
     return [
@@ -223,19 +223,19 @@ def behind_damage(home: Path, pieces: Sequence[Piece]) -> list[Piece]:
 
 
 def _done(folder: Path) -> PieceRecord | None:
-    """Return the record of a piece that is complete, None where there is none."""
+    """Return the record of a complete piece, None if there is none."""
     found = record_of(folder, PIECE)
     return found if isinstance(found, PieceRecord) else None
 
 
 def _run_in(job: Job) -> int:
-    """Return on how many frames before it a frame depends."""
+    """Return on how many earlier frames a frame depends."""
     s = job.plan.settings
     memory = math.ceil((s.charge_max - s.charge_min) / s.charge_leak)
     shown = memory + recent_frames(s)
     if not job.with_own_motion:
         return shown
-    # What moves by itself has a memory, too, of what is shown for a few frames.
+    # The memory of movers reaches back a few frames more.
     return memory + max(shown, BLOCK_FRAMES + 1) + MOVERS_FRAMES
 
 
@@ -266,7 +266,7 @@ def _at(mark: object, name: str, folder: Path, job: Job, _: object) -> Any:
 
 
 class _KeptFile:
-    """What is kept of frames, one after the other."""
+    """The file of what a piece keeps of its frames, in order."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -274,7 +274,7 @@ class _KeptFile:
             self._file = Temporary(path)
 
     def add(self, summary: FrameSummary, images: FrameImages | None) -> None:
-        """Append a frame, with those of its images that are shown beside its step."""
+        """Append a frame, with the images that outputs show beside its step."""
         shown = None
         if images is not None:
             shown = images.view, images.charge, images.disparity_px, images.colours
@@ -293,7 +293,7 @@ class _KeptFile:
 
 
 def join_pieces(plan: RunPlan, pieces: Sequence[Piece], home: Path, watcher: Watcher) -> RunReport:
-    """Make what follows from frame to frame, put all together, and complete the run.
+    """Run the sequential part, join the outputs, and complete the run.
 
     Raises:
         InputError: the recordings cannot be read.
@@ -334,7 +334,7 @@ def join_pieces(plan: RunPlan, pieces: Sequence[Piece], home: Path, watcher: Wat
 
 
 def _warn(job: Job, totals: Totals, *, damaged: bool) -> None:
-    """Warn of what a whole run warns of by its first frames and its last."""
+    """Give the warnings that a whole run derives from its first and last frames."""
     plan = job.plan
     told: list[Sequence[Finding]] = []
     if plan.with_check:
@@ -348,7 +348,7 @@ def _warn(job: Job, totals: Totals, *, damaged: bool) -> None:
     def last() -> StereoFrame:
         with open_stereo(plan.left, plan.right, plan.input_settings) as source:
             rectify_source(source, plan.rig, plan.rig_settings)
-            if not damaged:  # a seek passes over damage without seeing it
+            if not damaged:  # seeking skips damage without noticing it
                 source.begin_at(totals.frames - 1)
             return deque(source, maxlen=1).pop()
 
@@ -386,7 +386,7 @@ class _Kept:
 
 
 def _kept(folder: Path, rig: Rig | None) -> Iterator[tuple[FrameSummary, FrameImages | None]]:
-    """Yield what a piece has kept of its frames."""
+    """Yield what a piece kept of its frames."""
     path = folder / PIECE.outputs[_KEPT][0]
     try:
         with open_regular(path) as file:
@@ -411,7 +411,7 @@ def _kept(folder: Path, rig: Rig | None) -> Iterator[tuple[FrameSummary, FrameIm
 
 
 def _put_together(path: str, folders: Sequence[Path], out: Path) -> None:
-    """Put an output of the pieces into the folder of the run; the pieces keep theirs."""
+    """Join an output of the pieces in the folder of the run; the pieces keep theirs."""
     if "{" not in path:
         join([found for folder in folders if (found := folder / path).exists()], out / path)
         return

@@ -1,4 +1,4 @@
-"""What became of each recording of a batch: a file beside its folder, and one table of all."""
+"""Status of each recording of a batch: a file for each, and one table of all."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from typing import Any
 from motionstereo_cli.sinks.records import Status
 from motionstereo_cli.sinks.writers import text_cell
 
-#: Statuses in which a recording is not tried again without being asked to.
+#: Statuses of recordings that are not tried again unless asked.
 FAILED = ("failed", "lost")
-#: Those in which there is nothing left to do.
+#: Statuses of complete recordings.
 DONE = ("done", "damaged")
 
 
@@ -26,7 +26,7 @@ def row_of(status: Status) -> dict[str, Any]:
 
 
 def format_statuses(statuses: Iterable[Status]) -> bytes:
-    """Return the table of a batch: RFC 4180 but for LF, a row a recording; empty = unknown."""
+    """Return the table of a batch: RFC 4180 but for LF, one row per recording; empty = unknown."""
     text = io.StringIO()
     writer = csv.DictWriter(text, COLUMNS, lineterminator="\n")
     writer.writeheader()

@@ -1,4 +1,4 @@
-"""One recording of a batch, on whatever machine it is worked on."""
+"""One task of a batch, in the process that works on it."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ from motionstereo_cli.runs.record import RunReport
 from motionstereo_cli.runs.run import Watcher, run
 from motionstereo_cli.sinks.records import Status
 
-#: Time between two looks at whether to stop, and two words on how far it is, in s.
+#: Time between two checks whether to stop, and between two reports of progress, in s.
 _LOOK_S = 0.5
-#: A process that was killed may hold a folder for so long until the system ends its children.
+#: How long a killed process may keep its lock on a folder, in s, until its children end.
 _BUSY_S = 60.0
 
 
@@ -34,8 +34,8 @@ def work(
 ) -> None:
     """Process a recording as ``run --resume`` does, or a piece of it.
 
-    The status file says what came of it. A piece writes it only if it failed: that its recording
-    is running, who gives out the pieces has said.
+    The status file tells its outcome. A piece writes it only if it failed: the coordinator has
+    written that its recording is running.
 
     Args:
         task: ``plan`` as :meth:`~motionstereo_cli.runs.plan.RunPlan.as_json` gives it, ``out``,
@@ -43,7 +43,7 @@ def work(
             checkpoint and end. ``piece``: the first frame of a piece and the one after its last;
             ``pieces``: all of them, to be joined; None for a whole recording. ``seek``: whether
             a piece may begin at a seek.
-        tell: called now and then with the number of frames done.
+        tell: called at intervals with the number of frames done.
     """
     out, stop = Path(task["out"]), Path(task["stop"])
     worker = f"{socket.gethostname()}:{os.getpid()}"
@@ -65,7 +65,7 @@ def work(
             home = pieces_path(out, task["name"])
             for path in (out / task["name"], home):
                 check_no_links(path, out)
-            # The frames that are joined were told when they were made.
+            # The frames were counted when the pieces were made.
             pulse = _Pulse(stop, tell if pieces is None else lambda _: None)
             watcher = Watcher(say, progress=pulse)
             if piece is not None:
@@ -76,7 +76,7 @@ def work(
             status = _ended(status, report)
             for line in report.damage:
                 say("warning", line)
-        except KeyboardInterrupt:  # within a piece, which is started again
+        except KeyboardInterrupt:  # within a piece, which then starts again
             status = structs.replace(status, status="interrupted")
         except MotionStereoError as error:
             status = structs.replace(status, status="failed", reason=str(error))
@@ -119,7 +119,7 @@ def _ended(status: Status, report: RunReport) -> Status:
 
 
 class _Pulse:
-    """Called after each frame: tells how many there were, and ends the run when asked to."""
+    """Called after each frame: reports progress, and ends the run when asked to."""
 
     def __init__(self, stop: Path, tell: Callable[[int], object]) -> None:
         self._stop, self._tell = stop, tell

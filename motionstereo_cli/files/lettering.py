@@ -40,7 +40,7 @@ class Style(NamedTuple):
 DARK = Style(13, (235, 235, 235), (24, 24, 27))
 LIGHT = Style(14, (30, 34, 40), (255, 255, 255))
 
-#: Between pictures beside each other, in px.
+#: Between pictures side by side, in px.
 GAP_PX = 4
 
 
@@ -77,7 +77,7 @@ def text_width(text: str, size_px: int) -> float:
 def titled(
     panels: Sequence[NDArray[np.uint8]], titles: Sequence[str], style: Style
 ) -> NDArray[np.uint8]:
-    """Return RGB images of one height beside each other, each below its title.
+    """Return RGB images of one height side by side, each below its title.
 
     A title that is wider than its image is cut off.
     """

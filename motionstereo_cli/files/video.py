@@ -272,7 +272,7 @@ class SegmentedVideo:
     Args:
         path: final name; see :class:`VideoWriter`.
         time_base: seconds per unit of the time stamps given to :meth:`write`.
-        since: go on from this checkpoint.
+        since: continue from this checkpoint.
 
     Raises:
         OutputError: the file cannot be written, or a segment is missing or was changed.

@@ -1,1 +1,1 @@
-"""Where results go."""
+"""Outputs: what writes results, and what reads them back."""

@@ -46,13 +46,13 @@ _MM_PER_M = 1000
 class BagFile:
     """All results of a run as messages with the stamps of the input.
 
-    A segment of its own begins at each checkpoint. At the end the messages are copied into one
-    file in order, so that it does not depend on where a run was interrupted.
+    Each checkpoint begins a new segment. At the end the messages are copied into one file in order,
+    so that it does not depend on where a run was interrupted.
 
     Args:
         path: final name.
-        stream: what is known of the run; it has a rig.
-        since: go on from this checkpoint: the segments that are complete.
+        stream: the run's context; it has a rig.
+        since: continue from this checkpoint: the complete segments.
 
     Raises:
         OutputError: rosbags is missing, the file cannot be written, or a segment was changed.
@@ -158,7 +158,7 @@ class _Messages:
         self._cx = rig.cx_of(stream.settings.reference)
 
     def packed(self, message: Any) -> bytes:
-        """Return a message as it lies in a bag."""
+        """Return a message in its serialised form."""
         return bytes(self.types.serialize_cdr(message, message.__msgtype__))
 
     def of(self, step: Step, stamp_ns: int) -> Iterator[tuple[str, Any]]:
@@ -234,7 +234,7 @@ class _Messages:
         )
 
     def _disparity(self, header: Any, images: FrameImages) -> Any:
-        """Return the disparity as ROS has it: depth = f T / disparity; below the least, unknown."""
+        """Return the disparity for ROS: depth = f T / disparity; unknown below the minimum."""
         rig, doffs = self._rig, self._rig.doffs
         values = np.nan_to_num(images.disparity_px + np.float32(doffs), nan=doffs - 1)
         return self._make(
@@ -268,7 +268,7 @@ class _Messages:
         return self._make("geometry_msgs/msg/PoseStamped", header=header, pose=pose)
 
     def _objects(self, header: Any, objects: Sequence[MovingObject]) -> Any:
-        """Return a cube for each object, after the word that removes those of before."""
+        """Return a marker that deletes the previous cubes, and a cube for each object."""
         markers = [self._marker(header, 0, _DELETE_ALL, (0, 0, 0), (0, 0, 0))]
         for item in objects:
             if item.depth_m is not None:

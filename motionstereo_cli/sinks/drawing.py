@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from motionstereo_cli.sinks.sink import RunContext
     from motionstereo_cli.types import FrameImages, Grey, Real
 
-#: Steps in which disparities are told apart for their colours, and how many there are at most.
+#: Colour steps per px of disparity, and their maximum number.
 _LEVELS_PER_PX = 256
 _MAX_LEVELS = 1 << 20
 
@@ -49,7 +49,7 @@ def depth_colours(
 
 
 def depth_levels(disparity_px: Real, scale: DepthScale) -> tuple[NDArray[np.uint8], bool]:
-    """Return which colour of the palette each disparity has, 0 = unknown, and whether any is known.
+    """Return the palette index of each disparity, 0 = unknown, and whether any is known.
 
     Args:
         disparity_px: (height, width) float32, without doffs; NaN = unknown.
@@ -67,7 +67,7 @@ def depth_levels(disparity_px: Real, scale: DepthScale) -> tuple[NDArray[np.uint
 
 @functools.lru_cache(maxsize=8)
 def _level_table(scale: DepthScale) -> tuple[float, NDArray[np.uint8]]:
-    """Return how many entries there are in a px, and the level of each disparity from 0 px on."""
+    """Return the number of entries per px, and the level of each disparity from 0 px on."""
     per_px = min(_LEVELS_PER_PX, _MAX_LEVELS / scale.near_px)
     disparity_px = np.arange(math.ceil(scale.near_px * per_px) + 1) / per_px
     nearness = np.log(np.maximum(disparity_px / scale.far_px, 1))
@@ -96,8 +96,8 @@ def grey_picture(grey: Grey) -> NDArray[np.uint8]:
 def depth_picture(images: FrameImages, stream: RunContext) -> NDArray[np.uint8]:
     """Return depth in colour, (height, width, 3) uint8 RGB.
 
-    Where nothing at all is known, as at the beginning of a recording, it is the reference view,
-    darkened: a black picture says nothing, and players show it for the file.
+    If nothing is known, as at the beginning of a recording, it is the reference view, darkened:
+    players show the first picture as a poster, and a black one is of no use.
     """
     if np.isnan(images.disparity_px).all():
         return grey_picture(images.view // np.uint8(3))

@@ -1,4 +1,4 @@
-"""Images, one file a frame: PNG, PFM or TIFF."""
+"""Images, one file per frame: PNG, PFM or TIFF."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ if TYPE_CHECKING:
 _Pixel = TypeVar("_Pixel", bound=np.generic)
 
 _UINT16_MAX = 65535
-#: Units per px of a 16-bit disparity image, as KITTI has it.
+#: Units per px of a 16-bit disparity image, as in KITTI.
 DISPARITY_PER_PX = 256
 
 
 def depth_png(depth_m: Real, per_m: int = 1000) -> NDArray[np.uint16]:
     """Return depth in units of 1 / ``per_m`` m; 0 = unknown or over 65535 units.
 
-    With the default, mm, as REP 118 has it.
+    The default is mm, as in REP 118.
 
     Args:
         depth_m: (height, width) float32, NaN = unknown.
@@ -44,7 +44,7 @@ def depth_png(depth_m: Real, per_m: int = 1000) -> NDArray[np.uint16]:
 
 
 def disparity_png(disparity_px: Real) -> NDArray[np.uint16]:
-    """Return disparity in 1/256 px as KITTI has it; 0 = unknown or over 65535/256 px.
+    """Return disparity in 1/256 px, as in KITTI; 0 = unknown or over 65535/256 px.
 
     Args:
         disparity_px: (height, width) float32, NaN = unknown.
@@ -73,13 +73,13 @@ def motion_png(motion: NDArray[np.bool_]) -> NDArray[np.uint8]:
 
 
 def asked_for(image: NDArray[_Pixel] | None) -> NDArray[_Pixel]:
-    """Return an image that a frame has because an output asks for it."""
+    """Return an image of a frame that is there because an output needs it."""
     assert image is not None
     return image
 
 
 def known_depth_m(images: FrameImages) -> Real:
-    """Return the depth of a frame that has one, because there is a rig."""
+    """Return the depth of a frame, which is there because the run has a rig."""
     return asked_for(images.depth_m)
 
 
@@ -98,14 +98,14 @@ _ENCODE: dict[str, Callable[[Any], bytes]] = {
 
 
 class NumberedImages(NumberedFiles):
-    """Image files, one a frame.
+    """Image files, one per frame.
 
     Args:
-        path: see :class:`~motionstereo_cli.sinks.writers.NumberedFiles`; its suffix says the
+        path: see :class:`~motionstereo_cli.sinks.writers.NumberedFiles`; its suffix is the
             format: uint8 and uint16 images go to .png, float32 ones to .pfm and .tiff.
-        stream: what is known of the run.
-        since: go on from this checkpoint.
-        image: makes the (height, width) image from those of a frame.
+        stream: the run's context.
+        since: continue from this checkpoint.
+        image: makes the (height, width) image from the images of a frame.
     """
 
     def __init__(

@@ -1,4 +1,4 @@
-"""The strip below a picture of depth: its scale, and the time."""
+"""The strip below a picture of depth: its scale and the time."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ if TYPE_CHECKING:
     from motionstereo_cli.sinks.scale import DepthScale
     from motionstereo_cli.types import FrameTime
 
-#: Minimum height of a strip, and the width of picture for each px of it.
+#: Minimum height of a strip in px, and the picture's width per px of its height.
 _MIN_HEIGHT_PX, _WIDTH_PER_PX = 28, 36
 
-#: Share of the width that the text has; the scale has the rest.
+#: Share of the width for the text; the rest is for the scale.
 _TEXT_SHARE = 0.3
 
 
@@ -32,7 +32,7 @@ def strip(
         width: of the strip in px.
         scale: the scale.
         text: such as the time.
-        begin: where the scale's part begins in px; after the text's part if None.
+        begin: where the scale begins in px; after the text if None.
 
     Returns:
         (height, width, 3) uint8 RGB; the height is even and follows from the width and ``begin``.
@@ -46,9 +46,9 @@ def strip(
 
 
 def time_text(time: FrameTime) -> str:
-    """Return when a frame is in words: its time or, where the source has none, its number.
+    """Return the time of a frame in words or, if the source has no times, its number.
 
-    Of times since an epoch, as camera clocks have them, that is the time of the day.
+    Times since an epoch, as of camera clocks, are shown as time of day.
     """
     if time.time_s is None:
         return f"frame {time.index}"

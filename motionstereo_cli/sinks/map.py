@@ -25,7 +25,7 @@ _FREE = 254
 _OCCUPIED = 0
 _UNKNOWN = 205
 
-#: The picture for people: about how large its longer side is, and its minimum width, in px.
+#: The sheet: approximate length of its longer side, and its minimum width, in px.
 _SHEET_PX, _MIN_SHEET_PX = 640, 420
 _TITLE = "The map from above: x to the right, y upward"
 _MEANINGS = {_OCCUPIED: "occupied", _FREE: "free", _UNKNOWN: "unknown"}
@@ -42,7 +42,7 @@ def map_png(floor: Floor) -> NDArray[np.uint8]:
 
 
 def map_sheet(floor: Floor) -> NDArray[np.uint8]:
-    """Return the same for people, RGB: larger, with a title, the meaning of greys and a scale."""
+    """Return the floor plane as a sheet, RGB: enlarged, with a title, legend and scale."""
     picture = map_png(floor)
     times = max(1, _SHEET_PX // max(picture.shape))
     picture = picture.repeat(times, 0).repeat(times, 1)
@@ -61,10 +61,10 @@ def map_sheet(floor: Floor) -> NDArray[np.uint8]:
 
 
 def map_yaml(floor: Floor, image: str) -> str:
-    """Return what map_server has to know of the picture ``image``.
+    """Return the metadata of the picture ``image`` for map_server.
 
-    The free threshold is that of ROS 1: with the 0.25 that Nav2 writes, 205, which stands for a
-    chance of 0.196, would be read as free.
+    The free threshold is that of ROS 1: with Nav2's 0.25, unknown cells (205, a chance of 0.196)
+    would be read as free.
     """
     return (
         f"image: {image}\n"
@@ -78,12 +78,12 @@ def map_yaml(floor: Floor, image: str) -> str:
 
 
 class MapFiles:
-    """The map, written at the end: .ply, beside it .png and .yaml of the same name, and -sheet.png.
+    """The map, written at the end: .ply and, with the same name, .png, .yaml and -sheet.png.
 
     Args:
         path: name of the point cloud.
-        stream: what is known of the run; it has a rig, and its steps have poses and points.
-        since: go on from this checkpoint: what was known then.
+        stream: the run's context; it has a rig, and its steps have poses and points.
+        since: continue from this checkpoint: the map so far.
 
     Attributes:
         mapper: makes the map.
@@ -97,13 +97,13 @@ class MapFiles:
         self._closed = False
 
     def write(self, step: Step) -> None:
-        """Take in a frame."""
+        """Add a frame to the map."""
         assert step.points is not None
         assert step.pose is not None
         self.mapper.add(*step.points, step.pose)
 
     def checkpoint(self) -> Surroundings | None:
-        """Return what is known so far."""
+        """Return the map so far."""
         return self.mapper.known
 
     def close(self) -> None:

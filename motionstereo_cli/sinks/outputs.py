@@ -1,6 +1,6 @@
-"""Every output of a run, one row each: where it goes, what it holds, and the sink that writes it.
+"""The table of outputs: path, content and sink of each.
 
-A sink's module loads when its output is asked for.
+A sink's module is imported when its output is requested.
 """
 
 from __future__ import annotations
@@ -26,29 +26,29 @@ Input = Literal["images", "step"]
 
 @dataclass(frozen=True, slots=True)
 class Output:
-    """An output that ``--save`` can ask for.
+    """An output that ``--save`` can request.
 
     Attributes:
         path: its path under the output folder; ``{:06d}`` is the number of the frame.
         what: what it holds, with units.
         sink: module and function that make the sink from its path, the stream and a checkpoint.
-        takes: what its sink takes of each frame: its ``images``, which it alone decides, or its
-            ``step``, which follows from the frames up to it; None: it has no sink.
-        shows_images: the steps that it takes have images.
+        takes: what its sink takes of each frame: its ``images``, which depend on single frames, or
+            its ``step``, which is sequential; None: it has no sink.
+        shows_images: the steps that it takes include images.
         shows_colours: it shows the colours of the reference view.
-        extras: what it needs of :data:`motionstereo_cli.pipeline.EXTRAS`.
+        extras: the :data:`motionstereo_cli.pipeline.EXTRAS` that it needs.
         needs_rig: it needs a rig.
-        needs_poses: it needs poses; where none are given, they are found from the recording.
+        needs_poses: it needs poses; if none are given, they are found from the recording.
         needs_objects: it needs moving objects.
-        needs_movers: it needs what moves by itself, where there is a rig: its own motion is found.
-        needs_points: the steps that it takes have points.
+        needs_movers: with a rig, it needs movers, and so the rig's own motion.
+        needs_points: the steps that it takes include points.
         beside: further files that come with it.
-        brings: other outputs that come with it, because it is made of them.
-        finish: module and function that make it, from the folder and the record, when all other
+        brings: other outputs that come with it, because it is made from them.
+        finish: module and function that make it from the folder and the record, after all other
             outputs are complete.
-        without_rig: the output that takes its place where there is no rig.
-        max_view_px: views whose longer side is larger cannot be written.
-        kind: what its files are to a reader: images of disparity or of depth, a table, or other.
+        without_rig: the output that replaces it without a rig.
+        max_view_px: largest longer side of views that can be written.
+        kind: what its files hold for readers: images of disparity or of depth, a table, or other.
     """
 
     path: str
@@ -72,7 +72,7 @@ class Output:
 
     @property
     def paths(self) -> tuple[str, ...]:
-        """All its files, as ``path`` has them."""
+        """All its files, in the form of ``path``."""
         return (self.path, *self.beside)
 
     @property
@@ -86,12 +86,12 @@ class Output:
         return self.path.partition("{")[0]
 
     def open(self, out: Path, stream: RunContext, since: object = None) -> Sink[Any]:
-        """Return the sink of a run into the folder ``out``.
+        """Return the output's sink for a run into the folder ``out``.
 
         Args:
             out: the folder.
-            stream: what is known of the run.
-            since: go on from this checkpoint of the same output in the same folder.
+            stream: the run's context.
+            since: continue from this checkpoint of the same output in the same folder.
 
         Raises:
             OutputError: the output cannot be written, or is not what the checkpoint says.
@@ -100,11 +100,11 @@ class Output:
         return sink
 
     def complete(self, out: Path, record: RunRecord) -> None:
-        """Make what is made of the other outputs, if it is such an output.
+        """Make the output from the other outputs, if it is such an output.
 
         Args:
             out: the folder, in which the others are complete.
-            record: what the run says of itself.
+            record: the run's record.
 
         Raises:
             OutputError: it cannot be written.
@@ -121,14 +121,14 @@ def _named(name: str) -> Callable[..., Any]:
     return found
 
 
-#: H.264 takes images up to this size in px a side, here with room for the scale below depth.
+#: Largest side of H.264 images in px, with room for the scale below depth.
 MAX_VIDEO_PX = 16_384 - 128
 
-#: Tells what a run wrote. Written last; until then its ``.part`` lists what is being written.
+#: The record of a run. Written last; until then its ``.part`` lists what is being written.
 RECORD = "run.json"
 
-#: Names follow one scheme: PNG images have the bare name of what they show, other formats add
-#: theirs, and -video is one to look at. Only for the charge the bare name is the video.
+#: Names follow one scheme: PNG images have the bare name of their content, other formats add a
+#: suffix, and -video is a video to look at. Only for the charge the bare name is the video.
 _DEPTH = ("depth_m",)
 
 OUTPUTS = {
@@ -391,7 +391,7 @@ DEFAULT_OUTPUTS = ("steering", "depth", "charge", "depth-video")
 
 
 def available(save: Sequence[str], *, rig: bool, steering_format: str = "csv") -> tuple[str, ...]:
-    """Return the outputs to write, each once, with those that they bring.
+    """Return the outputs to write, each once, with those that they need.
 
     Without a rig, disparity takes the place of depth.
 
@@ -412,7 +412,7 @@ def available(save: Sequence[str], *, rig: bool, steering_format: str = "csv") -
 
 
 def check_video_size(save: Sequence[str], width: int, height: int) -> None:
-    """Make sure that the videos among some outputs can hold views of a size in px.
+    """Check that the videos among some outputs can hold views of a size in px.
 
     Raises:
         SettingsError: they cannot.

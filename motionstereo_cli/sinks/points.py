@@ -25,7 +25,7 @@ def encode_ply(points_m: NDArray[np.floating[Any]], look: Grey, comment: str) ->
     """Return points as a binary little-endian PLY file: x, y, z and red, green, blue.
 
     Args:
-        points_m: (n, 3) float32 or float64, which the file then has.
+        points_m: (n, 3) float32 or float64, which is the type in the file.
         look: their grey, (n,) uint8, or colour, (n, 3) uint8 RGB.
         comment: one line, ASCII.
     """
@@ -48,12 +48,12 @@ def encode_ply(points_m: NDArray[np.floating[Any]], look: Grey, comment: str) ->
 
 
 class NumberedClouds(NumberedFiles):
-    """PLY files, one a frame: all that has a depth, in the camera's frame.
+    """PLY files, one per frame: all pixels with a depth, in the camera's frame.
 
     Args:
         path: see :class:`~motionstereo_cli.sinks.writers.NumberedFiles`.
-        stream: what is known of the run; it has a rig.
-        since: go on from this checkpoint.
+        stream: the run's context; it has a rig.
+        since: continue from this checkpoint.
     """
 
     def __init__(self, path: Path, stream: RunContext, since: FilesMark | None = None) -> None:

@@ -1,4 +1,4 @@
-"""Where the rig was, in the forms of TUM and KITTI, and how far to believe in it."""
+"""Poses in the formats of TUM and KITTI, and their quality."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ ODOMETRY_HEADER = "frame,time_s,lost,sigma_m,sigma_rad,disparity_offset_px,agree
 
 
 class TumFile(TableFile):
-    """Poses in the form of TUM: a line for each frame that has one."""
+    """Poses in the format of TUM: a line for each frame that has one."""
 
     def write(self, step: Step) -> None:
         """Append the line of a frame."""
@@ -31,12 +31,12 @@ class TumFile(TableFile):
 
 
 class KittiFile(TableFile):
-    """Poses in the form of KITTI: a line for each frame.
+    """Poses in the format of KITTI: a line for each frame.
 
     Args:
         path: final name.
         baseline_m: distance between the cameras.
-        since: go on from this checkpoint: one of the table, and the first pose.
+        since: continue from this checkpoint: one of the table, and the first pose.
     """
 
     def __init__(
@@ -73,7 +73,7 @@ class KittiFile(TableFile):
 
 
 class OdometryFile(TableFile):
-    """How far to believe in poses that were found from the recording."""
+    """The quality of poses that were found from the recording."""
 
     def write(self, step: Step) -> None:
         """Append the row of a frame."""
@@ -91,14 +91,14 @@ class OdometryFile(TableFile):
 
 
 def tum_file(path: Path, _: RunContext, since: TableMark | None = None) -> TumFile:
-    """Return a sink for poses in the form of TUM."""
+    """Return a sink for poses in the format of TUM."""
     return TumFile(path, HEAD.rstrip("\n"), since)
 
 
 def kitti_file(
     path: Path, context: RunContext, since: tuple[TableMark, tuple[float, ...]] | None = None
 ) -> KittiFile:
-    """Return a sink for poses in the form of KITTI."""
+    """Return a sink for poses in the format of KITTI."""
     assert context.rig is not None
     return KittiFile(path, context.rig.baseline_m, since)
 

@@ -1,4 +1,4 @@
-"""The video to show to others: view, charge and depth beside each other."""
+"""The preview: view, charge and depth side by side."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from motionstereo_cli.sinks.sink import RunContext
     from motionstereo_cli.types import Steering, Step
 
-#: Panels wider than this are made smaller.
+#: Wider panels are scaled down to this, in px.
 _MAX_WIDTH_PX = 640
 
 #: Colours of the heading by status, RGB.
@@ -27,7 +27,7 @@ _ARROWS = {"ok": (60, 200, 110), "held": (240, 180, 40)}
 
 
 def preview_picture(step: Step, stream: RunContext) -> NDArray[np.uint8]:
-    """Return view with heading, charge and depth beside each other, with titles and scale, RGB."""
+    """Return view with heading, charge and depth side by side, with titles and scale, RGB."""
     images = step.images
     assert images is not None
     panels = [
@@ -45,9 +45,9 @@ def framed(
     step: Step,
     stream: RunContext,
 ) -> NDArray[np.uint8]:
-    """Return view, charge, depth and what else there is beside each other, RGB.
+    """Return view, charge, depth and further panels side by side, RGB.
 
-    Above each is its title; below them are time and heading, and the scale below depth.
+    Each has a title above; time and heading are below, and the scale is below depth.
     """
     picture = titled(panels, titles, DARK)
     widths = [panel.shape[1] + GAP_PX for panel in panels]
@@ -59,7 +59,7 @@ def framed(
 
 
 def with_heading(view: NDArray[np.uint8], steering: Steering) -> NDArray[np.uint8]:
-    """Return a view, RGB, with an arrow from below its middle to where the heading points."""
+    """Return a view, RGB, with an arrow from the bottom centre toward the heading."""
     if steering.steer is None or steering.status not in _ARROWS:
         return view
     height, width = view.shape[:2]

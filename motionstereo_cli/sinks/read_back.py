@@ -1,4 +1,4 @@
-"""What a run left, read back: images, tables, and the record.
+"""Reading results: images, tables, and the record.
 
 The encodings are those of :mod:`~motionstereo_cli.sinks.images`.
 """
@@ -29,7 +29,7 @@ from motionstereo_cli.types import Rig
 if TYPE_CHECKING:
     from motionstereo_cli.types import Real
 
-#: Folders of images that a run writes, the most exact ones first.
+#: Folders of images that a run writes, the most exact first.
 _FOLDERS = tuple(
     output.path.partition("/")[0]
     for kind in ("disparity", "depth")
@@ -38,41 +38,41 @@ _FOLDERS = tuple(
 )
 
 
-#: Longest value that a message shows.
+#: Maximum length of a value in a message.
 _SHOWN = 60
 
 _SUFFIXES = (".png", ".pfm", ".tiff")
 
 
-#: How the names of folders that hold them begin; KITTI's is disp_occ_0.
+#: Prefixes of folder names by kind; KITTI's is disp_occ_0.
 _NAMED = {"disp": "disparity", "depth": "depth"}
 
 
 class Maps:
     """The disparity or depth images of a folder, by frame number.
 
-    16-bit PNG: disparity in 1/256 px (KITTI) or depth in mm (REP 118), or whatever unit the
-    run.json beside it names, 0 = unknown. PFM and float32 TIFF: disparity in px or depth in m;
+    16-bit PNG: disparity in 1/256 px (KITTI) or depth in mm (REP 118), or the unit in the run.json
+    beside it, 0 = unknown. PFM and float32 TIFF: disparity in px or depth in m;
     unknown where not positive or not finite.
 
-    A frame's number is the number in its file name or, of several, that which differs most from
-    file to file: 7 of 000007_10.png.
+    A frame's number is the number in its file name; of several numbers, it is the one that
+    differs most between files: 7 of 000007_10.png.
 
     Args:
         folder: what ``run`` or ``simulate`` wrote, with folders of disparity (preferred) or depth
             in it; or a folder of images.
         within: a folder that no link to an image may lead out of; None: links may lead anywhere.
-        kind: ``disparity`` or ``depth``; if None, as the folder's name begins (disp, depth).
+        kind: ``disparity`` or ``depth``; if None, by the prefix of the folder's name (disp, depth).
 
     Attributes:
         kind: ``disparity`` or ``depth``.
         files: the images by frame number, in order.
-        rig: what the rig.yaml or run.json beside them says, None if nothing.
+        rig: the rig in a rig.yaml or run.json beside them, None if there is none.
         reference: the camera whose view they are in, ``right`` or ``left``; None if unknown.
 
     Raises:
         InputError: there is no such folder or no image in it, or its kind or the frame numbers
-            cannot be told.
+            cannot be determined.
     """
 
     def __init__(self, folder: Path, kind: str | None = None, within: Path | None = None) -> None:
@@ -101,7 +101,7 @@ class Maps:
         """Return a frame's disparity in px or depth in m, (height, width) float32, NaN = unknown.
 
         Raises:
-            InputError: the file cannot be read, or its pixels are of another kind.
+            InputError: the file cannot be read, or its pixels have the wrong format.
         """
         path = self.files[number]
         image = _read(path, self._within)
@@ -125,7 +125,7 @@ def numbered_files(folder: Path, suffixes: tuple[str, ...]) -> dict[int, Path]:
     """Return the files of a folder with one of the suffixes, by frame number, in order.
 
     Raises:
-        InputError: there are none, or the frame numbers cannot be told.
+        InputError: there are none, or the frame numbers cannot be determined.
     """
     try:
         files = shown(folder.iterdir(), suffixes)
@@ -133,7 +133,7 @@ def numbered_files(folder: Path, suffixes: tuple[str, ...]) -> dict[int, Path]:
         raise InputError(f"cannot read the folder {folder}: {error.strerror}") from error
     if not files:
         raise InputError(f"{folder} has no {' or '.join(suffixes)} files: check the path")
-    # Columns of numbers, as many as the name with the fewest has.
+    # Columns of numbers, as many as in the name with the fewest.
     columns = list(zip(*(re.findall("[0-9]+", file.stem) for file in files), strict=False))
     if not columns:
         raise InputError(f"{folder}: give every file name a frame number, such as 000007.png")
@@ -145,7 +145,7 @@ def numbered_files(folder: Path, suffixes: tuple[str, ...]) -> dict[int, Path]:
 
 
 def _said_in(folder: Path) -> tuple[Rig | None, str | None, int]:
-    """Return rig, reference camera and units of depth PNG per m, as files in a folder say."""
+    """Return rig, reference camera and units of depth PNG per m, from the files of a folder."""
     rig = read_rig(folder / "rig.yaml") if (folder / "rig.yaml").is_file() else None
     path = folder / RECORD
     if not path.is_file():
@@ -175,7 +175,7 @@ def size_of(image: NDArray[Any]) -> str:
 
 
 class Rows(Mapping[tuple[int, str], dict[str, str]]):
-    """Rows of a table by frame and id, which take little more memory than the file.
+    """Rows of a table by frame and id, in little more memory than the file takes.
 
     Args:
         columns: their names.
@@ -216,11 +216,11 @@ def read_table(path: Path, *, part: bool = False) -> Table:
 
     Args:
         path: the file.
-        part: it may be cut off: a last line without its end is left out.
+        part: it may be cut off: an incomplete last line is dropped.
 
     Raises:
-        InputError: it cannot be read, has no or a second column of a name, no column ``frame``, a
-            row of another length, or two rows for the same frame and id.
+        InputError: it cannot be read, has an unnamed column, two columns of one name, no column
+            ``frame``, a row of another length, or two rows for the same frame and id.
     """
     content = read_bytes(path, "the table", MAX_RESULT_BYTES, within=path.parent)
     if part:
@@ -256,15 +256,15 @@ def _table(path: Path, lines: Iterator[list[str]]) -> Table:
 
 
 def read_record(path: Path) -> RunRecord:
-    """Return what a run says of itself.
+    """Return a run's record.
 
     Raises:
-        InputError: the file cannot be read, or is no such record.
+        InputError: the file cannot be read, or is not such a record.
     """
     return typed(read_json(path, within=path.parent), RunRecord, path)
 
 
 def shortened(value: object) -> str:
-    """Return a value as a message shows it: at most 60 characters of ASCII, and ``...``."""
+    """Return a value for a message: at most 60 characters of ASCII, then ``...``."""
     text = ascii(value)
     return text if len(text) <= _SHOWN else f"{text[:_SHOWN]}..."

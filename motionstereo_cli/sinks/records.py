@@ -1,4 +1,4 @@
-"""The records of runs and batches: run.json and the like, and a recording's status."""
+"""The records of runs and batches: run.json, and the status of recordings."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from motionstereo_cli.sinks.settings import OutputSettings
 from motionstereo_cli.sources.settings import InputSettings
 from motionstereo_cli.types import Rig
 
-#: A year has fewer frames, and an image fewer px a side.
+#: Limits: frames of a year, and px of an image's side.
 Count = Annotated[int, Meta(ge=0, le=1_000_000_000)]
 Px = Annotated[int, Meta(ge=1, le=1_000_000)]
 Share = Annotated[float, Meta(ge=0, le=1)]
 Positive = Annotated[float, Meta(gt=0)]
 Seconds = Annotated[float, Meta(ge=0, le=1e12)]
 Ratio = Annotated[str, Meta(pattern=r"^\d{1,18}(/[1-9]\d{0,17})?$")]
-#: A name under a folder; no system has longer ones.
+#: A path under a folder; no system allows longer ones.
 Name = Annotated[str, Meta(min_length=1, max_length=4096, pattern=r"^[^\x00]*$")]
 Plain = bool | int | float | str
 
-#: The parameters of a run by their place in its record.
+#: The parameters of a run by their field in its record.
 GROUPS: Mapping[str, type] = {
     "input_settings": InputSettings,
     "settings": Settings,
@@ -38,14 +38,14 @@ GROUPS: Mapping[str, type] = {
 
 
 class OutputRecord(Struct, frozen=True):
-    """An output: its first file, and what it holds."""
+    """An output: its first file, and its content."""
 
     path: str
     what: str = ""
 
 
 class Counts(Struct, kw_only=True, frozen=True):
-    """Numbers of frames: written, left out by options, and of the images of each side."""
+    """Numbers of frames: written, skipped by options, and images of each side."""
 
     written: Count
     skipped: Count | UnsetType = UNSET
@@ -54,13 +54,13 @@ class Counts(Struct, kw_only=True, frozen=True):
 
 
 class FolderRecord(Record, kw_only=True, frozen=True):
-    """What every record of an output folder says.
+    """The fields of every record of an output folder.
 
     Attributes:
-        program: who wrote the folder.
-        outputs: what is in it, by name.
+        program: the program that wrote the folder.
+        outputs: its contents, by name.
         first: number of the first frame, 0 if not set.
-        counts: not set before all is done.
+        counts: set when the run is complete.
     """
 
     program: str = ""
@@ -70,7 +70,7 @@ class FolderRecord(Record, kw_only=True, frozen=True):
 
 
 class InputRecord(Struct, kw_only=True, frozen=True):
-    """A recording, as :meth:`~motionstereo_cli.sources.StereoSource.describe` has it."""
+    """A recording, as :meth:`~motionstereo_cli.sources.StereoSource.describe` returns it."""
 
     path: Name
     topic: str | UnsetType = UNSET
@@ -97,7 +97,7 @@ class InputRecord(Struct, kw_only=True, frozen=True):
 
 
 class FileRecord(Struct, frozen=True):
-    """A further file that the results follow from."""
+    """A further file that the results depend on."""
 
     path: str
     sha256: str
@@ -117,7 +117,7 @@ class RigRecord(Struct, kw_only=True, frozen=True):
 
 
 class Shares(Struct, frozen=True):
-    """Mean shares of the image that carry charge, have a disparity, and may be beyond the range."""
+    """Mean shares of the image with charge, with a disparity, and at the limit of the range."""
 
     charged: Share
     matched: Share
@@ -139,10 +139,10 @@ class SumRecord(Struct, frozen=True):
 
 
 class WarningRecord(Struct, frozen=True):
-    """What a run warned of.
+    """A warning of a run.
 
     Attributes:
-        code: which warning, for programs: the name of a finding of ``check``, or what it is of.
+        code: identifier for programs: the name of a finding of ``check``, or of its subject.
         text: what, how much, and what to do, in one line.
         numbers: what was measured, by name.
     """
@@ -153,7 +153,7 @@ class WarningRecord(Struct, frozen=True):
 
 
 class RunRecord(FolderRecord, kw_only=True, frozen=True):
-    """``run.json``: what a run is and, once it is done, what came of it.
+    """``run.json``: a run's identity and, once it is complete, its outcome.
 
     Raises:
         ValueError: a setting is of another kind or out of range.
@@ -193,12 +193,12 @@ class RunRecord(FolderRecord, kw_only=True, frozen=True):
                     raise ValueError(said) from None
 
     def values(self, group: str) -> Mapping[str, Any]:
-        """Return the settings of a group of :data:`GROUPS`, as far as they are recorded."""
+        """Return the recorded settings of a group of :data:`GROUPS`."""
         return getattr(self, group) or {}
 
     @property
     def warned(self) -> tuple[WarningRecord, ...]:
-        """The warnings, those of earlier versions too, which recorded their text alone."""
+        """The warnings; those of earlier versions have only a text."""
         each = self.warnings or ()
         return tuple(WarningRecord("recording", w) if isinstance(w, str) else w for w in each)
 
@@ -212,21 +212,21 @@ class RunRecord(FolderRecord, kw_only=True, frozen=True):
 
 
 class Status(Record, frozen=True):
-    """Status of a recording: a file beside its folder, and a row of the table of its batch.
+    """Status of a recording: a file, and a row in the table of its batch.
 
     Attributes:
         name: its folder under that of the batch.
-        status: ``done``; ``damaged``: done, but the input was; ``failed``; ``lost``: its worker
+        status: ``done``; ``damaged``: done, with damaged input; ``failed``; ``lost``: its worker
             died; ``interrupted``; ``running``; ``waiting``.
         frames: frames processed.
-        seconds: how long that took, in s.
+        seconds: processing time in s.
         charged, matched: mean shares of the image, 0..1, with charge and with a disparity.
-        damage: number of lines that say what was lost of the input.
+        damage: number of losses of input.
         warnings: number of warnings.
-        said: what was lost, and the warnings, in words.
+        said: losses and warnings, in words.
         reason: why it failed, in one line.
-        worker: where it was processed.
-        plan: hash of what was to be done.
+        worker: the worker that processed it.
+        plan: hash of its plan.
     """
 
     name: Name

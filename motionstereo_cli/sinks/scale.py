@@ -19,10 +19,10 @@ if TYPE_CHECKING:
 
     from motionstereo_cli.sinks.records import RunRecord
 
-#: The darkest colours of the map are left out, because they are hard to tell from black.
+#: The darkest colours of the map are not used: they are hard to tell from black.
 FARTHEST = 32
 
-#: Settings that the scale follows from: those of the processing, and of the output.
+#: Settings that the scale depends on: of the processing, and of the output.
 _SAID = ("max_disparity",), ("near_m", "far_m", "colours")
 
 
@@ -35,7 +35,7 @@ class DepthScale:
             least twice far_px.
         px_m: depth in m times disparity in px: focal length times baseline; None without a rig.
         colours: name of an OpenCV colour map; near = its end.
-        doffs: what was added to the disparities, in px.
+        doffs: the constant that was added to disparities, in px.
     """
 
     near_px: float
@@ -58,7 +58,7 @@ class DepthScale:
 
     @classmethod
     def recorded(cls, record: RunRecord) -> DepthScale:
-        """Return the scale of a run by what its ``run.json`` says; the default where it does not.
+        """Return the scale of a run from its ``run.json``; the default where that has none.
 
         Raises:
             SettingsError: two values contradict each other.
@@ -72,7 +72,7 @@ class DepthScale:
 
     @property
     def unit(self) -> str:
-        """What :attr:`ends` and :meth:`ticks` are in: m of depth, or px of disparity."""
+        """Unit of :attr:`ends` and :meth:`ticks`: m of depth, or px of disparity."""
         return "m" if self.px_m else "px"
 
     @property
@@ -83,7 +83,7 @@ class DepthScale:
         return self.near_px, self.far_px
 
     def place(self, value: float) -> float:
-        """Return where a value lies between the ends: 0 nearest, 1 farthest."""
+        """Return the position of a value between the ends: 0 nearest, 1 farthest."""
         near, far = self.ends
         return math.log(value / near) / math.log(far / near)
 

@@ -10,7 +10,7 @@ from motionstereo_cli.params import checked, param
 
 @dataclass(frozen=True, slots=True)
 class OutputSettings:
-    """How results are written; they themselves do not depend on it.
+    """How results are written; the results themselves do not depend on it.
 
     Raises:
         SettingsError: a value is out of range, or two values contradict each other.

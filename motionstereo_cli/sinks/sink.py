@@ -1,4 +1,4 @@
-"""What every sink does, and what it knows of a run before the first frame."""
+"""The interface of sinks, and what they know of a run before its first frame."""
 
 from __future__ import annotations
 
@@ -14,28 +14,28 @@ if TYPE_CHECKING:
     from motionstereo_cli.types import Rig
 
 
-#: Time from frame to frame in the videos, in s, where the source has no time.
+#: Time between frames in videos, in s, if the source has no times.
 DEFAULT_TIME_BASE = Fraction(1, 25)
 
-#: Times in s that begin beyond this count from an epoch; no player waits for that long.
+#: Times in s that begin later than this count from an epoch; videos then begin at 0.
 EPOCH_S = 86_400
 
 _Input_contra = TypeVar("_Input_contra", FrameImages, Step, contravariant=True)
 
 
 class Sink(Protocol[_Input_contra]):
-    """Takes what becomes of a run's frames, one by one; each method may raise OutputError.
+    """Takes the results of a run, frame by frame; each method may raise OutputError.
 
-    What shows one frame takes its images, what follows from frame to frame takes its step.
+    Sinks that show single frames take images; sinks of sequential results take steps.
     """
 
     def write(self, given: _Input_contra, /) -> None:
         """Take the next frame."""
 
     def checkpoint(self) -> object:
-        """Make sure that all results so far are on the disk.
+        """Sync all results so far to disk.
 
-        Returns what a sink of the same output, opened ``since`` then, needs to go on from here.
+        Returns the checkpoint from which a sink of the same output, opened ``since`` it, continues.
         """
 
     def close(self) -> None:
@@ -44,18 +44,18 @@ class Sink(Protocol[_Input_contra]):
     def abandon(self, *, keep: bool) -> None:
         """End early: complete a stream under its ``.part`` name or, without ``keep``, remove it.
 
-        Whole files written so far stay. After :meth:`close` this does nothing.
+        Complete files stay. After :meth:`close` this does nothing.
         """
 
 
 @dataclass(frozen=True, slots=True)
 class RunContext:
-    """What sinks know of a run before its first frame.
+    """The context of a run, known before its first frame.
 
     Attributes:
         time_base: seconds per unit of the frames' time stamps.
         settings: parameters of the processing.
-        rig: the camera; None if unknown.
+        rig: the calibration; None if unknown.
         output: parameters of the output.
     """
 

@@ -53,16 +53,16 @@ def _header(table_format: str) -> str:
 class SteeringStream:
     """The steering table on a binary stream, such as standard output.
 
-    Each row is passed on at once, for a reader that steers by it.
+    Each row is flushed at once, for readers that steer by it.
 
     Args:
         stream: where to write; it stays open.
-        name: what messages call it.
+        name: its name in messages.
         table_format: ``csv`` (RFC 4180, except that lines end in LF) or ``jsonl`` (JSON lines).
 
     Raises:
         OutputError: the stream cannot be written.
-        BrokenPipeError: the reader of the stream has gone.
+        BrokenPipeError: the reader of the stream closed it.
     """
 
     def __init__(self, stream: BinaryIO, name: Path | str, table_format: str = "csv") -> None:
@@ -80,7 +80,7 @@ class SteeringStream:
         """Do nothing: what has been passed on cannot be taken back."""
 
     def close(self) -> None:
-        """Do nothing: every row has been passed on, and the stream is another's."""
+        """Do nothing: every row has been written, and the caller owns the stream."""
 
     def abandon(self, *, keep: bool) -> None:
         """Do nothing: what has been passed on cannot be taken back."""
@@ -97,7 +97,7 @@ class SteeringFile(TableFile):
     Args:
         path: final name.
         table_format: see :class:`SteeringStream`.
-        since: go on from this checkpoint.
+        since: continue from this checkpoint.
 
     Raises:
         OutputError: the file cannot be written, or is not what the checkpoint says.
@@ -115,13 +115,13 @@ class SteeringFile(TableFile):
 
 
 class SteeringCopy(SteeringFile):
-    """The steering table for another place, which gets it when it is complete.
+    """The steering table for a place outside the output folder, copied there when it is complete.
 
-    Until the run is, the table is in its folder, too, where it can be gone on with.
+    Until then the table is in the output folder, where a resumed run continues it.
 
     Args:
         path: its name in the folder of the run, without ``.part``.
-        target: where it goes; nothing else is replaced.
+        target: its final place.
         table_format, since: see :class:`SteeringFile`.
 
     Raises:
@@ -142,5 +142,5 @@ class SteeringCopy(SteeringFile):
 
 
 def steering_file(path: Path, _: RunContext, since: TableMark | None = None) -> SteeringFile:
-    """Return a sink for the steering table, its format told by the name's suffix."""
+    """Return a sink for the steering table, in the format of the name's suffix."""
     return SteeringFile(path, path.suffix.removeprefix("."), since)

@@ -1,4 +1,4 @@
-"""Videos of the results: most to look at, depth also lossless."""
+"""Videos of the results: to look at, and of depth also lossless."""
 
 from __future__ import annotations
 
@@ -28,31 +28,31 @@ if TYPE_CHECKING:
 
     from motionstereo_cli.sinks.sink import RunContext
 
-    #: Makes what a video shows of a frame's images, or of its step.
+    #: Makes the picture of a frame from its images or its step.
     Draw = Callable[[Any, RunContext], Picture | list[Picture]]
 
-#: What is left of a video: that of its segments, and the first time stamp.
+#: Checkpoint of a video: that of its segments, and the first time stamp.
 _Mark = tuple[VideoMark, int | None]
 
 
 def beginning(pts: int, time_base: Fraction) -> int:
-    """Return the time stamp at which a video begins whose first frame has the time stamp ``pts``.
+    """Return the time stamp at which a video begins whose first frame has ``pts``.
 
-    Times that count from an epoch, as camera clocks do, begin with the first frame, others at 0.
+    It is ``pts`` for times that count from an epoch, as of camera clocks, and 0 for others.
     """
     return pts if pts * time_base > EPOCH_S else 0
 
 
 class ResultVideo:
-    """A video of one image a frame, at the times of the frames.
+    """A video of one image per frame, at the times of the frames.
 
-    Where these count from an epoch, as camera clocks do, the video begins at 0.
+    If these count from an epoch, as of camera clocks, the video begins at 0.
 
     Args:
-        path: final name; its suffix says the format, see :class:`SegmentedVideo`.
-        stream: what is known of the run.
-        since: go on from this checkpoint: that of the video, and the first time stamp.
-        image: makes what the video shows of a frame, as ``VideoWriter.write`` takes it.
+        path: final name; its suffix is the format, see :class:`SegmentedVideo`.
+        stream: the run's context.
+        since: continue from this checkpoint: that of the video, and the first time stamp.
+        image: makes the picture of a frame, as ``VideoWriter.write`` takes it.
 
     Raises:
         OutputError: the file cannot be written, or is not what the checkpoint says.

@@ -1,4 +1,4 @@
-"""Writing so that nothing incomplete ever has a final name."""
+"""Tables and numbered files, which have their final names only when they are complete."""
 
 from __future__ import annotations
 
@@ -34,36 +34,36 @@ def cell(value: float | None, decimals: int) -> str:
     return f"{value:z.{decimals}f}"  # z: no -0.0000
 
 
-#: What a spreadsheet takes for the beginning of a formula.
+#: First characters that a spreadsheet takes for a formula.
 _FORMULA = ("=", "+", "-", "@", "\t", "\r")
 
 
 def text_cell(text: object) -> str:
-    """Return a text as a cell that no spreadsheet takes for a formula: it then begins with '."""
+    """Return a text as a cell; a spreadsheet's formula gets the prefix '."""
     shown = str(text)
     return f"'{shown}" if shown.startswith(_FORMULA) else shown
 
 
 def cell_text(shown: str) -> str:
-    """Return the text of which :func:`text_cell` made a cell."""
+    """Return the text of a cell that :func:`text_cell` made."""
     return shown[1:] if shown.startswith("'") and shown[1:].startswith(_FORMULA) else shown
 
 
-#: What is left of a table: its size in bytes, and the SHA-256 of these.
+#: Checkpoint of a table: its size in bytes, and their SHA-256.
 TableMark = tuple[int, str]
-#: What is left of numbered files: how many, and a SHA-256 that follows from all of them.
+#: Checkpoint of numbered files: their number, and a SHA-256 of all of them.
 FilesMark = tuple[int, str]
 
 _PIECE_BYTES = 1 << 20
 
 
 class TableFile:
-    """A table as a file that has its name only when it is complete: RFC 4180, with LF.
+    """A table as a file that gets its name when it is complete: RFC 4180, with LF.
 
     Args:
         path: final name.
         header: names of the columns; none if empty.
-        since: go on from this checkpoint of an earlier table.
+        since: continue from this checkpoint of an earlier table.
 
     Raises:
         OutputError: the file cannot be written, or is not what the checkpoint says.
@@ -86,7 +86,7 @@ class TableFile:
             self.add([header])
 
     def add(self, lines: Iterable[str]) -> None:
-        """Append lines, without their ends, and pass them on at once."""
+        """Append lines, given without line ends, and flush them."""
         content = "".join(f"{line}\n" for line in lines).encode("ascii")
         self._sums.update(content)
         with reported(self._path):
@@ -112,16 +112,16 @@ class TableFile:
 
     def abandon(self, *, keep: bool) -> None:
         """Leave the table under its ``.part`` name or, without ``keep``, remove it."""
-        with contextlib.suppress(OSError):  # a row that could not be written is tried again
+        with contextlib.suppress(OSError):  # a failed write is tried again
             self._file.close()
         if not keep:
             remove_own(part_of(self._path))
 
 
 def _checked(path: Path, since: TableMark) -> hashlib._Hash:
-    """Have the ``.part`` of a table hold what a checkpoint says, and return its hash so far.
+    """Truncate the ``.part`` of a table to its checkpoint, and return its hash so far.
 
-    The table may be complete, where something else that belongs to it was not.
+    The table may be complete already, while another output of the run is not.
     """
     for place in (part_of(path), path):
         with contextlib.suppress(FileNotFoundError):
@@ -142,11 +142,11 @@ def _checked(path: Path, since: TableMark) -> hashlib._Hash:
 
 
 class NumberedFiles:
-    """Files of one kind, one a frame, each written whole.
+    """Files of one kind, one per frame, each written atomically.
 
     Args:
-        path: where they go; ``{:06d}`` in its name is the number of the frame.
-        since: go on from this checkpoint of earlier files.
+        path: their path; ``{:06d}`` in its name is the number of the frame.
+        since: continue from this checkpoint of earlier files.
 
     Raises:
         OutputError: the folder cannot be made or a file not written, or the files are not what
