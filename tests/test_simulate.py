@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import math
 from dataclasses import replace
 from itertools import pairwise
@@ -579,6 +580,29 @@ def test_files_hold_what_was_rendered(tmp_path):
     )
     assert np.all(poses[:, 3] == EYE_HEIGHT_M)
     assert np.all(poses[:, 4:6] == 0)
+
+
+@pytest.mark.parametrize("scene", ["cards", "street"])
+def test_what_moves_by_itself_is_written_with_its_speeds(tmp_path, scene):
+    settings = small(scene=scene, frames="20:23", frame_rate=10, pan=False, seed=3)
+    simulate(tmp_path, settings)
+    rows = list(csv.DictReader((tmp_path / "objects.csv").open()))
+    assert {row["frame"] for row in rows} == {"0", "1", "2"}
+    rig_mps = settings.street_speed_m_s if scene == "street" else 0.0
+    for row in rows:
+        image = cv2.imread(f"{tmp_path}/movers/{int(row['frame']):06d}.png", cv2.IMREAD_UNCHANGED)
+        y, x = np.nonzero(image == int(row["id"]))
+        box = [int(row[name]) for name in ("x", "y", "width", "height")]
+        assert box == [x.min(), y.min(), np.ptp(x) + 1, np.ptp(y) + 1]
+        along = float(row["over_ground_mps"]) * math.cos(float(row["direction_rad"]))
+        assert float(row["closing_mps"]) == pytest.approx(rig_mps - along, abs=0.01)
+        if scene == "cards":
+            state = card_state(CARDS[int(row["id"]) - 1], (20 + int(row["frame"])) / 10)
+            assert float(row["depth_m"]) == pytest.approx(state.x_m, abs=0.01)
+            speed = math.hypot(state.closing_m_s, state.leftward_m_s)
+            assert float(row["over_ground_mps"]) == pytest.approx(speed, abs=0.002)
+    if scene == "street":  # seed 3: oncoming cars at 8 m/s
+        assert any(abs(float(row["closing_mps"]) - rig_mps - 8) < 0.02 for row in rows)
 
 
 def test_h264_is_close_to_what_was_rendered(tmp_path):

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from motionstereo_cli.commands.forms import STDOUT, print_form, write_files
 from motionstereo_cli.commands.grouped import GroupedCommand
 from motionstereo_cli.commands.messages import say
-from motionstereo_cli.commands.options import config_files, config_option
+from motionstereo_cli.commands.options import config_files, settings_options
+from motionstereo_cli.evaluation.settings import ObjectSettings
 
 if TYPE_CHECKING:
     from motionstereo_cli.evaluation.evaluate import Comparison, Report
@@ -53,7 +54,7 @@ _TABLE = click.Path(dir_okay=False, allow_dash=True, path_type=Path)
     show_default=True,
     help="PNG file for --picture; replaces an older one.",
 )
-@config_option
+@settings_options(ObjectSettings)
 def evaluate(
     *,
     result: Path,
@@ -66,6 +67,7 @@ def evaluate(
     json_path: Path | None,
     picture: int | None,
     picture_path: Path,
+    chosen: dict[str, Any],
 ) -> None:
     """Compare the disparity or depth of a run with ground truth.
 
@@ -77,11 +79,14 @@ def evaluate(
 
     Two files of poses, both of the same frame and in the form of TUM, EuRoC or KITTI, are compared
     as paths: drift over 5 to 100 m as KITTI has it, absolute and relative error of the trajectory.
+
+    Two files of objects, each an objects.csv or labels of KITTI's tracking benchmark, are compared
+    object by object: found, false, changes of identity, errors of depth and speed.
     """
     if csv_path == json_path == STDOUT:
         raise click.UsageError("--csv - and --json - cannot both go to standard output")
     if result.is_file():
-        _evaluate_poses(result, truth, csv_path, json_path)
+        _evaluate_files(result, truth, csv_path, json_path, ObjectSettings(**chosen))
         return
 
     from tqdm import tqdm
@@ -119,19 +124,27 @@ def evaluate(
         say("note", f"errors of frame {picture} in {picture_path}")
 
 
-def _evaluate_poses(
-    result: Path, truth: Path, csv_path: Path | None, json_path: Path | None
+def _evaluate_files(
+    result: Path,
+    truth: Path,
+    csv_path: Path | None,
+    json_path: Path | None,
+    settings: ObjectSettings,
 ) -> None:
-    """Compare two files of poses."""
-    from motionstereo_cli.evaluation import poses
+    """Compare two files of objects or of poses."""
+    from motionstereo_cli.evaluation import numbers, objects, poses
     from motionstereo_cli.files.targets import check_targets
 
     inputs = (result, truth, *config_files())
     check_targets((csv_path, json_path), inputs)
-    report = poses.evaluate_poses(result, truth)
-    forms = ((csv_path, poses.format_csv), (json_path, poses.format_json))
+    report: object
+    if objects.is_objects(result):
+        report = objects.evaluate_objects(result, truth, settings)
+    else:
+        report = poses.evaluate_poses(result, truth)
+    forms = ((csv_path, numbers.format_csv), (json_path, numbers.format_json))
     write_files(report, forms, inputs)
-    print_form(report, forms, poses.format_table)
+    print_form(report, forms, numbers.format_table)
 
 
 def _say_what_is_not_scored(comparison: Comparison, report: Report) -> None:

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
-import json
-import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -139,23 +136,3 @@ def _ate_m(found: Reals, true: Reals) -> float:
 
 def _rms(values: Reals) -> float:
     return float(np.sqrt(np.mean(values**2)))
-
-
-def format_table(report: PoseReport) -> str:
-    """Return the report for people: a line for each number."""
-    values = dataclasses.asdict(report).items()
-    return "".join(f"{name:16}{value:>12.5g}\n" for name, value in values)
-
-
-def format_csv(report: PoseReport) -> str:
-    """Return the report as CSV: a header and a row; empty = no stretch is long enough."""
-    values = dataclasses.asdict(report)
-    row = ("" if math.isnan(value) else f"{value:.7g}" for value in values.values())
-    return ",".join(values) + "\n" + ",".join(row) + "\n"
-
-
-def format_json(report: PoseReport) -> str:
-    """Return the report as JSON; null = no stretch of the path is long enough."""
-    values = dataclasses.asdict(report)
-    known = {name: None if math.isnan(value) else value for name, value in values.items()}
-    return json.dumps(known, indent=2) + "\n"

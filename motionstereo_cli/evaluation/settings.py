@@ -35,6 +35,38 @@ class CompareSettings:
         checked(self)
 
 
+@dataclass(frozen=True, slots=True)
+class ObjectSettings:
+    """What counts where objects are compared with the truth.
+
+    Raises:
+        SettingsError: a value is out of range.
+    """
+
+    min_overlap: float = param(
+        0.3,
+        "Minimum overlap of the boxes of an object and its truth (intersection over union).",
+        low=0.01,
+        high=1,
+    )
+    min_box_px: float = param(
+        0.0,
+        "Minimum number of pixels of a true box: smaller ones, and rows in them, do not count.",
+        unit="px",
+        low=0,
+    )
+    label_rate: float = param(
+        10.0,
+        "Frame rate of labels of KITTI's tracking benchmark, which have no times.",
+        unit="fps",
+        low=0.01,
+        high=1000,
+    )
+
+    def __post_init__(self) -> None:
+        checked(self)
+
+
 #: Tolerances of table columns. Encoders, decoders and SIMD differ in the last digits. Columns that
 #: are not listed must be equal as text.
 COLUMN_TOLERANCE = {

@@ -141,6 +141,11 @@ class Cards:
             for card in CARDS
         ]
 
+    def places(self, time_s: float) -> dict[int, tuple[float, float]]:
+        """Return where each card is on the floor in m, by its number in the truth."""
+        states = (card_state(card, time_s) for card in CARDS)
+        return {number: (state.x_m, state.y_m) for number, state in enumerate(states, 1)}
+
     def render(self, pose: FloorPose, camera: SceneCamera, time_s: float) -> View:
         """Return the view of ``camera`` from ``pose``, which must face the wall, at ``time_s``.
 

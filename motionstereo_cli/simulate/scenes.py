@@ -15,6 +15,8 @@ from motionstereo_cli.simulate.corridor import Corridor
 from motionstereo_cli.simulate.layers import Layers
 from motionstereo_cli.simulate.settings import SimulateSettings
 from motionstereo_cli.simulate.street import Street
+from motionstereo_cli.simulate.truth import Places, moving_objects
+from motionstereo_cli.types import MovingObject
 
 if TYPE_CHECKING:
     from motionstereo_cli.types import Grey, Real
@@ -31,6 +33,7 @@ class SceneFrame(NamedTuple):
         pose: where the rig's middle is.
         mover: (height, width) uint8 number of what moves by itself in the right view, 0 = nothing;
             None where the scene does not say.
+        objects: the same as objects, with their true speeds.
     """
 
     frame: int
@@ -39,13 +42,21 @@ class SceneFrame(NamedTuple):
     disparity_px: Real
     pose: FloorPose
     mover: Grey | None = None
+    objects: tuple[MovingObject, ...] = ()
 
 
 class _Scene(NamedTuple):
-    """A world, and the pose of the rig at a fractional frame number, for a frame duration in s."""
+    """A world, and what moves in it.
+
+    Attributes:
+        world: the world.
+        pose: where the rig is at a fractional frame number, for a frame duration in s.
+        places: where what moves by itself is at a time in s; None where the scene does not say.
+    """
 
     world: World
     pose: Callable[[float, float], FloorPose]
+    places: Places | None = None
 
 
 def _corridor(settings: SimulateSettings) -> _Scene:
@@ -53,15 +64,16 @@ def _corridor(settings: SimulateSettings) -> _Scene:
     return _Scene(corridor, lambda frame, _: corridor.path(frame))
 
 
-def _standing(world: World, settings: SimulateSettings) -> _Scene:
+def _standing(world: World, settings: SimulateSettings, places: Places | None = None) -> _Scene:
     def pose(frame: float, frame_s: float) -> FloorPose:
         return pan_pose(frame * frame_s) if settings.pan else FloorPose(0.0, 0.0, 0.0)
 
-    return _Scene(world, pose)
+    return _Scene(world, pose, places)
 
 
 def _cards(settings: SimulateSettings) -> _Scene:
-    return _standing(Cards(settings.rig.focal_px, settings.seed), settings)
+    cards = Cards(settings.rig.focal_px, settings.seed)
+    return _standing(cards, settings, cards.places)
 
 
 def _layers(settings: SimulateSettings) -> _Scene:
@@ -76,7 +88,7 @@ def _street(settings: SimulateSettings) -> _Scene:
         math.radians(settings.street_winding_deg),
         settings.seed,
     )
-    return _Scene(street, lambda frame, frame_s: street.path(frame * frame_s))
+    return _Scene(street, lambda frame, frame_s: street.path(frame * frame_s), street.places)
 
 
 _SCENES: dict[str, Callable[[SimulateSettings], _Scene]] = {
@@ -126,13 +138,23 @@ def render_scene(settings: SimulateSettings) -> Iterator[SceneFrame]:
             )
             for side, grey in enumerate(greys)
         )
+        mover, objects = views[1].mover, tuple[MovingObject, ...]()
+        if mover is not None and scene.places is not None:
+            objects = tuple(
+                moving_objects(
+                    *(mover, views[1].depth_m, frame * frame_s),
+                    lambda time_s: scene.pose(time_s / frame_s, frame_s),
+                    scene.places,
+                )
+            )
         yield SceneFrame(
             frame=frame,
             left=left,
             right=right,
             disparity_px=rig.disparity_px(views[1].depth_m),
             pose=scene.pose(frame, frame_s),
-            mover=views[1].mover,
+            mover=mover,
+            objects=objects,
         )
 
 

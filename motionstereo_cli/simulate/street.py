@@ -103,17 +103,29 @@ class Street:
         y = np.array([-1, -1, 1, 1]) * 400 + pose.y_m
         yield _level(np.stack([x, y], axis=1), -0.03, self._paints.grass, 0.03)
 
-    def _traffic(self, time_s: float) -> Iterator[Quadrangle]:
-        """Yield the cars that drive."""
-        here_m = self._speed_m_s * time_s
+    def places(self, time_s: float) -> dict[int, tuple[float, float]]:
+        """Return where each car that drives is in m, by its number in the truth."""
+        cars = self._driving(time_s).items()
+        middles = {number: self.at(along_m, left_m) for number, (along_m, left_m, _) in cars}
+        return {number: (float(x_m), float(y_m)) for number, (x_m, y_m) in middles.items()}
+
+    def _driving(self, time_s: float) -> dict[int, tuple[float, float, float]]:
+        """Return each car that drives: how far along and to the left in m, and its paint's gain."""
+        here_m, cars = self._speed_m_s * time_s, {}
         if self._leads_m:
             gap_m = self._leads_m + 4 * math.sin(time_s / 2)
-            yield from self._moving(1, self._car(here_m + gap_m, LANE_M, 0.9))
+            cars[1] = here_m + gap_m, LANE_M, 0.9
         start_m = self._oncoming_m - _ONCOMING_M_S * time_s
         first = math.ceil((here_m - _BEHIND_M - start_m) / _ONCOMING_M)
         for number in (first, first + 1):
-            car = self._car(start_m + number * _ONCOMING_M, -LANE_M, 0.7 + number % 3 * 0.3)
-            yield from self._moving(2 + number % 250, car)
+            along_m = start_m + number * _ONCOMING_M
+            cars[2 + number % 250] = along_m, -LANE_M, 0.7 + number % 3 * 0.3
+        return cars
+
+    def _traffic(self, time_s: float) -> Iterator[Quadrangle]:
+        """Yield the cars that drive."""
+        for number, car in self._driving(time_s).items():
+            yield from self._moving(number, self._car(*car))
 
     @staticmethod
     def _moving(number: int, surfaces: Iterator[Quadrangle]) -> Iterator[Quadrangle]:

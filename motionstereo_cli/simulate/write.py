@@ -13,13 +13,16 @@ from motionstereo_cli.files.encode import encode_png
 from motionstereo_cli.files.folders import make_folder
 from motionstereo_cli.files.video import VideoWriter
 from motionstereo_cli.rig import write_rig
-from motionstereo_cli.rig.poses import HEAD, format_pose
+from motionstereo_cli.rig.poses import HEAD as POSES_HEAD
+from motionstereo_cli.rig.poses import format_pose
 from motionstereo_cli.runs.folder import RunFolder
 from motionstereo_cli.runs.folder_files import FolderKind
 from motionstereo_cli.simulate.scenes import render_scene
 from motionstereo_cli.simulate.settings import SimulateSettings
 from motionstereo_cli.sinks.images import disparity_png
+from motionstereo_cli.sinks.objects_table import HEADER, object_row
 from motionstereo_cli.sinks.records import Counts, FolderRecord
+from motionstereo_cli.sinks.writers import TableFile
 
 
 def simulate(
@@ -39,6 +42,8 @@ def simulate(
       for every pixel (0 where it exceeds the format's 65535/256 px);
     - movers/000000.png, of cards and street: uint8 number of what moves by itself in the right
       view, 0 = nothing;
+    - objects.csv, of the same: a row for each of them in each frame, as ``run`` writes it, with its
+      true box, depth and speeds;
     - rig.yaml;
     - poses.txt: TUM format, one line a frame, for the rig's middle. World: x and y on the floor,
       z up, in m. Orientation: the robot frame, x forward, y left, z up (REP 103). Time begins
@@ -66,8 +71,10 @@ def simulate(
         inputs=inputs,
     ) as folder:
         make_folder(out / "disparity")
+        objects = None
         if settings.scene in _MOVING:
             make_folder(out / "movers")
+            objects = folder.own(TableFile(out / _OBJECTS, HEADER))
         videos = [
             folder.own(VideoWriter(out / f"{side}.{suffix}", time_base, quality=settings.crf))
             for side in ("left", "right")
@@ -77,8 +84,9 @@ def simulate(
                 video.write(image, number)
             truth = out / _DISPARITY.format(number)
             write_whole(truth, encode_png(disparity_png(shot.disparity_px)))
-            if shot.mover is not None and settings.scene in _MOVING:
+            if shot.mover is not None and objects is not None:
                 write_whole(out / _MOVERS.format(number), encode_png(shot.mover))
+                objects.add(object_row(number, each) for each in shot.objects)
             poses.append(format_pose(number / settings.frame_rate, shot.pose.rig_pose))
             progress()
         folder.close()
@@ -88,6 +96,7 @@ def simulate(
 
 _DISPARITY = "disparity/{:06d}.png"
 _MOVERS = "movers/{:06d}.png"
+_OBJECTS = "objects.csv"
 #: Scenes that say what moves by itself.
 _MOVING = ("cards", "street")
 
@@ -104,12 +113,12 @@ class _Poses(FolderRecord, kw_only=True, frozen=True):
 
 def _format(record: _Poses) -> bytes:
     files = " ".join(record.outputs or ())
-    return "".join([HEAD, f"{_LIST}{files}\n", *record.poses]).encode()
+    return "".join([POSES_HEAD, f"{_LIST}{files}\n", *record.poses]).encode()
 
 
 def _parse(content: bytes) -> _Poses:
     head, files, *poses = content.decode().splitlines(keepends=True)
-    if head != HEAD or not files.startswith(_LIST):
+    if head != POSES_HEAD or not files.startswith(_LIST):
         raise ValueError("not from a simulation")
     outputs = tuple(files.removeprefix(_LIST).split())
     counts = Counts(written=len(poses)) if poses else UNSET
@@ -126,6 +135,7 @@ _KIND = FolderKind(
             *("left.mp4", "right.mp4", "left.mkv", "right.mkv", "rig.yaml"),
             _DISPARITY,
             _MOVERS,
+            _OBJECTS,
         )
     },
     kind=_Poses,
