@@ -1,6 +1,6 @@
-"""The camera: its calibration files, and rectification.
+"""Calibration files, rectification, and poses.
 
-Heavy modules load only with :mod:`~motionstereo_cli.rig.calibration`; rig files need none.
+Only :mod:`~motionstereo_cli.rig.calibration` imports heavy modules; rig files need none.
 """
 
 from motionstereo_cli.rig.rig_file import format_rig, read_rig, rig_values, write_rig

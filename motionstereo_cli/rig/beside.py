@@ -8,7 +8,7 @@ from pathlib import Path
 
 from motionstereo_cli.files.stills import SUFFIXES
 
-#: Files of both cameras, in the folder that holds both sides; the first that is there counts.
+#: Files of both cameras, in the folder that holds both sides; the first that exists is used.
 _OF_BOTH = (
     *("rig.yaml", "calib.txt", "calib_cam_to_cam.txt", "camchain.yaml"),
     *("stereodemo_calibration.json", "K.txt"),

@@ -1,4 +1,4 @@
-"""From calibration files to a rig, and from recorded images to rectified ones."""
+"""Read calibration files as a rig, and rectify recorded images."""
 
 from __future__ import annotations
 
@@ -41,32 +41,32 @@ if TYPE_CHECKING:
 
     Rectifier = Callable[[Grey], Grey]
 
-#: Images that move by less than this need no rectification.
+#: Images that would move by less than this, in px, are not rectified.
 _NEGLIGIBLE_PX = 0.05
 
-#: Focal lengths outside of these, as shares of the width, are hardly in px: a view of 143 degrees
-#: or more cannot be rectified, and one of 3 degrees or less has no stereo camera.
+#: Plausible focal lengths in px, as shares of the width: a view of 143 degrees or more cannot be
+#: rectified, and no stereo camera has one of 3 degrees or less.
 _FOCAL_SHARES = (1 / 6, 20)
 
-#: Rectified images that keep less than this share of the recorded ones come from a wrong file.
+#: If rectified images keep less than this share of the recorded ones, the file is wrong.
 _MIN_COVERAGE = 0.3
 
 
 @dataclass(frozen=True, slots=True)
 class Calibration:
-    """A stereo camera, and how its images become rectified.
+    """A stereo camera, and the rectification of its images.
 
     Attributes:
-        rig: the camera that the rectified images seem to come from.
+        rig: the camera of the rectified images.
         kind: format of the files.
-        model: the recorded images' lenses in words.
+        model: the lenses of the recorded images, in words.
         maps: for the left and the right camera, where each rectified pixel lies in the recorded
             image: x and y, (height, width) float32, in px. None where images are rectified.
         coverage: share of the rectified pixels, 0..1, that both recorded images have.
-        warnings: what was guessed, one line each.
+        warnings: assumptions, one line each.
         body_from_left: (4, 4), takes points of the rectified left camera's optical frame to that
             of the body of EuRoC's and kalibr's files, in m; None where the files have none.
-        found: the files, where they were not given but found beside the recording.
+        found: the files, if they were found beside the recording.
     """
 
     rig: Rig
@@ -80,17 +80,17 @@ class Calibration:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What a user should know, one line each: which files were found."""
+        """Notes for the user, one line each: which files were found."""
         if not self.found:
             return ()
         names = " and ".join(str(path) for path in self.found)
         return (f"the calibration is that of {names} ({self.kind}): --rig none goes without",)
 
     def rectifiers(self) -> tuple[Rectifier, Rectifier]:
-        """Return what rectifies the left and the right images.
+        """Return functions that rectify left and right images.
 
-        Each takes and returns (height, width) uint8; it interpolates linearly, and leaves black
-        what the recorded image does not have.
+        Each takes and returns (height, width) uint8; it interpolates linearly, and what the
+        recorded image does not show is black.
         """
         if self.maps is None:
             return _as_it_is, _as_it_is
@@ -98,7 +98,7 @@ class Calibration:
         return functools.partial(_remapped, maps=left), functools.partial(_remapped, maps=right)
 
     def describe(self) -> str:
-        """Return what was understood, as lines of text."""
+        """Describe the calibration, as lines of text."""
         rig = self.rig
         facts = {
             "format": self.kind,
@@ -130,24 +130,24 @@ def read_calibration(
 ) -> Calibration:
     """Read the calibration of a stereo camera.
 
-    Where the files say how images are to be rectified (R1, R2, P1, P2), that holds unless a view is
-    chosen. Otherwise the principal points come to one place (doffs = 0): of pinhole lenses as
-    cv2.stereoRectify has it, without empty borders; of wide ones in the middle of the image, with
-    the focal length of the lens's middle.
+    If the files contain the rectification (R1, R2, P1, P2), it is used unless a view is chosen.
+    Otherwise both principal points coincide (doffs = 0): for pinhole lenses as
+    cv2.stereoRectify places them, without empty borders; for wide ones in the middle of the image,
+    with the focal length of the lens's middle.
 
     Args:
         paths: files as :func:`~motionstereo_cli.rig.formats.read_files` takes them.
         size: width and height of the recorded images in px, None if unknown.
-        settings: unit of length in the files, and view of the rectified images; the defaults if
-            None.
+        settings: unit of length in the files, and view of the rectified images; None: the
+            defaults.
         pair: numbers of the left and right camera, for KITTI.
         max_pixels: largest width times height of the images.
-        turned_deg: by how much the images are turned clockwise after they are recorded, 90 or
-            270; the calibration of cameras one above the other is then turned as well.
+        turned_deg: the clockwise rotation of the images after recording, 90 or 270; the calibration
+            of cameras one above the other is then turned as well.
 
     Raises:
-        InputError: a file cannot be read, lacks or spoils a value, is for another size, or does not
-            say the size and neither does the caller.
+        InputError: a file cannot be read, lacks a value or has an invalid one, is for another size,
+            or the size is not known.
     """
     s, name = settings or RigSettings(), " and ".join(str(path) for path in paths)
     read = read_files(paths, size, pair)
@@ -160,7 +160,7 @@ def read_calibration(
 
 
 def _judged(calibration: Calibration, name: str) -> Calibration:
-    """Return a calibration with a warning where its view is an unlikely one."""
+    """Return a calibration, with a warning if its view is implausible."""
     rig, focal_px, width = calibration.rig, calibration.rig.focal_px, calibration.rig.width
     if not (0 <= rig.cx <= rig.width and 0 <= rig.cy <= rig.height):
         warning = (
@@ -223,7 +223,7 @@ def _of_pair(
 
 
 def _without_view(calibration: Calibration, name: str, settings: RigSettings) -> Calibration:
-    """Return the calibration of rectified images, whose view cannot be chosen."""
+    """Return the calibration of images that are rectified already; their view cannot be chosen."""
     if not settings.fov:
         return calibration
     warning = f"{name} is of rectified images: --fov is not used"
@@ -242,15 +242,15 @@ def _body_from_rectified(pair: Pair, turn: Matrix, baseline_m: float) -> Matrix 
 def rectify_source(
     source: StereoSource, paths: Sequence[Path], settings: RigSettings | None = None
 ) -> Calibration | None:
-    """Read the calibration of a source, and have the source rectify its images if necessary.
+    """Read the calibration of a source, and make the source rectify its images if necessary.
 
-    Which of KITTI's cameras these are is told by the names of the recordings (image_2, image_03).
+    For KITTI the names of the recordings (image_2, image_03) tell which cameras these are.
 
     Args:
         source: not yet iterated.
-        paths: calibration files; where there is none, that of a bag or spatial video counts, or
-            the files that :func:`~motionstereo_cli.rig.beside.calibration_beside` finds; None is
-            returned if there is none either, or if the path is ``none``.
+        paths: calibration files; if there are none, that of a bag or spatial video is used, or
+            the files that :func:`~motionstereo_cli.rig.beside.calibration_beside` finds. Without
+            any, or if the path is ``none``, None is returned.
         settings: as in :func:`read_calibration`.
 
     Raises:
@@ -293,7 +293,7 @@ def rectify_source(
 
 
 def _recorded(source: StereoSource, size: tuple[int, int], settings: RigSettings) -> Calibration:
-    """Return the calibration that was recorded beside the images of a source."""
+    """Return the calibration that a source recorded with its images."""
     from motionstereo_cli.rig.structure import read_structure
 
     files = [(Path(name), read_structure(Path(name), text)) for name, text in source.camera_infos]

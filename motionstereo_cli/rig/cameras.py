@@ -1,4 +1,4 @@
-"""Calibrated cameras, and the lens models that are understood."""
+"""Calibrated cameras and their lens models."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     #: Rotation (3, 3) and projection (3, 4) into a rectified image.
     Rectified = tuple[Matrix, Matrix]
 
-#: Names of lens models, in lower case without signs. Kannala and Brandt's has many.
+#: Names of lens models, in lower case without punctuation. Kannala and Brandt's has many.
 _FISHEYE = frozenset(
     {
         *("fisheye", "equidistant", "equi", "pinholeequi", "pinholeequidistant", "kb", "kb4"),
@@ -42,7 +42,7 @@ _PINHOLE = frozenset(
         *("none", "no", "ideal", "nodistortion", "undistorted"),
     }
 )
-#: Those of the pinhole that have no distortion at all, and those that have eight coefficients.
+#: Names for pinholes without distortion, and for those with eight coefficients.
 _IDEAL = frozenset({"linear", "rectified", "none", "no", "ideal", "nodistortion", "undistorted"})
 _RATIONAL = frozenset({"rational", "rationalpolynomial", "radtan8"})
 _NAMES = {
@@ -50,15 +50,15 @@ _NAMES = {
     "pinhole": _PINHOLE,
 }
 
-#: How many distortion coefficients each model takes; fewer have zeros appended. Names of further
-#: parameters, which come first.
+#: Numbers of distortion coefficients that each model takes; missing ones are zero. Names of
+#: further parameters, which come first.
 _COUNTS = {
     **{"pinhole": (4, 5, 8, 12, 14), "fisheye": (4,), "omni": (4, 5), "ds": (0,), "eucm": (0,)},
     "fov": (1,),
 }
 SHAPES = {"omni": ("xi",), "ds": ("xi", "alpha"), "eucm": ("alpha", "beta")}
 
-#: No focal length is as small.
+#: Focal lengths are larger than this, in px.
 _MIN_FOCAL_PX = 1e-3
 
 
@@ -68,8 +68,8 @@ class Camera:
 
     Attributes:
         matrix: (3, 3) intrinsic matrix K in px.
-        distortion: (n,) coefficients in OpenCV's order, after what else the model has (xi, or xi
-            and alpha, or alpha and beta).
+        distortion: (n,) coefficients in OpenCV's order, after the model's other parameters (xi, or
+            xi and alpha, or alpha and beta).
         model: ``pinhole``, ``fisheye`` (Kannala and Brandt), ``omni``, ``ds``, ``eucm`` or ``fov``;
             see :func:`~motionstereo_cli.rig.lenses.project`.
     """
@@ -81,22 +81,22 @@ class Camera:
 
 @dataclass(frozen=True, slots=True)
 class Pair:
-    """What calibration files say of two cameras, the left one first.
+    """The calibration of two cameras in files, the left one first.
 
     A point x (3,) in the left camera's frame is ``rotation @ x + translation`` in the right one's.
 
     Attributes:
         kind: name of the format.
-        cameras: left and right; None where the images are rectified already.
+        cameras: left and right; None if the images are rectified already.
         rotation, translation: (3, 3) and (3,), the latter in the file's unit of length; None
-            where ``rectified`` says it all.
+            if ``rectified`` suffices.
         rectified: rotations (3, 3) and projections (3, 4) into the rectified images, left then
-            right; None where they are to be computed.
-        size: width and height in px, None where the files do not say.
-        unit: the format's unit of length, None where it has none.
-        notes: what was assumed, one line each.
-        body_from_left: (4, 4), takes points of the left camera's frame to the body's that the
-            files' poses are of, in ``unit``; None where the files have no such body.
+            right; None if they are to be computed.
+        size: width and height in px, None if unknown.
+        unit: the format's unit of length, None if it has none.
+        notes: assumptions, one line each.
+        body_from_left: (4, 4), takes points of the left camera's frame to that of the body whose
+            poses the format has, in ``unit``; None if there is none.
     """
 
     kind: str
@@ -117,20 +117,20 @@ def rectified_pair(
     unit: str | None = None,
     notes: tuple[str, ...] = (),
 ) -> Pair:
-    """Return the pair whose images are rectified, by its projections (3, 4)."""
+    """Return a pair of rectified images with these projections (3, 4)."""
     left, right = ((np.eye(3), projection) for projection in projections)
     return Pair(kind, rectified=(left, right), size=size, unit=unit, notes=notes)
 
 
 def lens_model(name: object, models: Sequence[str]) -> str:
-    """Return the model of :class:`Camera` of what a file says of a lens.
+    """Return the model of :class:`Camera` for the names in a file.
 
     Args:
         name: the file, for messages.
-        models: names of models, empty where it says nothing.
+        models: names of models, empty where it has none.
 
     Raises:
-        InputError: one is not known, or they contradict.
+        InputError: one is unknown, or they contradict.
     """
     found = set()
     for model in filter(None, models):
@@ -164,18 +164,18 @@ def lens_camera(
     models: Sequence[str],
     shape: Sequence[float] = (),
 ) -> tuple[Camera, tuple[str, ...]]:
-    """Return a camera, and notes on what was assumed of its lens.
+    """Return a camera, and notes on assumptions about its lens.
 
     Args:
         name: the file, for messages.
-        label: what the file calls the coefficients.
+        label: the name of the coefficients in the file.
         matrix: (3, 3).
         distortion: coefficients, (n,) or in a row or column.
-        models: what the file says of the lens: names of models, empty where it says nothing.
+        models: names of lens models in the file, empty where it has none.
         shape: the model's further parameters.
 
     Raises:
-        InputError: a model is not known, or its number of coefficients does not fit.
+        InputError: a model is unknown, or its number of coefficients does not fit.
     """
     model, said = lens_model(name, models), {_plain(each): each for each in models if each}
     coefficients, notes = distortion.ravel(), tuple[str, ...]()
@@ -219,7 +219,7 @@ def lens_camera(
 
 
 def checked_intrinsics(name: object, label: str, matrix: Matrix) -> Matrix:
-    """Return an intrinsic matrix that a camera can have.
+    """Return an intrinsic matrix after checking that it is plausible.
 
     Raises:
         InputError: its focal lengths are not positive and alike, or its last row is not 0 0 1.

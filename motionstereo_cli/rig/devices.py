@@ -1,4 +1,4 @@
-"""Calibrations as stereo cameras carry them: DepthAI's and ZED's."""
+"""Calibrations of stereo cameras with a memory of their own: DepthAI and ZED."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from motionstereo_cli.rig.cameras import Camera, Matrix
     from motionstereo_cli.rig.structure import Values
 
-#: Sizes of the recordings of a ZED by the names in its files.
+#: Sizes of a ZED's recordings by their names in its files.
 _ZED_SIZES = {
     **{"2k": (2208, 1242), "fhd": (1920, 1080), "fhd1200": (1920, 1200), "hd": (1280, 720)},
     **{"vga": (672, 376), "svga": (960, 600), "qhdplus": (3200, 1800), "4k": (3840, 2160)},
@@ -25,15 +25,15 @@ _ZED_SIZES = {
 #: DepthAI's camera types.
 _DEPTHAI_LENSES = {0: "perspective", 1: "fisheye", 2: "equirectangular", 3: "radial division"}
 
-#: Cameras of one device whose places are given by one another's.
+#: Cameras of one device, with extrinsics relative to one another.
 _MAX_LINKS = 16
 
 
 def read_depthai(path: Path, values: Values, size: tuple[int, int] | None) -> Pair:
     """Return the pair of DepthAI's calibration JSON: its stereo pair; lengths are in cm.
 
-    Images of another size than the calibration's are taken to be scaled, and cut alike at top and
-    bottom (or left and right), as the device does it.
+    Images of another size than the calibration's are assumed to be scaled, and cropped equally at
+    top and bottom (or left and right), as the device does.
     """
     cameras = _sockets(path, values)
     stereo = Source(path, values.get("stereorectificationdata") or {})
@@ -90,7 +90,7 @@ def _sockets(path: Path, values: Values) -> dict[int, Any]:
 
 
 def _from_socket(path: Path, cameras: dict[int, Any], socket: int) -> dict[int, Matrix]:
-    """Return what takes points of a camera's frame to that of others, by their sockets."""
+    """Return the transforms from a camera's frame to those of others, by their sockets."""
     reached, there = {socket: np.eye(4)}, np.eye(4)
     for _ in range(_MAX_LINKS):
         extrinsics = cameras.get(socket, {}).get("extrinsics")

@@ -1,4 +1,4 @@
-"""Files that are no calibration that can be read: what they are, and what to give instead."""
+"""Files that are recognised but not read: what they are, and what to give instead."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _BEFORE_MAPS = (
 #: Names of remap tables: stereoMapL_x, Left_Stereo_Map_x, leftMapX, map1x, mapx1, map1.
 _MAP = r"(\w*stereo_?map\w*|\w*map_?[lr12]?_?[xy]_?[lr12]?|map_?[12])"
 
-#: Beginnings of files that hold calibrations elsewhere and are not read, and what to do.
+#: First bytes of files that are not read, and what to do.
 _BYTES = {
     b"\x80": "is a Python pickle, which could run programs: save the arrays with numpy.savez",
     b"\x93NUMPY": "is one array: save all of them with numpy.savez",
@@ -32,7 +32,7 @@ _BYTES = {
     b"#ROSBAG": "is a ROS bag: give it as the recording, and its camera_info is found",
 }
 
-#: What tells files by their text, before it is taken apart: tables of maps are large.
+#: Patterns that identify files by their text before it is parsed: tables of maps are large.
 _TEXTS = {
     rf"^\s*<{_MAP}[ >]|^{_MAP}:": _BEFORE_MAPS,
     r"^# (Camera|Image) list with": (
@@ -54,7 +54,7 @@ _TEXTS = {
 
 
 def refuse_foreign_bytes(path: Path, content: bytes) -> None:
-    """Refuse what is no text and no .npz.
+    """Refuse files that are neither text nor .npz.
 
     Raises:
         InputError: it is such a file.
@@ -65,7 +65,7 @@ def refuse_foreign_bytes(path: Path, content: bytes) -> None:
 
 
 def refuse_foreign_text(path: Path, text: str) -> None:
-    """Refuse texts that are known by their first lines.
+    """Refuse texts that are identified by their first lines.
 
     Raises:
         InputError: it is such a file.
@@ -75,12 +75,12 @@ def refuse_foreign_text(path: Path, text: str) -> None:
             raise InputError(f"{path} {advice}")
 
 
-#: How far into a text these stand.
+#: How far into a text they are searched.
 _BEGINNING = 4096
 
 
 def refuse_foreign_values(path: Path, values: Values) -> None:
-    """Refuse what is known by the names in it.
+    """Refuse files that are identified by the names in them.
 
     Raises:
         InputError: it is such a file.

@@ -1,8 +1,8 @@
-"""Calibration files as other programs write them, read as data only.
+"""Calibration files of other programs, read as data only.
 
-Each format is told by its content, never by its name: a row of :data:`FORMATS` recognizes it and
-reads it. What is read is a :class:`~motionstereo_cli.types.Rig`, of a rig file, or a
-:class:`~motionstereo_cli.rig.cameras.Pair`. No reader opens another file than those it is given.
+A format is identified by its content, never by its name: a row of :data:`FORMATS` recognises and
+reads it. The result is a :class:`~motionstereo_cli.types.Rig` for a rig file, or a
+:class:`~motionstereo_cli.rig.cameras.Pair`. Readers open no files but those given.
 """
 
 from __future__ import annotations
@@ -92,14 +92,15 @@ def read_files(
     """Read one calibration file, or several that belong together, the left camera's first.
 
     Args:
-        paths: files of one of the :data:`FORMATS`.
-        size: width and height of the recorded images in px, for files that have a calibration
-            for each of several sizes; None if unknown.
-        pair: numbers of the left and right camera where a file has more than two (KITTI, and files
-            of SLAM); 0 and 1 if None, or 2 and 3 where only those are there.
+        paths: files in one of the :data:`FORMATS`.
+        size: width and height of the recorded images in px, for files with a calibration for
+            each of several sizes; None if unknown.
+        pair: numbers of the left and right camera if a file has more than two (KITTI, and files
+            of SLAM); None: 0 and 1, or 2 and 3 if there are only those.
 
     Raises:
-        InputError: a file cannot be read, has another format, or lacks or spoils a value.
+        InputError: a file cannot be read, has another format, lacks a value, or has an invalid
+            one.
     """
     if not 1 <= len(paths) <= _MOST_FILES:
         raise InputError(f"{len(paths)} calibration files are too many: give one, or a pair")
@@ -129,7 +130,7 @@ def read_files(
     return found.read(given)
 
 
-#: More files than these never belong together.
+#: The largest number of files of one calibration.
 _MOST_FILES = 3
 
 
@@ -162,12 +163,12 @@ def _as_yaml(text: str) -> str:
     """Return a cameramodel of mrcal as YAML, and any other text as it is."""
     if not _MRCAL.search(text):
         return text
-    # What it was computed from, in letters, is left out.
+    # The optimisation's inputs, as encoded text, are left out.
     return "# mrcal\n" + re.sub(r"^\s*'optimization_inputs'\s*:.*$", "", text, flags=re.MULTILINE)
 
 
 def _is_plain(text: str) -> bool:
-    """Return whether a text is of a format of its own, or plain ``key: number`` lines."""
+    """Return whether a text has its own format, or is plain ``key: number`` lines."""
     patterns = (plain.MIDDLEBURY, plain.KITTI, plain.OST, _RIG)
     if any(pattern.search(text) for pattern in patterns):
         return True
@@ -206,7 +207,7 @@ def _has(*names: str) -> Callable[[str, Values], bool]:
 
 
 def _has_cameras(*names: str) -> Callable[[str, Values], bool]:
-    """Return what knows files with a list of cameras, the first of which has one of the names."""
+    """Return a test for files with a list of cameras, the first of which has one of the names."""
 
     def knows(_: str, values: Values) -> bool:
         cameras = placed.cameras_in(values)
@@ -227,7 +228,7 @@ def _is_stella(_: str, values: Values) -> bool:
     return "camerasetup" in names or "camerafocalxbaseline" in names
 
 
-#: All formats; the first that knows a file reads it.
+#: All formats; the first that recognises a file reads it.
 FORMATS: tuple[Format, ...] = (
     Format(
         "Middlebury calib.txt",

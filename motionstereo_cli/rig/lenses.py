@@ -1,4 +1,4 @@
-"""How lenses map directions to pixels: each model's equation, how far it holds, and maps."""
+"""Lens models: their equations, their validity, and maps of pixels."""
 
 from __future__ import annotations
 
@@ -18,23 +18,23 @@ if TYPE_CHECKING:
     Maps = tuple[Real, Real]
     Flattened = tuple[Reals, Reals, NDArray[np.bool_]]
 
-#: Rows of a map that are computed at a time, so that little memory is taken.
+#: Rows of a map that are computed at a time, to save memory.
 _ROWS = 32
 
-#: Angles from the axis at which it is tried how far a model holds.
+#: Angles from the axis at which a model's validity is tested.
 _ANGLES_RAD = np.linspace(0.0, np.pi, 1801)[:-1]
 
 #: A direction near the axis, as x / z.
 _NEAR = 1e-3
 
-#: Where a map puts pixels that a lens does not see; no image has them.
+#: Coordinate in a map for pixels that a lens does not see; it is outside every image.
 _NOWHERE_PX = -1.0
 
 
 def project(camera: Camera, x: Reals, y: Reals, z: Reals) -> tuple[Reals, Reals]:
     """Return pixels u and v of directions x, y, z in a camera's frame; NaN where there is none.
 
-    All have one shape. ``pinhole``: OpenCV's. ``fisheye``: Kannala and Brandt (2006), as
+    All have the same shape. ``pinhole``: OpenCV's. ``fisheye``: Kannala and Brandt (2006), as
     cv2.fisheye. ``omni``: Mei and Rives (2007), as cv2.omnidir and kalibr: xi comes before the
     distortion. ``eucm``: Khomutenko et al. (2016), alpha and beta. ``ds``: Usenko et al. (2018), xi
     and alpha. ``fov``: Devernay and Faugeras (2001), w.
@@ -59,7 +59,7 @@ def _pinhole(parameters: Matrix, x: Reals, y: Reals, z: Reals) -> Flattened:
 def _omni(parameters: Matrix, x: Reals, y: Reals, z: Reals) -> Flattened:
     xi, k1, k2, p1, p2, k3 = np.append(parameters, np.zeros(6 - len(parameters)))
     length = np.sqrt(x * x + y * y + z * z)
-    # Behind this the mirror shows nothing.
+    # Beyond this angle the mirror shows nothing.
     holds = z > -length * (xi if xi <= 1 else 1 / xi)
     depth = z + xi * length
     x, y = x / depth, y / depth
@@ -71,7 +71,7 @@ def _omni(parameters: Matrix, x: Reals, y: Reals, z: Reals) -> Flattened:
 
 
 def _scaled(scale: Reals, x: Reals, y: Reals, holds: NDArray[np.bool_]) -> Flattened:
-    """Return what is scaled across the axis; on the axis itself both are 0."""
+    """Return components scaled across the axis; on the axis both are 0."""
     scale = np.where((x != 0) | (y != 0), scale, 0.0)
     return x * scale, y * scale, holds & (scale >= 0)
 
@@ -114,7 +114,7 @@ def _behind(alpha: float) -> float:
     return alpha / (1 - alpha) if alpha <= 0.5 else (1 - alpha) / alpha
 
 
-#: Pixels at focal length 1 around the axis, and where they hold, by model.
+#: Pixels at focal length 1 around the axis, and where they are valid, by model.
 _FLATTENED: dict[str, Callable[[Matrix, Reals, Reals, Reals], Flattened]] = {
     **{"pinhole": _pinhole, "omni": _omni, "fisheye": _fisheye, "fov": _fov, "eucm": _eucm},
     "ds": _double_sphere,
@@ -122,15 +122,15 @@ _FLATTENED: dict[str, Callable[[Matrix, Reals, Reals, Reals], Flattened]] = {
 
 
 def middle_focal_px(camera: Camera) -> float:
-    """Return the focal length of the middle of a lens, the mean of both axes, in px."""
+    """Return the focal length at the middle of a lens, the mean of both axes, in px."""
     u, v = project(camera, *np.array([[0, _NEAR, 0], [0, 0, _NEAR], [1.0, 1, 1]]))
     return float(np.hypot(u[1:] - u[0], v[1:] - v[0]).mean()) / _NEAR
 
 
 def widest_rad(camera: Camera) -> float:
-    """Return the angle from the axis up to which a model holds.
+    """Return the angle from the axis up to which a model is valid.
 
-    Beyond it a polynomial turns back, and would show the middle of the image once more.
+    Beyond it a polynomial folds back, and would show the middle of the image again.
     """
     zero = np.zeros_like(_ANGLES_RAD)
     u, _ = project(camera, np.sin(_ANGLES_RAD), zero, np.cos(_ANGLES_RAD))
@@ -139,9 +139,9 @@ def widest_rad(camera: Camera) -> float:
 
 
 def maps_of(camera: Camera, rotation: Matrix, projection: Matrix, size: tuple[int, int]) -> Maps:
-    """Return where each rectified pixel lies in a camera's image: x and y, (height, width).
+    """Return the position of each rectified pixel in a camera's image: x and y, (height, width).
 
-    Pixels that the lens does not see lie outside the image.
+    Pixels that the lens does not see are outside the image.
     """
     width, height = size
     least_cos = np.cos(widest_rad(camera))

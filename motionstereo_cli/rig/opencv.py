@@ -37,7 +37,7 @@ def read_opencv(name: str, values: Values) -> Pair:
     """Return the pair of a file with OpenCV's names, or of two of intrinsics and extrinsics.
 
     Raises:
-        InputError: a value is missing or spoilt.
+        InputError: a value is missing or invalid.
     """
     source = Source(name, flattened(values))
     sides = _SIDES
@@ -94,7 +94,7 @@ def _without_intrinsics(name: str) -> str:
 
 
 def has_numbered_cameras(values: Values) -> bool:
-    """Return whether there are matrices of two cameras under OpenCV's numbered names."""
+    """Return whether a file has matrices of two cameras under OpenCV's numbered names."""
     return all(
         any(
             np.asarray(values.get(f"{name}{number}"), object).size == 9
@@ -108,7 +108,7 @@ def _right_from_left(source: Source, sides: Sequence[Sequence[str]]) -> tuple[Ma
     of_right = _names(_R, sides[1]), _names(_T, sides[1])
     if source.find([*_R, *_T]) or not all(map(source.find, of_right)):
         return source.rotation(_R, "R"), source.matrix(_T, "T", (3,))
-    # Each camera's own, from a common frame: the left one's often is that frame.
+    # Each camera's pose in a common frame, often the left camera's.
     rotation, translation = (
         source.rotation(of_right[0], "right R"),
         source.matrix(of_right[1], "right T", (3,)),
@@ -150,7 +150,7 @@ def _camera(source: Source, side: Sequence[str]) -> tuple[Camera, tuple[str, ...
 
 
 def _projections_of(q: Matrix, name: str) -> tuple[Matrix, Matrix]:
-    """Return the projections whose reprojection matrix is Q, as cv2.stereoRectify has it."""
+    """Return the projections whose reprojection matrix is Q, as cv2.stereoRectify defines it."""
     if not (q[2, 3] > 0 and abs(q[3, 2]) > _SMALLEST):
         raise InputError(f"{name}: Q is singular: check the file")
     tx = -1 / q[3, 2]

@@ -1,4 +1,4 @@
-"""Calibrations that place each camera in the frame of a body, as programs for SLAM keep them."""
+"""Calibrations that place each camera in the frame of a body, as SLAM programs do."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     Files = Sequence[tuple[Path, Values]]
     Numbers = tuple[int, int] | None
 
-#: Names of the parts of lenses in files that have one name for each number.
+#: Names of lens parameters in files with one name per number.
 _FOCAL = ("fx", "fy", "cx", "cy")
 _FOCAL_OF_MEI = ("gamma1", "gamma2", "u0", "v0")
 _FOCAL_OF_KANNALA = ("mu", "mv", "u0", "v0")
@@ -36,13 +36,13 @@ _FOCAL_OF_KANNALA = ("mu", "mv", "u0", "v0")
 
 @dataclass(frozen=True, slots=True)
 class Placed:
-    """A camera and where it is.
+    """A camera and its pose.
 
     Attributes:
         camera: the camera.
-        body_from_camera: (4, 4), takes points of the camera's frame to the body's.
-        size: width and height in px, None where the file does not say.
-        notes: what was assumed, one line each.
+        body_from_camera: (4, 4), takes points from the camera's frame to the body's.
+        size: width and height in px, None if unknown.
+        notes: assumptions, one line each.
     """
 
     camera: Camera
@@ -57,7 +57,7 @@ def pair_of(
     """Return the pair of two of the cameras; the first two if no numbers are given.
 
     Raises:
-        InputError: there are no such cameras, or they are of images of different size.
+        InputError: there are no such cameras, or their images differ in size.
     """
     if len(cameras) < 2:
         raise InputError(
@@ -105,7 +105,7 @@ def joined(values: Mapping[str, Any], before: str = "") -> dict[str, Any]:
 
 
 def cameras_in(values: Values) -> list[Any]:
-    """Return the ``cameras`` of a file, or those of the sensor that has them (maplab)."""
+    """Return the ``cameras`` of a file, or of the sensor that has them (maplab)."""
     cameras = _lists(values, "cameras")
     rigs = (_lists(sensor, "cameras") for sensor in _lists(values, "sensors"))
     return cameras or next(filter(None, rigs), [])
@@ -253,7 +253,7 @@ def read_vins(files: Files, numbers: Numbers) -> Pair:
 
 
 def is_camodocal(values: Values) -> bool:
-    """Return whether it is a camera of camodocal's, as VINS has them."""
+    """Return whether a file is a camera of camodocal, as VINS uses them."""
     return "modeltype" in values and "projectionparameters" in values
 
 
@@ -291,7 +291,7 @@ def read_mrcal(files: Files) -> Pair:
 def _by_parts(
     source: Source, focal: Sequence[str], models: Sequence[str]
 ) -> tuple[Camera, tuple[str, ...]]:
-    """Return a camera whose numbers have a name each: fx, k1, xi ..."""
+    """Return a camera whose parameters have one name each: fx, k1, xi ..."""
     numbers = [source.number((part,), part) for part in focal]
     matrix = checked_intrinsics(source.name, focal[0], intrinsic_matrix(*numbers))
     said = source.lenses(models)

@@ -1,4 +1,4 @@
-"""Calibrations as plain lines of text: KITTI, Middlebury, ROS' ost.txt, and bare numbers."""
+"""Calibrations as plain text: KITTI, Middlebury, ROS's ost.txt, and bare numbers."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from motionstereo_cli.rig.values import Source
 if TYPE_CHECKING:
     from motionstereo_cli.rig.structure import Values
 
-#: What tells a format.
+#: Patterns that identify a format.
 MIDDLEBURY = re.compile(r"^\s*cam0\s*=", re.MULTILINE)
 KITTI = re.compile(r"^P(_rect_)?\d+[ \t]*:[ \t]*[-+.\d]", re.MULTILINE)
 OST = re.compile(r"^camera matrix\s*$", re.MULTILINE)
@@ -82,7 +82,7 @@ def _floats(text: str) -> list[float] | None:
 
 
 def read_rows(path: Path, text: str) -> Pair | None:
-    """Return the pair of bare numbers; None where it is none.
+    """Return the pair of bare numbers; None if they are none.
 
     Two (or more) rows of 12 are projections, as KITTI's without names; 9 numbers and one more are
     K and the baseline, as FoundationStereo's K.txt has them. Images are rectified.
@@ -122,9 +122,9 @@ def read_stereodemo(path: Path, values: Values) -> Pair:
 
 
 def ost_cameras(path: Path, text: str) -> list[tuple[Path, dict[str, Any]]]:
-    """Return the cameras of ROS' ost.txt or .ini, as the values of a camera_info each.
+    """Return the cameras of ROS's ost.txt or .ini, each as the values of a camera_info.
 
-    Names stand on lines of their own, with numbers below; ``[...]`` begins a camera, but for
+    Names are on lines of their own, with numbers below; ``[...]`` begins a camera, except
     ``[image]``, which has its size.
     """
     cameras: list[tuple[Path, dict[str, Any]]] = []

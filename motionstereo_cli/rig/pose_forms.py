@@ -1,7 +1,7 @@
-"""Files of poses in the forms that programs write, as tables.
+"""Files of poses in the formats of other programs, as tables.
 
-Columns are those that a header names. Without a header the number of columns tells the form, and
-what was taken for granted is said in a note.
+Columns are those that a header names. Without a header the number of columns determines the
+format, and assumptions are given as notes.
 """
 
 from __future__ import annotations
@@ -23,24 +23,24 @@ if TYPE_CHECKING:
 
     Reals = NDArray[np.float64]
 
-#: Numbers are smaller than this, so that differences of them stay finite.
+#: Limit of numbers, so that their differences are finite.
 _LARGEST = 1e100
 
-#: How far the length of a quaternion may be from 1, and a rotation matrix times its transpose from
-#: the identity: files keep few decimals.
+#: Tolerance of a quaternion's length, and of a rotation matrix times its transpose: files have few
+#: decimals.
 _LENGTH_ERROR = 0.01
 
 #: The columns that a pose with a quaternion needs, beside its time.
 _PLACE, _TURN = ("x", "y", "z"), ("qx", "qy", "qz", "qw")
 
-#: Times since 1970 that are larger are in ns, us, ms: in s they would be 3,000 years and more.
+#: Larger times since 1970 are in ns, us, ms: in s they would be 3,000 years and more.
 _SINCE_1970 = {"ns": 1e17, "us": 1e14, "ms": 1e11}
 
-#: Numbers of columns of matrices, and whether a time or number stands before the matrix.
+#: Numbers of columns of matrices, and whether a time or number precedes the matrix.
 _MATRICES = {12: False, 13: True, 16: False, 17: True}
 
-#: A robot mostly moves the same way, seen from itself. An order of qx qy qz qw under which it does
-#: so by this much more is the likelier one.
+#: A robot mostly moves in one direction in its own frame. An order of qx qy qz qw for which this
+#: holds by so much more is the likelier one.
 _STEADIER = 0.25
 
 _HOW_TO_NAME = "a first line like '# t x y z qw qx qy qz' says which column is which"
@@ -48,13 +48,13 @@ _HOW_TO_NAME = "a first line like '# t x y z qw qx qy qz' says which column is w
 
 @dataclass(frozen=True, slots=True)
 class PoseTable:
-    """What a file of poses holds.
+    """The poses of a file.
 
     Attributes:
-        frame: what the poses are of, one of --pose-frame's choices, by the form of the file; None
-            where that says nothing.
-        unit: unit of the times: s, ms, us, ns, or ``frames``; by header, form and size.
-        times: (n,) float64, rising; numbers from 0 where the file has none.
+        frame: the frame of the poses, one of --pose-frame's choices, by the format of the file;
+            None if that does not tell.
+        unit: unit of the times: s, ms, us, ns, or ``frames``; by header, format and size.
+        times: (n,) float64, rising; numbers from 0 if the file has none.
         places: (n, 3) float64 m.
         turns: (n, 4) float64 unit quaternions qx, qy, qz, qw.
         notes: what was assumed, one line each.
@@ -70,15 +70,15 @@ class PoseTable:
 
 @dataclass(frozen=True, slots=True)
 class _Form:
-    """How the rows of a file are to be read.
+    """The format of a file's rows.
 
     Attributes:
-        columns: of t, x, y, z, qx, qy, qz, qw, and nsec where the time is in two parts.
-        matrix: first column of a matrix [R t] in place of x to qw; None where there is none.
-        wanted: what a line has to hold, for messages.
-        frame, unit: as in :class:`PoseTable`; unit is None where the size of the times tells.
+        columns: of t, x, y, z, qx, qy, qz, qw, and nsec if the time is in two parts.
+        matrix: first column of a matrix [R t] in place of x to qw; None if there is none.
+        wanted: the content that a line has to have, for messages.
+        frame, unit: as in :class:`PoseTable`; unit is None if the size of the times tells.
         notes: as in :class:`PoseTable`.
-        guessed: the order of the quaternion is.
+        guessed: whether the order of the quaternion is a guess.
     """
 
     columns: Mapping[str, int]
@@ -95,13 +95,13 @@ def read_pose_table(path: str | Path) -> PoseTable:
 
     Numbers are separated by spaces, commas, tabs or semicolons. Where a header names time, x, y, z,
     qx, qy, qz and qw, these are the columns. Otherwise a line is ``t x y z qx qy qz qw`` (TUM),
-    the same without t (TartanAir), ``t x y z qw qx qy qz`` and whatever follows where times are in
+    the same without t (TartanAir), ``t x y z qw qx qy qz`` and further columns if times are in
     ns (EuRoC), or a matrix: the three rows of [R t] (KITTI) or four, with or without a time or a
     number before them.
 
     Raises:
-        InputError: the file cannot be read, holds no pose, is of a form that is not read (which is
-            named), or a line (which is named) is not a pose at or after the time of the one before.
+        InputError: the file cannot be read, has no poses, has a format that is not read (which is
+            named), or a line (which is named) is not a pose, or earlier than the one before.
     """
     text = read_text(path, "the poses", MAX_TABLE_BYTES)
     if (other := foreign(text)) is not None:
@@ -161,7 +161,7 @@ def _table(path: str, rows: Reals, form: _Form, repeated: int) -> PoseTable:
 
 
 def _words(line: str, header: Header | None) -> list[str]:
-    """Return the columns of a line; an empty one counts where a header names columns by commas."""
+    """Return the columns of a line; empty ones count if the header is separated by commas."""
     if header is not None and header.separator and header.separator in line:
         return [word.strip() for word in line.strip().split(header.separator)]
     return [word for word in re.split(r"[\s,;]+", line.strip()) if word]
@@ -170,10 +170,10 @@ def _words(line: str, header: Header | None) -> list[str]:
 def _form(
     path: str | Path, number: int, line: str, words: Sequence[str], header: Header | None
 ) -> _Form:
-    """Return the form of a file by its header, or by its first row.
+    """Return the format of a file by its header, or by its first row.
 
     Raises:
-        InputError: there is no such form.
+        InputError: there is no such format.
     """
     where = f"{path} line {number}: {line.strip()[:60]!r}"
     if header is not None and header.problem:
@@ -198,7 +198,7 @@ def _form(
 
 
 def _matrix_form(path: str, row: Sequence[float]) -> _Form | None:
-    """Return the form of a row with a matrix [R t]; None where there is none in it."""
+    """Return the format of a row with a matrix [R t]; None if it has none."""
     timed = _MATRICES[len(row)]
     if len(row) != 12 and not _is_rigid(row[timed:]):
         return None
@@ -217,7 +217,7 @@ def _matrix_form(path: str, row: Sequence[float]) -> _Form | None:
 
 
 def _quaternion_form(path: str, row: Sequence[float], commas: bool) -> _Form:
-    """Return the form of a row without a header, with a note on what that leaves open."""
+    """Return the format of a row without a header, with a note on the assumptions."""
     count = len(row)
     if count == 7:
         return _Form(
@@ -260,7 +260,7 @@ def _columns(first: int, order: str) -> dict[str, int]:
 
 
 def _likelier_order(path: str, places: Reals, turns: Reals, wanted: str) -> tuple[str, ...]:
-    """Return a note where a robot moves more steadily if qw is at the other end."""
+    """Return a note if a robot moves more steadily with qw at the other end."""
     qw_first = wanted.startswith("t x y z qw")
     others = turns[:, [3, 0, 1, 2]] if qw_first else turns[:, [1, 2, 3, 0]]
     if _steadiness(places, others) < _steadiness(places, turns) + _STEADIER:
@@ -272,7 +272,7 @@ def _likelier_order(path: str, places: Reals, turns: Reals, wanted: str) -> tupl
 
 
 def _steadiness(places: Reals, turns: Reals) -> float:
-    """Return how alike the directions are in which poses move, seen from themselves: 0..1."""
+    """Return how similar the directions of motion are in the frames of the poses: 0..1."""
     steps = np.diff(places, axis=0)
     length = float(np.linalg.norm(steps, axis=1).sum())
     if not length:
@@ -313,7 +313,7 @@ def rotations(turns: Reals) -> Reals:
 
 
 def _row(words: Sequence[str], form: _Form, count: int) -> list[float] | None:
-    """Return a row as time and what follows; None where it is no pose."""
+    """Return a row as time and pose; None if it is not a pose."""
     columns = form.columns
     if form.matrix is not None:
         row = _numbers(words)

@@ -1,4 +1,4 @@
-"""What the first lines of a file of poses say: which column is which, or what else it is."""
+"""The header of a file of poses: its columns, or the other format that it shows."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 _AS_LINES = "give lines of t x y z qx qy qz qw, in s and m"
 
-#: What other forms have near their beginning, and what to do with them.
+#: Patterns near the beginning of other formats, and what to do with these.
 _FOREIGN = {
     r"\A\s*[\[{](?s:.*)\"transform_matrix\"": (
         "is a transforms.json of nerfstudio or Instant-NGP: its poses are of OpenGL cameras and of "
@@ -37,10 +37,10 @@ _FOREIGN = {
     ),
 }
 
-#: How far into a file these are looked for.
+#: How far into a file they are searched.
 _BEGINNING = 4096
 
-#: Ends of names of quaternions and of places, in lower case without units.
+#: Suffixes of the names of quaternions and positions, in lower case without units.
 _QUATERNION = re.compile(r"(?:^|[^a-z])(?:q|quat\w*?|rot\w*?|ori\w*?)(?:[^a-z].*)?([xyzw])$")
 _PLACE = re.compile(
     r"^[tp]?([xyz])$|(?:^|[^a-z])(?:t|p|pos\w*?|trans\w*?|loc\w*?)(?:[^a-z].*)?([xyz])$"
@@ -63,14 +63,14 @@ _ANGLES = re.compile(r"(?:^|[^a-z])(roll|pitch|yaw|heading|r[xyz])(?:[^a-z]|$)")
 
 @dataclass(frozen=True, slots=True)
 class Header:
-    """What a header says.
+    """The content of a header.
 
     Attributes:
-        columns: of t, x, y, z, qx, qy, qz and qw, and of nsec where the time is in two parts;
-            without t where there is no time.
-        unit: of the times, None where it does not say.
-        frame: what the poses are of, one of --pose-frame's choices.
-        separator: what stands between columns, empty for blanks.
+        columns: of t, x, y, z, qx, qy, qz and qw, and of nsec if the time is in two parts;
+            without t if there is no time.
+        unit: of the times, None if unknown.
+        frame: the frame of the poses, one of --pose-frame's choices.
+        separator: between columns, empty for blanks.
         problem: why a table with this header cannot be read, empty if it can.
     """
 
@@ -82,7 +82,7 @@ class Header:
 
 
 def foreign(text: str) -> str | None:
-    """Return what a text is instead of a table of poses, and what to do; None if it may be one."""
+    """Return which other format a text has, and what to do; None if it may be a table of poses."""
     beginning = text[:_BEGINNING]
     found = (
         advice for what, advice in _FOREIGN.items() if re.search(what, beginning, re.MULTILINE)
@@ -91,7 +91,7 @@ def foreign(text: str) -> str | None:
 
 
 def read_header(line: str) -> Header | None:
-    """Return what a line says of the columns; None where it is no header of poses."""
+    """Return a line as a header; None if it is not a header of poses."""
     named = line.strip().lstrip("#").strip()
     # Remarks, unlike units, have blanks in them.
     named = re.sub(r"\([^)]*\s[^)]*\)", "", named)
@@ -148,7 +148,7 @@ def _key(name: str) -> str:
 
 
 def _frame(names: str, columns: Mapping[str, int]) -> str:
-    """Return what poses with such names are of."""
+    """Return the frame of poses with such names."""
     if re.search(r"\bVehicleName\b", names):  # AirSim
         return "ned"
     in_euroc_order = [columns[key] for key in ("x", "y", "z", "qw", "qx", "qy", "qz")]

@@ -1,4 +1,4 @@
-"""Where the rig was when: trajectories, read from files and written in the TUM format.
+"""Trajectories, read from files and written in the TUM format.
 
 A pose is that of the robot frame (REP 103: x forward, y left, z up), whose origin is the point
 halfway between the cameras, in a fixed world frame with z up.
@@ -25,30 +25,30 @@ if TYPE_CHECKING:
 
 HEAD = "# time_s x_m y_m z_m qx qy qz qw (x forward, y left, z up)\n"
 
-#: How far a frame may lie before the first pose or after the last: containers round their times.
+#: Tolerance of frames before the first pose or after the last, in s: containers round times.
 _SLACK_S = 0.02
 
-#: An end of the recording that is only estimated may be so much later, as a share, and in s.
+#: Tolerance of an estimated end of the recording, as a share, and in s.
 _END_SHARE, _END_S = 0.02, 0.1
 
-#: Poses by number may be so many more than images, whose number a container may only estimate.
+#: Excess of numbered poses over images that is accepted: containers estimate their number.
 _END_IMAGES = 1
 
-#: Poses that go on for so much longer than a recording, in s and as a share of it, may be those of
-#: another, unless their times are since 1970.
+#: Poses that last longer than a recording by this, in s and as a share of it, may belong to another
+#: one, unless their times are since 1970.
 _LONGER_S, _LONGER_SHARE, _SINCE_1970_S = 1.0, 0.1, 1e8
 
 #: Seconds in each unit of time.
 _UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 
-#: Poses that are farther apart hardly have times in s, and nothing with a stereo camera is as fast.
+#: Limits of plausible poses: the time between two in s, and the speed in m/s.
 _MAX_INTERVAL_S, _MAX_SPEED_MPS = 1.0, 100.0
 
-#: A step between poses that is this many times the usual one is a gap.
+#: A step between poses of this many times the median is a gap.
 _MAX_GAP = 10
 
-#: A robot is upright: its own upwards points up by so much. It moves across, not by so large a
-#: share up, for so far.
+#: A robot is upright: the z component of its own up. It moves ahead: a larger share of its motion
+#: upward is implausible, over at least this distance in m.
 _MIN_UPRIGHT, _MOSTLY_UP, _FAR_UP_M = 0.3, 0.8, 0.5
 
 #: Directions of the robot frame in the optical one: forward is z, left is -x, up is -y.
@@ -66,12 +66,12 @@ class Trajectory:
     """Poses over time.
 
     Attributes:
-        name: what messages call it: its file.
+        name: its file, for messages.
         time_s: (n,) float64, rising; numbers of frames where ``by_number``.
         poses: (n, 7) float64, a row each: x, y, z in m, qx, qy, qz, qw.
         by_number: poses belong to images by their numbers in the recording, from 0.
-        settings: how the file was understood.
-        notes: what was assumed, one line each.
+        settings: how the file is interpreted.
+        notes: assumptions, one line each.
     """
 
     name: str
@@ -82,10 +82,10 @@ class Trajectory:
     notes: tuple[str, ...] = ()
 
     def at(self, time_s: float) -> Pose:
-        """Return the pose at a time, in a straight line between the two around it.
+        """Return the pose at a time, interpolated between the two around it.
 
         Raises:
-            InputError: the time lies outside the trajectory.
+            InputError: the time is outside the trajectory.
         """
         first_s, last_s = float(self.time_s[0]), float(self.time_s[-1])
         if not first_s - _SLACK_S <= time_s <= last_s + _SLACK_S:
@@ -120,20 +120,20 @@ class Trajectory:
     def check_covers(
         self, first: float | None, last: float | None, whole: float | None = None
     ) -> tuple[str, ...]:
-        """Make sure that there are poses for a recording, before any of it is processed.
+        """Check that the poses cover a recording, before any of it is processed.
 
-        Returns what was assumed and what may be wrong, one line each.
+        Returns assumptions and possible mistakes, one line each.
 
         Args:
             first: time of the first frame in s (its number where ``by_number``); None where the
                 recording has no time.
-            last: about that of the last frame, None if unknown.
-            whole: about when the whole recording ends, beyond the last frame that is used; None if
-                unknown. Poses that go on for longer may be those of another recording.
+            last: approximate time of the last frame, None if unknown.
+            whole: approximate end of the whole recording, beyond the last frame that is used;
+                None if unknown. Poses that last longer may belong to another recording.
 
         Raises:
             InputError: the recording begins before the poses or ends after them, the poses' unit
-                of time is an unlikely one, or they move faster than a camera does.
+                of time is implausible, or they move too fast for a camera.
         """
         if first is None:
             raise self._timeless()
@@ -158,7 +158,7 @@ class Trajectory:
         return self.notes + more + self._gaps(first, end if last is None else last) + self._odd()
 
     def _more(self, whole: float) -> tuple[str, ...]:
-        """Return what is to be seen to where there are more poses than images."""
+        """Return a warning if there are more poses than images."""
         end, begin = float(self.time_s[-1]), float(self.time_s[0])
         if self.by_number:
             count, images = int(end) + 1, int(whole) + 1
@@ -197,7 +197,7 @@ class Trajectory:
         )
 
     def _odd(self) -> tuple[str, ...]:
-        """Return what no robot does: lie on its side, or move up where it should go ahead."""
+        """Return a warning if the robot lies on its side, or moves up instead of ahead."""
         advice = (
             "if these are poses of a camera, give --pose-frame optical or optical-z-up; see also "
             "that qw is the last number of a line"
@@ -239,7 +239,7 @@ class Trajectory:
             )
 
     def _advice(self, first: float, last: float | None) -> str:
-        """Return what unit or offset would do where a recording is not covered."""
+        """Return advice on a unit or offset that would cover the recording."""
         if self.by_number or self.settings.pose_time_unit != "auto":
             return "" if self.by_number else self._offset(first)
         for unit, factor in _UNITS.items():
@@ -273,14 +273,14 @@ def read_poses(
 
     Args:
         path: the file, as :func:`~motionstereo_cli.rig.pose_forms.read_pose_table` takes it.
-        settings: how it is to be understood; the defaults if None.
-        rig: the camera, which poses of another frame than the robot's need.
-        body_from_left: (4, 4) m, takes points of the rectified left camera's optical frame to the
-            frame of the body; which poses of the body need.
+        settings: how to interpret it; None: the defaults.
+        rig: the camera, needed for poses of another frame than the robot's.
+        body_from_left: (4, 4) m, takes points from the rectified left camera's optical frame to the
+            frame of the body; needed for poses of the body.
 
     Raises:
-        InputError: the file cannot be read, holds no pose, or a line (which is named) is not a
-            pose that comes after the one before; or what the poses are of is not known.
+        InputError: the file cannot be read, has no poses, or a line (which is named) is not a pose
+            after the one before; or the frame of the poses is unknown.
     """
     s, table = settings or PoseSettings(), read_pose_table(path)
     unit = table.unit if s.pose_time_unit == "auto" else s.pose_time_unit
@@ -314,7 +314,7 @@ def read_poses(
 def _of_robot(
     path: str, table: PoseTable, frame: str, rig: Rig | None, body_from_left: Reals | None
 ) -> tuple[Reals, Reals]:
-    """Return places (n, 3) and turns (n, 4) of the robot frame from those of another."""
+    """Return positions (n, 3) and quaternions (n, 4) of the robot frame from another frame's."""
     if rig is None:
         raise InputError(f"{path} has poses of the {frame} frame, which need the rig: give --rig")
     turns, places = rotations(table.turns), table.places
@@ -329,7 +329,7 @@ def _of_robot(
         turns = turns @ body_from_left[:3, :3]
     elif frame == "ned":
         turns = turns @ _NED_FROM_OPTICAL
-    # The middle lies half a baseline to the right of the left camera.
+    # The middle is half a baseline to the right of the left camera.
     places = places + turns @ np.array([rig.baseline_m / 2, 0, 0])
     turns = turns @ OPTICAL_FROM_ROBOT
     if frame in _WORLDS:
@@ -346,5 +346,5 @@ def format_pose(time_s: float, pose: Pose) -> str:
 
 
 def as_written(pose: Pose) -> Pose:
-    """Return a pose as it comes back from a file."""
+    """Return a pose after writing to a file and reading it back."""
     return Pose(*[float(text) for text in format_pose(0.0, pose).split()[1:]])

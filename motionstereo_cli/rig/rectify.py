@@ -21,23 +21,23 @@ if TYPE_CHECKING:
     from motionstereo_cli.rig.cameras import Camera, Matrix, Rectified
     from motionstereo_cli.rig.lenses import Maps
 
-#: Baselines beyond these are hardly in the unit that a file has or seems to have, and few of files
-#: without a unit are beyond the third. In formats whose unit is m, lengths up to the fourth may be.
+#: Plausible baselines: the minimum and maximum in m, the maximum for files without a unit, and the
+#: maximum for formats whose unit is m.
 LONGEST_BASELINE_M = 2.0
 _SHORTEST_BASELINE_MM = 2.0
 _USUAL_BASELINE_M = 0.8
 _LONGEST_IN_M, _SHORTEST_USUAL_MM = 10.0, 20.0
 
-#: Rectified images of wide lenses have no wider view unless the user says so: beyond it, most of
-#: an image shows little of the scene.
+#: The widest view in degrees of rectified images of wide lenses, unless the user chooses one:
+#: beyond it, most of an image shows little of the scene.
 _WIDEST_VIEW_DEG = 120.0
 
-#: A principal point lies about in the middle. One that lies, in both axes and both images, as if
-#: the size were this many times another is of a calibration for that other size; both axes agree
-#: within this share.
+#: A principal point is near the middle. If it is at the middle of another size, scaled by at least
+#: this in both axes and both images, the calibration is for that size; both axes agree within this
+#: share.
 _OTHER_SIZE, _SIZES_AGREE = 1.3, 0.15
 
-#: Focal lengths, as shares, and rows of the principal points, in px, that rectified cameras share.
+#: Tolerances of rectified cameras: focal lengths, as a share, and rows of principal points, in px.
 _FOCAL_TOLERANCE = 0.005
 _ROW_TOLERANCE_PX = 0.5
 
@@ -50,14 +50,14 @@ def check_centres(
     stated: bool,
     outside: bool = False,
 ) -> None:
-    """Make sure that principal points are those of images of a size.
+    """Check that principal points fit images of a size.
 
     Args:
         name: for messages.
         matrices: intrinsic matrices or projections, left and right.
         size: of the images.
-        stated: the file says the size itself, so that a point out of the middle is meant.
-        outside: a principal point may lie outside the image, as those of rectified ones do.
+        stated: the file states the size, so that an off-centre point is intended.
+        outside: a principal point may be outside the image, as with rectified ones.
     """
     # The size that has these points in its middle.
     likely = [[2 * matrix[axis, 2] + 1 for axis in (0, 1)] for matrix in matrices]
@@ -94,9 +94,10 @@ def transforms_of(
 
     Args:
         name: for messages.
-        pair: has cameras, and their places or how they are rectified.
+        pair: has cameras, and their poses or their rectification.
         size: of the images.
-        fov_deg: horizontal view of the rectified images; 0: the file's own, or by the lenses.
+        fov_deg: horizontal view of the rectified images; 0: the file's own, or chosen by the
+            lenses.
 
     Raises:
         InputError: the cameras cannot be rectified.
@@ -142,7 +143,7 @@ def transforms_of(
 
 
 def is_reversed(pair: Pair) -> bool:
-    """Return whether both T and the projections say that the second camera is on the left."""
+    """Return whether both T and the projections have the second camera on the left."""
     if pair.rectified is None or pair.translation is None:
         return False
     (_, left), (_, right) = pair.rectified
@@ -162,7 +163,7 @@ def _second_on_the_left(name: str, translation: Matrix) -> InputError:
 
 
 def _right_from_left(pair: Pair) -> tuple[Matrix, Matrix]:
-    """Return the rotation and translation from the left camera, also of how it is rectified."""
+    """Return the rotation and translation from the left camera, also from the rectification."""
     if pair.rotation is not None and pair.translation is not None:
         return pair.rotation, pair.translation
     assert pair.rectified is not None
@@ -180,14 +181,14 @@ def _centred(
 ) -> tuple[Rectified, Rectified]:
     """Return rotations and projections into images with the principal point in their middle.
 
-    Each camera is turned by half of the rotation between them, and both so that the baseline runs
-    along x (Bouguet). OpenCV's estimate of the focal length fails where a lens sees 150 degrees
-    and more; that of the lens's middle loses no detail there and leaves no empty border.
+    Each camera is rotated by half of the rotation between them, and both so that the baseline is
+    along x (Bouguet). OpenCV's estimate of the focal length fails for lenses of 150 degrees and
+    more; that of the lens's middle loses no detail there and leaves no empty border.
     """
     width, height = size
     half = np.asarray(cv2.Rodrigues(np.asarray(cv2.Rodrigues(rotation)[0]) / -2)[0], np.float64)
     along = half @ translation
-    # The shortest turn that brings the baseline to -x.
+    # The shortest rotation that takes the baseline to -x.
     axis = np.cross(along, [-1.0, 0.0, 0.0])
     length = float(np.linalg.norm(axis))
     angle = math.atan2(length, -along[0])
@@ -255,7 +256,7 @@ def rig_of(
         raise InputError(f"{name}: the baseline is 0: check the file")
     reversed_sign: tuple[str, ...] = ()
     if across < 0:
-        # The left camera is the one that the other is measured from: its P[0,3] is 0.
+        # The left camera is the origin: its P[0,3] is 0.
         if left[0, 3] or not right[0, 3]:
             raise _wrong_order(name)
         reversed_sign = (
@@ -305,7 +306,7 @@ def inside(maps: Maps, size: tuple[int, int]) -> NDArray[np.bool_]:
 
 
 def max_moved_px(maps: Maps) -> float:
-    """Return by how much rectification moves a pixel at most, in px."""
+    """Return the maximum displacement of a pixel by rectification, in px."""
     x, y = maps
     height, width = x.shape
     moved = np.hypot(x - np.arange(width), y - np.arange(height)[:, None])

@@ -1,8 +1,8 @@
 """Rig files, motionstereo's own.
 
-A rig file holds one ``key: value`` line for each attribute of :class:`~motionstereo_cli.types.Rig`
-(``doffs`` and ``focal_y_px`` may be left out) and ``#`` comments. That is a subset of YAML, and
-of what OpenCV writes. It is read here line by line, so that errors name the line.
+A rig file has one ``key: value`` line for each attribute of :class:`~motionstereo_cli.types.Rig`
+(``doffs`` and ``focal_y_px`` are optional) and ``#`` comments. This is a subset of YAML, and of
+what OpenCV writes. It is read line by line, so that errors name the line.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ def read_rig(path: str | Path) -> Rig:
 
 
 def parse_rig(path: str | Path, text: str) -> Rig:
-    """Return the rig of a rig file's text, as :func:`read_rig` does; the path is for messages."""
+    """Parse the text of a rig file, as :func:`read_rig` does; the path is for messages."""
     keys = [item.name for item in fields(Rig)]
     values: dict[str, float] = {}
     for line in text.splitlines():
@@ -60,7 +60,7 @@ def parse_rig(path: str | Path, text: str) -> Rig:
 
 
 def rig_values(rig: Rig) -> dict[str, float]:
-    """Return the values of a rig by their keys, those that are None left out."""
+    """Return the values of a rig by their keys, without those that are None."""
     values = {item.name: getattr(rig, item.name) for item in fields(Rig)}
     return {key: value for key, value in values.items() if value is not None}
 

@@ -1,4 +1,4 @@
-"""Calibrations as programs for SLAM and drivers keep them, one file a camera or one for both."""
+"""Calibrations of SLAM programs and drivers: one file per camera, or one for both."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     Files = Sequence[tuple[Path, Values]]
 
-#: Where ROS and its relatives keep distortion coefficients.
+#: Names of distortion coefficients in ROS and related programs.
 _D = ("distortioncoefficients", "distortioncoeffs", "d")
 
 
@@ -118,7 +118,7 @@ def read_kalibr(path: Path, values: Values) -> Pair:
 def read_stella(path: Path, values: Values) -> Pair:
     """Return the pair of stella_vslam's and OpenVSLAM's settings of a stereo camera.
 
-    ``Camera`` is of the rectified images; ``StereoRectifier`` tells how they become so.
+    ``Camera`` is the rectified camera; ``StereoRectifier`` has the rectification.
     """
     source = Source(path, joined(values))
     setup = source.text("camerasetup")

@@ -9,13 +9,13 @@ from pathlib import Path
 from motionstereo_cli.errors import SettingsError
 from motionstereo_cli.params import checked, param
 
-#: What stands for no calibration where one would be found.
+#: Value for using no calibration, even if one is found.
 NO_RIG = Path("none")
 
-#: Units of length that a calibration may have, in m.
+#: Units of length of calibrations, in m.
 LENGTHS_M = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 
-#: No stereo camera has a narrower view.
+#: The narrowest view of a stereo camera.
 _LEAST_FOV_DEG = 5
 
 _SQUARE = re.compile(r"(\d+(?:\.\d*)?|\.\d+) ?(m|cm|mm)")
@@ -23,7 +23,7 @@ _SQUARE = re.compile(r"(\d+(?:\.\d*)?|\.\d+) ?(m|cm|mm)")
 
 @dataclass(frozen=True, slots=True)
 class RigSettings:
-    """How a calibration is to be understood.
+    """How to interpret a calibration.
 
     Raises:
         SettingsError: a value is out of range.
@@ -69,7 +69,7 @@ class RigSettings:
 
 @dataclass(frozen=True, slots=True)
 class PoseSettings:
-    """How a file of poses is to be understood.
+    """How to interpret a file of poses.
 
     Raises:
         SettingsError: a value is out of range.

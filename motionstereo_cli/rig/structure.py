@@ -1,7 +1,7 @@
-"""YAML, JSON, XML, INI and .npz files as plain values, whatever is in them.
+"""YAML, JSON, XML, INI and .npz files as plain values, read without trust in them.
 
-No reader here makes objects, follows references or opens another file, and none goes deeper or
-on for longer than a calibration can be.
+No reader here creates objects, follows references or opens other files, and all have limits of
+depth and size that calibrations stay below.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ import yaml
 from motionstereo_cli.errors import InputError
 
 #: Values by name: numbers (float), text, arrays, lists, and mappings again. Names are in lower
-#: case and without signs: cameraMatrix1, camera_matrix_1 and ``camera matrix 1`` are one.
+#: case without punctuation: cameraMatrix1, camera_matrix_1 and ``camera matrix 1`` are one.
 Values = Mapping[str, Any]
 
-#: No calibration is deeper or has more numbers, and no array in it is larger.
+#: Limits of depth, of the number of values, and of an array's size.
 _MAX_DEPTH, _MAX_VALUES, _MAX_ARRAY_BYTES = 24, 300_000, 1_000_000
 
 _NUMBER = re.compile(
@@ -40,7 +40,7 @@ def read_structure(path: Path, text: str) -> Values:
     """Return the values of a YAML, JSON, XML or INI file.
 
     Raises:
-        InputError: it is none of them, or too deep or too long for a calibration.
+        InputError: it is none of them, or too deep or too large for a calibration.
     """
     start = text.lstrip()[:1]
     read = {"{": _json, "<": _xml, "[": _ini}.get(start, _yaml)
@@ -57,14 +57,14 @@ def read_structure(path: Path, text: str) -> Values:
 
 
 def _reason(error: Exception) -> str:
-    """Return what an error says in one short line; those of libraries quote the file."""
+    """Return an error's message in one short line; those of libraries quote the file."""
     if isinstance(error, RecursionError):
         return "it is nested too deeply"
     return " ".join(str(error).split())[:120] or "it is damaged"
 
 
 def read_npz(path: Path, content: bytes) -> Values:
-    """Return the arrays of an .npz file; those that are no numbers or text are left out.
+    """Return the arrays of an .npz file; those that are neither numbers nor text are left out.
 
     Raises:
         InputError: it cannot be read.
@@ -97,7 +97,7 @@ def _array(content: bytes) -> Any:
 
 
 def _mapping(items: Iterable[tuple[str, Any]]) -> Any:
-    """Return values by their plain names; OpenCV's way to write a matrix becomes an array."""
+    """Return values by their plain names; OpenCV's matrices become arrays."""
     values: dict[str, Any] = {}
     for name, value in items:
         key = re.sub(r"[^a-z0-9]", "", name.lower())
@@ -130,7 +130,7 @@ def _scalar(text: str) -> float | str:
 
 
 class _Budget:
-    """How many more values a file may have."""
+    """The remaining number of values that a file may have."""
 
     def __init__(self) -> None:
         self._left = _MAX_VALUES
@@ -157,9 +157,9 @@ def _json(text: str) -> Any:
 
 
 def _yaml(text: str) -> Any:
-    # OpenCV's header is no YAML: %YAML:1.0. It goes, as do the marks of documents.
+    # OpenCV's header %YAML:1.0 is not YAML. It is removed, as are document markers.
     text = re.sub(r"^(%YAML.*|---.*|\.\.\.\s*)$", "", text, flags=re.MULTILINE)
-    # OpenCV takes "key:2" and "data:[2]", which are no YAML either.
+    # OpenCV accepts "key:2" and "data:[2]", which are not YAML either.
     text = re.sub(r"^(\s*[A-Za-z][\w.]*):(?=[-+.\d\[])", r"\1: ", text, flags=re.MULTILINE)
     text = re.sub(r"^\t+", lambda tabs: "  " * len(tabs[0]), text, flags=re.MULTILINE)
     budget = _Budget()
@@ -184,7 +184,7 @@ def _yaml(text: str) -> Any:
 
 
 def _name(key: Any) -> str:
-    # A lone "y" or "n", or a number, is a name as well.
+    # A lone "y" or "n", or a number, is also a name.
     return f"{key:g}" if isinstance(key, float) else str(key)
 
 
@@ -194,7 +194,7 @@ def _xml(text: str) -> Any:
     budget, depth = _Budget(), 0
     parser: ET.XMLPullParser[Any] = ET.XMLPullParser(("start", "end"))
     root = None
-    # In parts, so that what is too deep ends before it is all there.
+    # In parts, so that parsing of a file that is too deep stops early.
     for place in range(0, len(text), 1000):
         parser.feed(text[place : place + 1000])
         events: Iterable[Any] = parser.read_events()

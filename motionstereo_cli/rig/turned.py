@@ -1,4 +1,4 @@
-"""Cameras one above the other: a pair as it is when its images are turned by 90 degrees."""
+"""Cameras one above the other: the pair after its images are turned by 90 degrees."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 def is_vertical(pair: Pair) -> bool:
-    """Return whether the cameras stand one above the other."""
+    """Return whether the cameras are one above the other."""
     if pair.translation is not None:
         tx, ty, tz = np.abs(pair.translation)
         return bool(ty > max(tx, tz))
@@ -27,19 +27,19 @@ def is_vertical(pair: Pair) -> bool:
 
 
 def turned(name: object, pair: Pair, size: tuple[int, int], degrees: int) -> Pair:
-    """Return the pair whose images are those of another, turned clockwise.
+    """Return the calibration of a pair whose images are turned clockwise.
 
     Args:
         name: the file, for messages.
-        pair: as the files have it.
-        size: width and height of its images in px, not turned.
+        pair: as read from the files.
+        size: width and height of its images in px, before turning.
         degrees: 90 or 270.
 
     Raises:
         InputError: a lens has a tilted sensor, which cannot be turned.
     """
     width, height = size
-    # Directions, and pixels: the top goes to the right, or to the left.
+    # Directions and pixels: the top moves to the right, or to the left.
     if degrees == 90:
         turn = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
         pixels = np.array([[0.0, -1, height - 1], [1, 0, 0], [0, 0, 1]])
@@ -69,9 +69,9 @@ def turned(name: object, pair: Pair, size: tuple[int, int], degrees: int) -> Pai
 
 
 def _turned_distortion(name: object, camera: Camera, *, clockwise: bool) -> Matrix:
-    """Return OpenCV's coefficients of a turned lens: what was along y is now along x."""
+    """Return OpenCV's coefficients of a turned lens: y becomes x."""
     if camera.model not in ("pinhole", "omni"):
-        return camera.distortion  # the same all round
+        return camera.distortion  # rotationally symmetric
     if camera.model == "omni":
         xi, flat = camera.distortion[:1], Camera(camera.matrix, camera.distortion[1:])
         return np.append(xi, _turned_distortion(name, flat, clockwise=clockwise))

@@ -1,4 +1,4 @@
-"""Values of a calibration file by name, checked: errors name the file and the value."""
+"""Checked access to values of a calibration file: errors name the file and the value."""
 
 from __future__ import annotations
 
@@ -23,22 +23,22 @@ if TYPE_CHECKING:
     from motionstereo_cli.rig.cameras import Camera, Matrix
     from motionstereo_cli.rig.structure import Values
 
-#: No length, angle or coefficient is as large.
+#: Limit of lengths, angles and coefficients.
 _LARGEST = 1e12
 
-#: A rotation matrix times its transpose may differ from one by this: files hold few digits.
+#: Tolerance of a rotation matrix times its transpose: files have few digits.
 _ROTATION_TOLERANCE = 1e-2
 
-#: What may say which model a lens has.
+#: Names under which files give the lens model.
 _MODELS = ("distortionmodel", "cameramodel", "lensmodel", "model", "distortiontype", "cameratype")
 
-#: What may say that it is a fisheye, and how.
+#: Names and values by which files mark a fisheye.
 _FISHEYE_FLAGS, _TRUE = (
     ("fisheyemodel", "fisheye", "isfisheye", "usefisheye"),
     ("true", "1.0", "yes"),
 )
 
-#: Parts of nested names that say nothing, and those that say which camera is meant.
+#: Parts of nested names without meaning, and those that name a camera.
 _WRAPPERS = re.compile(
     "(stereo|calibration|cameras?|intrinsics?|extrinsics?|distortion|parameters|params|rig)"
     "(calibration|parameters|params)?"
@@ -52,7 +52,7 @@ class Source:
 
     Args:
         name: the file, for messages.
-        values: as :mod:`~motionstereo_cli.rig.structure` reads them.
+        values: as read by :mod:`~motionstereo_cli.rig.structure`.
     """
 
     def __init__(self, name: object, values: Values) -> None:
@@ -121,7 +121,7 @@ class Source:
         return self.checked_rotation(self.matrix(names, label, (3, 3), (3,)), label)
 
     def checked_rotation(self, matrix: Matrix, label: str) -> Matrix:
-        """Return a rotation matrix (3, 3) of a matrix or vector that has to be one."""
+        """Return the rotation matrix (3, 3) of a matrix or vector, checked to be one."""
         if matrix.shape == (3,):
             matrix = np.asarray(cv2.Rodrigues(matrix)[0], np.float64)
         off = np.abs(matrix @ matrix.T - np.eye(3)).max()
@@ -149,7 +149,7 @@ class Source:
     ) -> tuple[Camera, tuple[str, ...]]:
         """Return a camera with the distortion under any of the names, and notes on its lens.
 
-        ``shape`` are the further parameters of the lens's model.
+        ``shape`` has the further parameters of the lens model.
         """
         distortion = self.array(names, label)
         return lens_camera(self.name, label, matrix, distortion, self.lenses(models), shape)
@@ -164,8 +164,8 @@ class Source:
     ) -> tuple[Camera, tuple[str, ...]]:
         """Return a camera of a list of intrinsics, as kalibr has them, and notes on its lens.
 
-        The list is fx fy cx cy after what else the lens's model has: xi, or xi and alpha, or alpha
-        and beta. A matrix (3, 3) is taken as well.
+        The list is fx fy cx cy after the other parameters of the lens model: xi, or xi and alpha,
+        or alpha and beta. A matrix (3, 3) is accepted as well.
         """
         said = self.lenses(models)
         model = lens_model(self.name, said)
@@ -184,7 +184,7 @@ class Source:
         return self.camera(matrix, of_distortion, distortion_label, models, shape)
 
     def lenses(self, models: Sequence[str] = _MODELS) -> list[str]:
-        """Return the names of lens models that the file gives, which are known ones."""
+        """Return the known names of lens models in the file."""
         said = [self.text(name) for name in models]
         if any(self.text(name) in _TRUE for name in _FISHEYE_FLAGS):
             said.append("fisheye")
@@ -192,12 +192,12 @@ class Source:
         return said
 
     def text(self, *names: str) -> str:
-        """Return the text under any of the names in lower case, empty where it is missing."""
+        """Return the text under any of the names in lower case, empty if missing."""
         found = self.find(names)
         return str(self.values[found]).lower() if found else ""
 
     def size(self, *names: str) -> tuple[int, int] | None:
-        """Return width and height, from one list or two numbers; None where they are missing."""
+        """Return width and height, from one list or two numbers; None if missing."""
         found = [self.values[name] for name in names if self.values.get(name) is not None]
         if not found:
             return None
@@ -213,9 +213,9 @@ class Source:
 
 
 def coefficients(source: Source, prefixes: Sequence[str]) -> list[float] | None:
-    """Return distortion coefficients that have a name each, k1 k2 p1 p2 k3; None without k1.
+    """Return distortion coefficients with one name each, k1 k2 p1 p2 k3; None without k1.
 
-    Those that are left out are 0; k1 to k4 without p1 and p2 are a fisheye's.
+    Missing ones are 0; k1 to k4 without p1 and p2 are a fisheye's.
     """
     given: dict[str, float] = {}
     for name in ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"):
@@ -236,7 +236,7 @@ def coefficients(source: Source, prefixes: Sequence[str]) -> list[float] | None:
 def flattened(values: Values) -> dict[str, Any]:
     """Return nested values by one name each: ``{"left": {"K": ...}}`` as ``leftk``.
 
-    Names that only wrap (stereo, extrinsics ...) are left out, and a side comes first.
+    Names that only group others (stereo, extrinsics ...) are left out, and a side comes first.
     """
     flat: dict[str, Any] = {}
 
