@@ -28,28 +28,29 @@ def drive(
 ) -> None:
     """Drive a simulated robot by its own depth.
 
-    It drives round a square corridor. OUT then holds left.mkv and right.mkv, its views (FFV1,
-    lossless); rig.yaml and poses.txt (TUM format, m); steering.csv, equal to that of run with
-    --poses poses.txt; plan.png, the drive from above; map.ply, map.png, map.yaml and map-sheet.png,
-    equal to those of run --save map; drive.json with laps, distance, collisions, nearest pass and
-    the reason for the end.
+    It drives round a square corridor, or in the floor plan of --world. OUT then holds left.mkv and
+    right.mkv, its views (FFV1, lossless); rig.yaml and poses.txt (TUM format, m); steering.csv,
+    equal to that of run with --poses poses.txt; plan.png, the drive from above; map.ply, map.png,
+    map.yaml and map-sheet.png, equal to those of run --save map; drive.json with laps, distance,
+    collisions, nearest pass and the reason for the end.
     """
     world_settings = DriveSettings(**world)
 
     from motionstereo_cli.simulate.drive import drive as library
-    from motionstereo_cli.simulate.drive_world import DriveWorld
+    from motionstereo_cli.simulate.drive_world import world_of
 
     started_s = time.perf_counter()
-    driven = DriveWorld(world_settings)
+    driven = world_of(world_settings)
     frames = driven.expected_frames
     with Bar(frames) as bar:
         progress = foretelling(frames, bar)
         record = library(out, driven, settings, view=view, overwrite=overwrite, progress=progress)
     wall_s = time.perf_counter() - started_s
+    laps = f"{record.laps:.2f} laps, " if driven.lap_m else ""
     say(
         "note",
         f"{record.ended} after {record.frames} frames "
-        f"({record.frames / wall_s:.0f} frames per second): {record.laps:.2f} laps, "
+        f"({record.frames / wall_s:.0f} frames per second): {laps}"
         f"{record.distance_m:.1f} m, nearest pass {record.nearest_pass_m:.2f} m; "
         f"results in {out}",
     )

@@ -22,11 +22,12 @@ FRAMES_PER_SIDE = 125
 
 HEIGHT_M = 2.6
 
-_TEXEL_M = 0.02
-_TEXELS_UP = round(HEIGHT_M / _TEXEL_M)
-_WALL = 185.0
-_FLOOR = 115.0
-_CEILING = 215.0
+TEXEL_M = 0.02
+_TEXELS_UP = round(HEIGHT_M / TEXEL_M)
+#: Grey of walls, floor and ceiling.
+WALL = 185.0
+FLOOR = 115.0
+CEILING = 215.0
 #: Distance at which the lamp's light has fallen to a half.
 LAMP_M = 11.0
 
@@ -85,10 +86,10 @@ class Corridor:
         self._corners_m = self._half_m[:, None] * (_OUTWARD + _ALONG)
         rng = np.random.default_rng([seed, 0])
         self.openings = [opening for wall in range(8) for opening in self._place(wall, rng)]
-        texels_along = math.ceil(2 * self.outer_m / _TEXEL_M)
-        paint = np.full((8, texels_along, _TEXELS_UP), _WALL)
+        texels_along = math.ceil(2 * self.outer_m / TEXEL_M)
+        paint = np.full((8, texels_along, _TEXELS_UP), WALL)
         for opening in self.openings:
-            draw = _paint_door if opening.kind == "door" else _paint_window
+            draw = paint_door if opening.kind == "door" else paint_window
             draw(paint[opening.wall], opening, rng)
         #: Paint of each wall summed along it up to each texel's beginning.
         self._paint_sum = np.pad(paint.cumsum(axis=1), ((0, 0), (1, 0), (0, 0)))
@@ -136,7 +137,7 @@ class Corridor:
         )
 
         row_edges = np.arange(camera.height + 1, dtype=np.float64) - 0.5
-        up = (EYE_HEIGHT_M + wall_depth[:, None] * camera.upward(row_edges)) / _TEXEL_M
+        up = (EYE_HEIGHT_M + wall_depth[:, None] * camera.upward(row_edges)) / TEXEL_M
         on_wall = up.clip(0, _TEXELS_UP)
         below = np.minimum(on_wall.astype(np.intp), _TEXELS_UP - 1)
         paint_below = np.pad(paint.cumsum(axis=1), ((0, 0), (1, 0)))
@@ -145,7 +146,7 @@ class Corridor:
         # Up shrinks from row to row, and so do the sums: the signs cancel.
         pixel = np.diff(up)
         rows = np.arange(camera.height, dtype=float)
-        flat = np.where(camera.upward(rows) > 0, _CEILING, _FLOOR)
+        flat = np.where(camera.upward(rows) > 0, CEILING, FLOOR)
         reflected = (np.diff(paint_sum) + (pixel - np.diff(on_wall)) * flat) / pixel
 
         flat_depth = _flat_depth(camera)
@@ -181,7 +182,7 @@ class Corridor:
         depth = (half - outward @ eye) / (rays * outward).sum(axis=1)
         texels: NDArray[np.float64] = (
             half + along @ eye + depth * (rays * along).sum(axis=1)
-        ) / _TEXEL_M
+        ) / TEXEL_M
         return texels
 
     def _mean_paint(
@@ -226,11 +227,12 @@ def _fill(
     up_m: tuple[float, float],
     grey: float,
 ) -> None:
-    along, up = (slice(*(round(m / _TEXEL_M) for m in span)) for span in (along_m, up_m))
+    along, up = (slice(*(round(m / TEXEL_M) for m in span)) for span in (along_m, up_m))
     paint[along, up] = grey
 
 
-def _paint_door(paint: NDArray[np.float64], door: Opening, rng: np.random.Generator) -> None:
+def paint_door(paint: NDArray[np.float64], door: Opening, rng: np.random.Generator) -> None:
+    """Paint a door on a wall (along, up), in place, both in texels of :data:`TEXEL_M`."""
     start, stop, top = door.start_m, door.stop_m, rng.uniform(1.98, 2.14)
     leaf, split = rng.uniform(110, 140), rng.uniform(0.85, 1.1)
     _fill(paint, (start, stop), (0, top), rng.uniform(30, 60))
@@ -240,7 +242,8 @@ def _paint_door(paint: NDArray[np.float64], door: Opening, rng: np.random.Genera
     _fill(paint, (stop - 0.22, stop - 0.12), (split - 0.04, split + 0.04), 240)  # the handle
 
 
-def _paint_window(paint: NDArray[np.float64], window: Opening, rng: np.random.Generator) -> None:
+def paint_window(paint: NDArray[np.float64], window: Opening, rng: np.random.Generator) -> None:
+    """Paint a window on a wall (along, up), in place, both in texels of :data:`TEXEL_M`."""
     start, stop = window.start_m, window.stop_m
     low, high = rng.uniform(0.8, 1.0), rng.uniform(1.9, 2.2)
     _fill(paint, (start, stop), (low, high), rng.uniform(235, 250))

@@ -24,7 +24,7 @@ from motionstereo_cli.rig.poses import HEAD, format_pose
 from motionstereo_cli.runs.folder import RunFolder
 from motionstereo_cli.runs.folder_files import FolderKind
 from motionstereo_cli.simulate.drive_plan import Plan, plan_sheet
-from motionstereo_cli.simulate.drive_world import DriveWorld, Shot
+from motionstereo_cli.simulate.drive_world import RobotWorld, Shot
 from motionstereo_cli.simulate.settings import ROBOT_RADIUS_M
 from motionstereo_cli.sinks.drawing import depth_picture, grey_picture
 from motionstereo_cli.sinks.map import MapFiles
@@ -79,7 +79,7 @@ _KIND = FolderKind(
 
 def drive(
     out: Path,
-    world: DriveWorld,
+    world: RobotWorld,
     settings: Settings | None = None,
     *,
     view: bool = False,
@@ -136,16 +136,19 @@ def drive(
         write_rig(out / "rig.yaml", rig)
         write_whole(out / "poses.txt", "".join(poses).encode())
         picture = plan.draw(surroundings.mapper.floor())
-        write_whole(out / "plan.png", encode_png(plan_sheet(picture)[..., ::-1]))
+        write_whole(
+            out / "plan.png",
+            encode_png(plan_sheet(picture, goal=world.goal is not None)[..., ::-1]),
+        )
         record = folder.complete(**_outcome(world, settings))
     assert isinstance(record, DriveRecord)
     return record
 
 
-def driven(world: DriveWorld, settings: Settings) -> Iterator[tuple[StereoFrame, Step]]:
+def driven(world: RobotWorld, settings: Settings) -> Iterator[tuple[StereoFrame, Step]]:
     """Yield each frame and its step, with points; the caller moves the robot before the next.
 
-    See :meth:`DriveWorld.act_on`.
+    See :meth:`RobotWorld.act_on`.
     """
     shot: Shot
 
@@ -167,8 +170,7 @@ def driven(world: DriveWorld, settings: Settings) -> Iterator[tuple[StereoFrame,
     return ((frame, step) for frame, step, _ in steps(frames(), stream, pose_of))
 
 
-def _outcome(world: DriveWorld, settings: Settings) -> dict[str, Any]:
-    corridor = world.corridor
+def _outcome(world: RobotWorld, settings: Settings) -> dict[str, Any]:
     touched = (world.ended or "").startswith("touched")
     place = world.frames, world.robot.x_m, world.robot.y_m
     return {
@@ -176,9 +178,7 @@ def _outcome(world: DriveWorld, settings: Settings) -> dict[str, Any]:
         "settings": dataclasses.asdict(settings),
         "world": {
             **dataclasses.asdict(world.settings),
-            "corridor_width_m": round(corridor.width_m, 3),
-            "corridor_length_m": round(world.lap_m / 4, 3),
-            "lamp_m": round(corridor.lamp_m, 3),
+            **world.described,
         },
         "ended": world.ended,
         "frames": world.frames,

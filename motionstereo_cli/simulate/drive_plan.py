@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from motionstereo_cli.files.lettering import LIGHT, colour_key, length_bar, titled
-from motionstereo_cli.simulate.drive_world import DriveWorld
+from motionstereo_cli.simulate.drive_world import GOAL_M, RobotWorld
 from motionstereo_cli.simulate.settings import ROBOT_RADIUS_M
 from motionstereo_cli.simulate.walkers import RADIUS_M
 
@@ -31,10 +31,11 @@ _PATH = (20, 90, 200)
 _WALKER = (240, 150, 30)
 _TOUCH = (220, 0, 0)
 _WALKED = (250, 225, 180)
+_GOAL = (30, 150, 60)
 
 
-def plan_sheet(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Return a plan with title, legend and scale bar, RGB."""
+def plan_sheet(picture: NDArray[np.uint8], *, goal: bool) -> NDArray[np.uint8]:
+    """Return a plan, perhaps with a goal, with title, legend and scale bar, RGB."""
     width = picture.shape[1]
     entries = (
         (_SEEN, "what the map holds as occupied"),
@@ -44,6 +45,7 @@ def plan_sheet(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
         (_PATH, "path of the robot"),
         (_WALKER, "walker"),
         (_WALKED, "where walkers were"),
+        *([(_GOAL, "goal")] if goal else []),
         (_TOUCH, "touch"),
     )
     return np.concatenate(
@@ -62,10 +64,15 @@ class Plan:
         world: the world; it is not changed.
     """
 
-    def __init__(self, world: DriveWorld) -> None:
+    def __init__(self, world: RobotWorld) -> None:
         self._world = world
-        self._half_m = world.corridor.outer_m + _MARGIN_M
-        self._size = math.ceil(2 * self._half_m * _PX_PER_M)
+        corners = np.concatenate([corners for corners, _ in world.outlines()])
+        (self._left_m, low_m), (right_m, self._top_m) = (
+            (float(x), float(y))
+            for x, y in (corners.min(axis=0) - _MARGIN_M, corners.max(axis=0) + _MARGIN_M)
+        )
+        self._width = math.ceil((right_m - self._left_m) * _PX_PER_M)
+        self._height = math.ceil((self._top_m - low_m) * _PX_PER_M)
         self._floor = self._empty()
 
     def add_walkers(self) -> None:
@@ -74,30 +81,28 @@ class Plan:
             self._disc(self._floor, walker.x_m, walker.y_m, RADIUS_M, _WALKED)
 
     def draw(self, seen: Floor) -> NDArray[np.uint8]:
-        """Return the present picture, (size, size, 3) uint8 RGB.
+        """Return the present picture, (height, width, 3) uint8 RGB.
 
         Args:
             seen: the map so far, of which the occupied cells are shown.
         """
         picture = self._floor.copy()
-        along_m = (np.arange(self._size) + 0.5) / _PX_PER_M - self._half_m
-        column = np.floor((along_m - seen.x_m) / seen.cell_m).astype(np.intp)
-        row = np.floor((-along_m - seen.y_m) / seen.cell_m).astype(np.intp)
+        x_m = (np.arange(self._width) + 0.5) / _PX_PER_M + self._left_m
+        y_m = self._top_m - (np.arange(self._height) + 0.5) / _PX_PER_M
+        column = np.floor((x_m - seen.x_m) / seen.cell_m).astype(np.intp)
+        row = np.floor((y_m - seen.y_m) / seen.cell_m).astype(np.intp)
         columns, rows = seen.occupied.shape
         x, y = (column >= 0) & (column < columns), (row >= 0) & (row < rows)
         picture[np.ix_(y, x)] = np.where(
             seen.occupied[np.ix_(column[x], row[y])].T[..., None], _SEEN, picture[np.ix_(y, x)]
         )
         world = self._world
-        for opening in world.corridor.openings:
-            ends = [
-                self._px(*end)
-                for end in world.corridor.along_wall(
-                    opening.wall, (opening.start_m, opening.stop_m)
-                )
-            ]
-            colour = _DOOR if opening.kind == "door" else _WINDOW
-            cv2.line(picture, ends[0], ends[1], colour, 2, cv2.LINE_AA)
+        for kind, ends in world.openings():
+            start, stop = (self._px(*end) for end in ends)
+            cv2.line(picture, start, stop, _DOOR if kind == "door" else _WINDOW, 2, cv2.LINE_AA)
+        if world.goal is not None:
+            at, radius = self._px(*world.goal), round(GOAL_M * _PX_PER_M)
+            cv2.circle(picture, at, radius, _GOAL, 2, cv2.LINE_AA)
         path = np.array([self._px(*place) for place in world.path], np.int32)
         cv2.polylines(picture, [path], False, _PATH, 2, cv2.LINE_AA)
         for walker in world.walkers:
@@ -112,12 +117,11 @@ class Plan:
         return picture
 
     def _empty(self) -> NDArray[np.uint8]:
-        picture = np.full((self._size, self._size, 3), _PAPER, np.uint8)
-        corridor = self._world.corridor
-        for half_m, inside in ((corridor.outer_m, _FLOOR), (corridor.inner_m, _PAPER)):
-            corners = self._px(-half_m, half_m), self._px(half_m, -half_m)
-            cv2.rectangle(picture, *corners, inside, -1)
-            cv2.rectangle(picture, *corners, _WALL, 1)
+        picture = np.full((self._height, self._width, 3), _PAPER, np.uint8)
+        for corners, is_free in self._world.outlines():
+            outline = [np.array([self._px(*corner) for corner in corners], np.int32)]
+            cv2.fillPoly(picture, outline, _FLOOR if is_free else _PAPER)
+            cv2.polylines(picture, outline, True, _WALL)
         return picture
 
     def _disc(
@@ -134,6 +138,6 @@ class Plan:
 
     def _px(self, x_m: float, y_m: float) -> tuple[int, int]:
         return (
-            round((x_m + self._half_m) * _PX_PER_M),
-            round((self._half_m - y_m) * _PX_PER_M),
+            round((x_m - self._left_m) * _PX_PER_M),
+            round((self._top_m - y_m) * _PX_PER_M),
         )

@@ -1,20 +1,32 @@
-"""A robot in a corridor, frame by frame: its views, its motion, and how its drive ends."""
+"""A robot in a world, frame by frame: its views, its motion, and how its drive ends."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections import deque
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
+from motionstereo_cli.errors import InputError
+from motionstereo_cli.files.records import builtins_of
 from motionstereo_cli.rig.poses import as_written
-from motionstereo_cli.simulate.camera import FloorPose, stereo_cameras
+from motionstereo_cli.simulate.camera import (
+    EYE_HEIGHT_M,
+    FloorPose,
+    SceneCamera,
+    View,
+    stereo_cameras,
+)
 from motionstereo_cli.simulate.corridor import Corridor
+from motionstereo_cli.simulate.floor_plan import prisms, read_plan
+from motionstereo_cli.simulate.plan_scene import Outlines, PlanScene
 from motionstereo_cli.simulate.scenes import exposed
-from motionstereo_cli.simulate.settings import ROBOT_RADIUS_M, DriveSettings
-from motionstereo_cli.simulate.walkers import RADIUS_M, WalkerPaint, place_walkers, step
+from motionstereo_cli.simulate.settings import CORRIDOR, ROBOT_RADIUS_M, DriveSettings
+from motionstereo_cli.simulate.walkers import RADIUS_M, Walker, WalkerPaint, place_walkers, step
 from motionstereo_cli.types import Pose, Steering, StereoFrame
 
 if TYPE_CHECKING:
@@ -33,6 +45,14 @@ _SLOWER = 1.25
 #: Free distance at which it drives at full speed, and at which it stops.
 _FULL_SPEED_M = 1.8
 _STOP_M = 0.35
+#: Errors of the yaw by drift, as a share of a turn, also come from the way ahead: rad per m.
+_TURN_PER_M = 0.2
+#: The robot's top; what is lower than the second, it drives over.
+ROBOT_TOP_M = EYE_HEIGHT_M + 0.1
+PASSED_OVER_M = 0.1
+#: A goal is reached within this distance.
+GOAL_M = 0.5
+
 #: Angle to its heading from which it only turns.
 _TURN_ONLY_RAD = math.radians(22)
 #: Share of the angle to its heading that it turns in a frame.
@@ -81,10 +101,172 @@ def command(steering: Steering) -> Command:
     return Command(MAX_FORWARD_M * max(0.0, min(1.0, share)) * max(0.0, ahead), turn_rad)
 
 
-class DriveWorld:
-    """The corridor, the walkers and the robot, until the drive ends.
+class RobotWorld:
+    """The robot and what stands and walks around it, until the drive ends.
 
-    A touch of the robot's round outline with a wall or a walker ends the drive.
+    A touch of the robot's round outline with anything ends the drive. What there is around the
+    robot is said by the kinds of worlds, which also set ``start`` before they call ``__init__``.
+
+    Args:
+        settings: the world.
+        start: where the robot starts.
+        max_frames: the drive ends after so many frames.
+        speed: the robot's maximum distance of a frame, as a multiple of :data:`MAX_FORWARD_M`.
+        latency_frames: after so many frames it does what it was told.
+        drift: standard deviation of the errors of its own motion, as a share of each step.
+
+    Attributes:
+        robot: where the robot is now.
+        path: where it has been, (x, y) in m.
+        path_m: length of its path.
+        nearest_pass_m: minimum distance of its outline to anything so far.
+        ended: reason for the end; None during the drive.
+    """
+
+    walkers: Sequence[Walker] = ()
+
+    def __init__(
+        self,
+        settings: DriveSettings,
+        start: FloorPose,
+        max_frames: int,
+        *,
+        speed: float = 1.0,
+        latency_frames: int = 0,
+        drift: float = 0.0,
+    ) -> None:
+        self.settings = settings
+        self.robot = start
+        self._max_frames = settings.max_frames or max_frames
+        self._speed = speed
+        self._waiting = deque([Command(0.0, 0.0)] * latency_frames)
+        self._drift, self._off = drift, np.zeros(3)
+        self._drift_rng = np.random.default_rng([settings.seed, 6])
+        self._cameras = stereo_cameras(settings.rig)
+        self.frames = 0
+        self.path = [(self.robot.x_m, self.robot.y_m)]
+        self.path_m = 0.0
+        self.nearest_pass_m = math.inf
+        self.ended: str | None = None
+        self._judge()
+
+    @property
+    def laps(self) -> float:
+        """Rounds so far, where the world is one to go round in."""
+        return 0.0
+
+    @property
+    def lap_m(self) -> float:
+        """Length of a round; 0 where there is none."""
+        return 0.0
+
+    @property
+    def expected_frames(self) -> int:
+        """Estimated number of frames."""
+        return self._max_frames
+
+    @property
+    def goal(self) -> tuple[float, float] | None:
+        """Place that the robot is to reach, (x, y) in m; None where there is none."""
+        return None
+
+    @property
+    def described(self) -> dict[str, Any]:
+        """What the record says of the world, besides the settings."""
+        raise NotImplementedError
+
+    def outlines(self) -> Iterator[tuple[NDArray[np.float64], bool]]:
+        """Yield the outlines on the floor, (n, 2) in m each, and whether it is free inside."""
+        raise NotImplementedError
+
+    def openings(self) -> Iterator[tuple[str, list[tuple[float, float]]]]:
+        """Yield the kind, ``door`` or ``window``, and the two ends of each opening of a wall."""
+        return iter(())
+
+    def _render(self, camera: SceneCamera) -> View:
+        """Return what a camera sees now."""
+        raise NotImplementedError
+
+    def _nearest(self) -> tuple[float, str]:
+        """Return how far the robot's middle is from what is nearest, and what that is.
+
+        The distance is negative inside of it.
+        """
+        raise NotImplementedError
+
+    def _finished(self) -> str | None:
+        """Return why the drive is over, although nothing was touched; None if it goes on."""
+        return None
+
+    def _went(self, before: FloorPose) -> None:
+        """Take in that the robot has moved by a frame: what walks does so, too."""
+
+    def shots(self) -> Iterator[Shot]:
+        """Yield the views of the robot until the drive ends; call :meth:`act_on` after each."""
+        while self.ended is None:
+            yield self.shot()
+
+    def shot(self) -> Shot:
+        """Return the present views of the robot."""
+        s, number = self.settings, self.frames
+        left, right = map(self._render, self._cameras)
+        pts = number * FRAME_MS
+        frame = StereoFrame(
+            index=number,
+            pts=pts,
+            time_s=pts / 1000,
+            left=exposed(left.grey, s.noise_sigma, (s.seed, 3, number, 0)),
+            right=exposed(right.grey, s.noise_sigma, (s.seed, 3, number, 1)),
+        )
+        disparity_px = s.rig.disparity_px(right.depth_m)
+        return Shot(frame, disparity_px, as_written(self.believed.rig_pose))
+
+    @property
+    def believed(self) -> FloorPose:
+        """Where the robot is by its own motion, which drifts."""
+        x_m, y_m, yaw_rad = np.array([self.robot.x_m, self.robot.y_m, self.robot.yaw_rad])
+        off_x, off_y, off_rad = map(float, self._off)
+        return FloorPose(float(x_m) + off_x, float(y_m) + off_y, float(yaw_rad) + off_rad)
+
+    def act_on(self, steering: Steering) -> None:
+        """Move the robot by :func:`command`, and what walks, by a frame."""
+        self.act(command(steering))
+
+    def act(self, move: Command) -> None:
+        """Move the robot and what walks by a frame; the robot keeps to its bounds."""
+        self._waiting.append(move)
+        move = self._waiting.popleft()
+        before = self.robot
+        forward_m = self._speed * max(0.0, min(MAX_FORWARD_M, move.forward_m))
+        turn_rad = max(-MAX_TURN_RAD, min(MAX_TURN_RAD, move.turn_rad))
+        middle_rad = before.yaw_rad + turn_rad / 2
+        self.robot = FloorPose(
+            before.x_m + forward_m * math.cos(middle_rad),
+            before.y_m + forward_m * math.sin(middle_rad),
+            math.remainder(before.yaw_rad + turn_rad, math.tau),
+        )
+        if self._drift:
+            step = np.array([forward_m, forward_m, abs(turn_rad) + _TURN_PER_M * forward_m])
+            self._off = self._off + self._drift_rng.normal(0, self._drift, 3) * step
+        self.frames += 1
+        self.path_m += forward_m
+        self.path.append((self.robot.x_m, self.robot.y_m))
+        self._went(before)
+        self._judge()
+
+    def _judge(self) -> None:
+        away_m, what = self._nearest()
+        self.nearest_pass_m = min(self.nearest_pass_m, away_m - ROBOT_RADIUS_M)
+        if away_m <= ROBOT_RADIUS_M:
+            self.ended = f"touched {what}"
+        elif (finished := self._finished()) is not None:
+            self.ended = finished
+        elif self.frames >= self._max_frames:
+            self.ended = "out of frames"
+
+
+class DriveWorld(RobotWorld):
+    """A square corridor with walkers.
 
     Args:
         settings: the world.
@@ -92,42 +274,32 @@ class DriveWorld:
     Attributes:
         corridor: the corridor.
         walkers: the walkers as they are now.
-        robot: where the robot is now.
-        path: where it has been, (x, y) in m.
         turned_rad: how far round the square's middle it has come, in the direction of its start.
-        path_m: length of its path.
-        nearest_pass_m: minimum distance of its outline to a wall or walker so far.
-        ended: reason for the end; None during the drive.
     """
 
     def __init__(self, settings: DriveSettings) -> None:
-        self.settings = settings
         rng = np.random.default_rng([settings.seed, 2])
         width_m = settings.corridor_width_m or rng.uniform(2.0, 3.5)
         length_m = settings.corridor_length_m or rng.uniform(12, 18)
         self.corridor = Corridor(width_m, length_m, settings.seed, lamp_m=rng.uniform(7, 14))
         # The corridor's own length is that of the paper's path, which cuts the corners.
         middle_m = (self.corridor.outer_m + self.corridor.inner_m) / 2
-        self.lap_m = 8 * middle_m
         self._sense = int(rng.choice((-1, 1)))
         side_m = rng.uniform(-0.15, 0.15) * width_m
         yaw_rad = (0 if self._sense > 0 else math.pi) + rng.uniform(-0.15, 0.15)
-        self.robot = FloorPose(rng.uniform(-0.3, 0.3) * middle_m, -middle_m + side_m, yaw_rad)
-        self.walkers = place_walkers(
-            settings.walkers, width_m, self.corridor.inner_m, self.robot, rng
+        start = FloorPose(rng.uniform(-0.3, 0.3) * middle_m, -middle_m + side_m, yaw_rad)
+        self.walkers: list[Walker] = place_walkers(
+            settings.walkers, width_m, self.corridor.inner_m, start, rng
         )
         self._paint = WalkerPaint(settings.walkers, rng)
-        self._cameras = stereo_cameras(settings.rig)
-        self._max_frames = settings.max_frames or math.ceil(
-            3 * settings.laps * self.lap_m / MAX_FORWARD_M
-        )
-        self.frames = 0
-        self.path = [(self.robot.x_m, self.robot.y_m)]
         self.turned_rad = 0.0
-        self.path_m = 0.0
-        self.nearest_pass_m = math.inf
-        self.ended: str | None = None
-        self._judge()
+        laps_m = 8 * middle_m * settings.laps
+        super().__init__(settings, start, math.ceil(3 * laps_m / MAX_FORWARD_M))
+
+    @property
+    def lap_m(self) -> float:
+        """Length of the corridor's middle line."""
+        return 4 * (self.corridor.outer_m + self.corridor.inner_m)
 
     @property
     def expected_frames(self) -> int:
@@ -140,94 +312,128 @@ class DriveWorld:
         """Rounds so far."""
         return self.turned_rad / math.tau
 
-    def shots(self) -> Iterator[Shot]:
-        """Yield the views of the robot until the drive ends; call :meth:`act_on` after each."""
-        while self.ended is None:
-            yield self.shot()
+    @property
+    def described(self) -> dict[str, Any]:
+        """Width and length of the corridor, and its light."""
+        return {
+            "corridor_width_m": round(self.corridor.width_m, 3),
+            "corridor_length_m": round(self.lap_m / 4, 3),
+            "lamp_m": round(self.corridor.lamp_m, 3),
+        }
 
-    def shot(self) -> Shot:
-        """Return the present views of the robot."""
-        s, number = self.settings, self.frames
-        left, right = (
-            self._paint.render(
-                self.corridor.render(self.robot, camera),
-                self.walkers,
-                self.robot,
-                camera,
-                self.corridor.lamp_m,
-            )
-            for camera in self._cameras
-        )
-        pts = number * FRAME_MS
-        frame = StereoFrame(
-            index=number,
-            pts=pts,
-            time_s=pts / 1000,
-            left=exposed(left.grey, s.noise_sigma, (s.seed, 3, number, 0)),
-            right=exposed(right.grey, s.noise_sigma, (s.seed, 3, number, 1)),
-        )
-        disparity_px = s.rig.disparity_px(right.depth_m)
-        return Shot(frame, disparity_px, as_written(self.robot.rig_pose))
+    def outlines(self) -> Iterator[tuple[NDArray[np.float64], bool]]:
+        """Yield the outer and the inner square."""
+        square = np.array([[-1, 1], [1, 1], [1, -1], [-1, -1]], float)
+        yield self.corridor.outer_m * square, True
+        yield self.corridor.inner_m * square, False
 
-    def act_on(self, steering: Steering) -> None:
-        """Move the robot by :func:`command`, and the walkers, by a frame."""
-        self.act(command(steering))
+    def openings(self) -> Iterator[tuple[str, list[tuple[float, float]]]]:
+        """Yield doors and windows."""
+        for each in self.corridor.openings:
+            ends = self.corridor.along_wall(each.wall, (each.start_m, each.stop_m))
+            yield each.kind, ends
 
-    def act(self, move: Command) -> None:
-        """Move the robot and the walkers by a frame; the robot keeps to its bounds."""
-        before = self.robot
-        forward_m = max(0.0, min(MAX_FORWARD_M, move.forward_m))
-        turn_rad = max(-MAX_TURN_RAD, min(MAX_TURN_RAD, move.turn_rad))
-        middle_rad = before.yaw_rad + turn_rad / 2
-        self.robot = FloorPose(
-            before.x_m + forward_m * math.cos(middle_rad),
-            before.y_m + forward_m * math.sin(middle_rad),
-            math.remainder(before.yaw_rad + turn_rad, math.tau),
-        )
-        inner_m, outer_m = self.corridor.inner_m, self.corridor.outer_m
+    def _render(self, camera: SceneCamera) -> View:
+        empty = self.corridor.render(self.robot, camera)
+        return self._paint.render(empty, self.walkers, self.robot, camera, self.corridor.lamp_m)
+
+    def _nearest(self) -> tuple[float, str]:
+        x, y = self.robot.x_m, self.robot.y_m
+        inner_m = self.corridor.inner_m
+        to_inner = math.hypot(max(abs(x) - inner_m, 0), max(abs(y) - inner_m, 0))
+        walls_m = min(self.corridor.outer_m - max(abs(x), abs(y)), to_inner)
+        walkers_m = [walker.distance_m(x, y) - RADIUS_M for walker in self.walkers]
+        if walkers_m and min(walkers_m) < walls_m:
+            return min(walkers_m), "a walker"
+        return walls_m, "a wall"
+
+    def _finished(self) -> str | None:
+        return "laps done" if self.laps >= self.settings.laps else None
+
+    def _went(self, before: FloorPose) -> None:
         self.walkers = [
             step(
                 walker,
                 self.robot,
                 robot_radius_m=ROBOT_RADIUS_M,
-                inner_m=inner_m,
-                outer_m=outer_m,
+                inner_m=self.corridor.inner_m,
+                outer_m=self.corridor.outer_m,
                 frame_s=1 / FRAME_RATE,
             )
             for walker in self.walkers
         ]
-        self.frames += 1
-        self.path_m += forward_m
-        self.path.append((self.robot.x_m, self.robot.y_m))
         self.turned_rad += self._sense * _angle_between(before, self.robot)
-        self._judge()
-
-    def _judge(self) -> None:
-        walls_m = self._to_walls()
-        walkers_m = min(
-            (w.distance_m(self.robot.x_m, self.robot.y_m) - RADIUS_M for w in self.walkers),
-            default=math.inf,
-        )
-        self.nearest_pass_m = min(self.nearest_pass_m, walls_m - ROBOT_RADIUS_M)
-        self.nearest_pass_m = min(self.nearest_pass_m, walkers_m - ROBOT_RADIUS_M)
-        if walls_m <= ROBOT_RADIUS_M:
-            self.ended = "touched a wall"
-        elif walkers_m <= ROBOT_RADIUS_M:
-            self.ended = "touched a walker"
-        elif self.laps >= self.settings.laps:
-            self.ended = "laps done"
-        elif self.frames >= self._max_frames:
-            self.ended = "out of frames"
-
-    def _to_walls(self) -> float:
-        """Return how far the robot's middle is from the nearest wall; negative beyond it."""
-        x, y = abs(self.robot.x_m), abs(self.robot.y_m)
-        inner_m = self.corridor.inner_m
-        to_inner = math.hypot(max(x - inner_m, 0), max(y - inner_m, 0))
-        return min(self.corridor.outer_m - max(x, y), to_inner)
 
 
 def _angle_between(one: FloorPose, other: FloorPose) -> float:
     """Return the angle from one place to another about the square's middle."""
     angle_rad = math.atan2(other.y_m, other.x_m) - math.atan2(one.y_m, one.x_m)
     return math.remainder(angle_rad, math.tau)
+
+
+class PlanWorld(RobotWorld):
+    """A floor plan.
+
+    Args:
+        settings: the world; its ``world`` names the plan.
+
+    Raises:
+        InputError: the plan cannot be used.
+        SettingsError: there is no such plan.
+    """
+
+    def __init__(self, settings: DriveSettings) -> None:
+        self.plan = read_plan(settings.world)
+        plan, robot = self.plan, self.plan.robot
+        self._prisms = prisms(plan)
+        self._scene = PlanScene(self._prisms, plan.ceiling_m, settings.seed)
+        in_way = [p for p in self._prisms if p.bottom_m < ROBOT_TOP_M and p.top_m > PASSED_OVER_M]
+        self._outlines = Outlines(in_way) if in_way else None
+        start = FloorPose(*robot.start, math.radians(robot.heading_deg))
+        super().__init__(
+            *(settings, start, robot.frames),
+            speed=robot.speed_m_s / (MAX_FORWARD_M * FRAME_RATE),
+            latency_frames=robot.latency_frames,
+            drift=robot.drift,
+        )
+        if self.ended is not None and self.ended.startswith("touched"):
+            what = self.ended.removeprefix("touched ")
+            raise InputError(f"{settings.world}: robot.start: it is within the robot of {what}")
+
+    @property
+    def goal(self) -> tuple[float, float] | None:
+        """The plan's goal."""
+        return self.plan.robot.goal
+
+    @property
+    def described(self) -> dict[str, Any]:
+        """The plan."""
+        return {"plan": builtins_of(self.plan)}
+
+    def outlines(self) -> Iterator[tuple[NDArray[np.float64], bool]]:
+        """Yield what stands, within a free rectangle."""
+        corners = np.concatenate([prism.corners_m for prism in self._prisms])
+        (x0, y0), (x1, y1) = corners.min(0), corners.max(0)
+        yield np.array([[x0, y1], [x1, y1], [x1, y0], [x0, y0]]), True
+        for prism in self._prisms:
+            if prism.bottom_m < ROBOT_TOP_M:
+                yield prism.corners_m, False
+
+    def _render(self, camera: SceneCamera) -> View:
+        return self._scene.render(self.robot, camera)
+
+    def _nearest(self) -> tuple[float, str]:
+        if self._outlines is None:
+            return math.inf, ""
+        return self._outlines.nearest(self.robot.x_m, self.robot.y_m)
+
+    def _finished(self) -> str | None:
+        if self.goal is None:
+            return None
+        off = self.robot.x_m - self.goal[0], self.robot.y_m - self.goal[1]
+        return "goal reached" if math.hypot(*off) <= GOAL_M else None
+
+
+def world_of(settings: DriveSettings) -> RobotWorld:
+    """Return the world that settings name."""
+    return DriveWorld(settings) if settings.world == CORRIDOR else PlanWorld(settings)

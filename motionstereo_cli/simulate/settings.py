@@ -7,7 +7,7 @@ import re
 from dataclasses import dataclass
 
 from motionstereo_cli.errors import SettingsError
-from motionstereo_cli.params import checked, param
+from motionstereo_cli.params import checked, param, params
 from motionstereo_cli.types import Rig
 
 #: Shares of one side's path that are straight and turn: the paper's 100 and 25 frames of 125.
@@ -22,6 +22,9 @@ _MAX_FRAMES = 1_000_000
 
 #: Minimum distance of a turning camera from the inner corner, in m.
 _MIN_ROOM_M = 0.1
+
+#: The world that is no floor plan.
+CORRIDOR = "corridor"
 
 #: Radius of the driven robot, and its clearance.
 ROBOT_RADIUS_M = 0.25
@@ -172,6 +175,10 @@ class SimulateSettings:
         )
 
 
+#: What floor plans do not have.
+_OF_CORRIDOR = {"laps", "walkers", "corridor_width_m", "corridor_length_m"}
+
+
 @dataclass(frozen=True, slots=True)
 class DriveSettings:
     """Parameters of a driven world.
@@ -180,10 +187,16 @@ class DriveSettings:
         SettingsError: a value is out of range, or there is no room for the robot.
     """
 
+    world: str = param(
+        CORRIDOR,
+        "World: corridor, a floor plan in TOML, or the name of one that comes with the program, "
+        "such as room-with-pillars; help robot lists them.",
+        common=True,
+    )
     laps: float = param(1.0, "Maximum number of rounds.", low=0.01, high=1000, common=True)
     max_frames: int = param(
         0,
-        "Maximum number of frames (0 = three times the expected number).",
+        "Maximum number of frames (0 = three times the expected number, or what the plan says).",
         low=0,
         old="most_frames",
     )
@@ -223,6 +236,12 @@ class DriveSettings:
 
     def __post_init__(self) -> None:
         checked(self)
+        if self.world != CORRIDOR:
+            for item in params(DriveSettings):
+                if item.name in _OF_CORRIDOR and getattr(self, item.name) != item.default:
+                    raise SettingsError(
+                        f"{item.flag} is for the corridor: leave it out with --world {self.world}"
+                    )
         min_m = 2 * ROBOT_RADIUS_M + _MIN_DRIVE_ROOM_M
         if self.corridor_width_m and self.corridor_width_m < min_m:
             raise SettingsError(

@@ -1,0 +1,270 @@
+"""Floor plans that a robot drives in: their files, what stands in them, and drives."""
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from bench import drive as bench
+from motionstereo_cli.__main__ import main
+from motionstereo_cli.commands import cli
+from motionstereo_cli.simulate.camera import EYE_HEIGHT_M, FloorPose, stereo_cameras
+from motionstereo_cli.simulate.drive_world import MAX_FORWARD_M, Command, PlanWorld, world_of
+from motionstereo_cli.simulate.floor_plan import plan_names, prisms, read_plan
+from motionstereo_cli.simulate.plan_scene import Outlines, PlanScene
+from motionstereo_cli.simulate.settings import DriveSettings
+
+PLAN = """
+about = "A room with one of each."
+
+[robot]
+start = [0, 0]
+heading_deg = 20
+
+[[walls]]
+points = [[-3, -2], [4, -2], [4, 3], [-3, 3]]
+closed = true
+
+[[doors]]
+at = [4, 0.4]
+width_m = 1.2
+
+[[boxes]]
+at = [2, 0.5]
+size = [0.8, 0.5]
+height_m = 0.5
+turned_deg = 25
+
+[[boxes]]
+at = [2.2, -0.8]
+size = [0.5, 0.5]
+bottom_m = 1.5
+height_m = 1.7
+
+[[poles]]
+at = [[1.5, 1.4]]
+diameter_m = 0.2
+"""
+SMALL = {"width": 64, "height": 48, "noise_sigma": 0}
+
+
+def world(tmp_path, text=PLAN, **settings):
+    path = tmp_path / "plan.toml"
+    path.write_text(text)
+    return world_of(DriveSettings(**{"world": str(path), **SMALL, **settings}))
+
+
+@pytest.mark.parametrize("name", plan_names())
+def test_plans_that_come_with_the_program_are_whole_and_told(name):
+    one = PlanWorld(DriveSettings(world=name, **SMALL))
+    assert one.ended is None
+    assert one.nearest_pass_m > 0.1
+    assert read_plan(name).about.endswith(".")
+    docs = Path(bench.__file__).parents[2] / "motionstereo_cli" / "docs" / "robot.md"
+    assert f"`{name}`" in docs.read_text(encoding="utf-8")
+
+
+def test_the_plan_in_the_docs_is_one(tmp_path):
+    docs = Path(bench.__file__).parents[2] / "motionstereo_cli" / "docs" / "robot.md"
+    text = docs.read_text(encoding="utf-8").partition("```toml\n")[2].partition("```")[0]
+    assert world(tmp_path, text).goal == (4.5, 0)
+
+
+WRONG = [
+    ("about", "abuot", "contains unknown field abuot"),
+    ("height_m = 0.5", 'height_m = "low"', "boxes[0].height_m: expected float, got str"),
+    ("height_m = 0.5", "height_m = -1", "boxes[0].height_m: expected float >= 0.0"),
+    ("height_m = 0.5", "height_m = nan", "boxes[0].height_m: expected float"),
+    ("height_m = 0.5", "height = 0.5", "boxes[0]: object contains unknown field height"),
+    ("bottom_m = 1.5", "bottom_m = 1.8", "boxes[1].bottom_m is not below its top"),
+    ("at = [4, 0.4]", "at = [3, 0.4]", "doors[0].at: there is no wall"),
+    ("width_m = 1.2", "width_m = 9", "doors[0].width_m: the wall at it is shorter"),
+    ("start = [0, 0]", "start = [2, 0.5]", "robot.start: it is within the robot of boxes[0]"),
+    ("start = [0, 0]", "start = [0, 0, 0]", "robot.start: expected array of length 2"),
+    ("heading_deg = 20", "latency_frames = 1.5", "robot.latency_frames: expected int, got float"),
+    ("[4, 3], [-3, 3]", "[4, 3], [4, 3]", "walls[0].points: two follow one another"),
+    ("[robot]", "[robot", "cannot be read as TOML"),
+    ("start = [0, 0]", "", "robot: object missing required field start"),
+]
+
+
+@pytest.mark.parametrize(("part", "other", "words"), WRONG, ids=[words for *_, words in WRONG])
+def test_errors_of_a_plan_name_their_place_in_one_line(tmp_path, capsys, part, other, words):
+    path = tmp_path / "plan.toml"
+    assert part in PLAN
+    path.write_text(PLAN.replace(part, other, 1))
+    assert main(["drive", str(tmp_path / "out"), "--world", str(path)]) == 1
+    told = capsys.readouterr().err.strip()
+    assert words in told
+    assert str(path) in told
+    assert "\n" not in told
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--world", "low-boxs"], "did you mean 'low-boxes'"),
+        (["--world", "low-boxes", "--walkers", "2"], "--walkers is for the corridor"),
+        (["--world", "low-boxes", "--laps", "2"], "--laps is for the corridor"),
+    ],
+)
+def test_options_that_do_not_fit_are_refused(tmp_path, capsys, options, words):
+    assert main(["drive", str(tmp_path / "out"), *options]) == 2
+    assert words in capsys.readouterr().err
+
+
+def slow_depth(pieces, ceiling_m, eye, direction):
+    """Return the depth at which a ray, one metre ahead long, first meets anything."""
+    nearest = [((ceiling_m if direction[2] > 0 else 0) - eye[2]) / direction[2]]
+    for piece in pieces:
+        # A convex prism is where all its half-spaces are: the ray is inside between two depths.
+        low, high = 0.0, math.inf
+        corners = piece.corners_m
+        planes = [
+            (np.array([b[1] - a[1], a[0] - b[0], 0.0]), np.array([*a, 0.0]))
+            for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True)
+        ]
+        planes.append((np.array([0, 0, 1.0]), np.array([0, 0, piece.top_m])))
+        planes.append((np.array([0, 0, -1.0]), np.array([0, 0, piece.bottom_m])))
+        for outward, at in planes:
+            slope, off = outward @ direction, outward @ (at - eye)
+            if slope > 0:
+                high = min(high, off / slope)
+            elif slope < 0:
+                low = max(low, off / slope)
+            elif off < 0:
+                low = math.inf
+        if low < high:
+            nearest.append(low)
+    return min(nearest)
+
+
+def test_cameras_see_each_piece_at_its_depth(tmp_path):
+    one = world(tmp_path)
+    shot = one.shot()
+    pieces, rig = prisms(one.plan), one.settings.rig
+    camera, pose = stereo_cameras(rig)[1], one.robot
+    eye = np.array([*camera.eye(pose), EYE_HEIGHT_M])
+    depth = np.empty((rig.height, rig.width))
+    for row in range(rig.height):
+        up = camera.upward(np.array([row], float))[0]
+        for column, ray in enumerate(camera.rays(pose, np.arange(rig.width, dtype=float))):
+            depth[row, column] = slow_depth(pieces, one.plan.ceiling_m, eye, np.array([*ray, up]))
+    near = depth < 40  # where the floor has not ended
+    with np.errstate(divide="ignore"):
+        found = rig.depth_m(shot.disparity_px)
+    np.testing.assert_allclose(found[near], depth[near], rtol=1e-4)
+    assert (found[~near] > 40).all()
+    assert near.mean() > 0.9
+    grey = shot.frame.right
+    assert len(np.unique(grey)) > 20  # it is painted
+    again = PlanScene(pieces, one.plan.ceiling_m, 1).render(pose, camera).grey
+    assert (again != grey).mean() > 0.2  # otherwise for another seed
+
+
+def test_distances_are_those_to_the_outlines(tmp_path):
+    pieces = prisms(world(tmp_path).plan)
+    outlines = Outlines(pieces)
+    rng = np.random.default_rng(0)
+    share = np.linspace(0, 1, 400)[:, None]
+    for place in rng.uniform(-4, 5, (50, 2)):
+        away = {}
+        for piece in pieces:
+            for a, b in zip(piece.corners_m, np.roll(piece.corners_m, -1, axis=0), strict=True):
+                ways = np.hypot(*(a + share * (b - a) - place).T)
+                away[piece.name] = min(away.get(piece.name, math.inf), ways.min())
+        found_m, name = outlines.nearest(*place)
+        assert abs(found_m) == pytest.approx(min(away.values()), abs=0.02)
+        assert found_m <= 0 or away[name] == pytest.approx(found_m, abs=0.02)
+    assert outlines.nearest(2, 0.5)[0] < -0.2
+    assert outlines.nearest(2, 0.5)[1] == "boxes[0]"
+
+
+def test_a_door_is_a_way_through_and_a_lintel_is_over_it(tmp_path):
+    plan = world(tmp_path).plan
+    at_door = [p for p in prisms(plan) if p.name == "walls[0]" and p.bottom_m > 0]
+    assert [(p.bottom_m, p.top_m) for p in at_door] == [(2.05, plan.ceiling_m)]
+    low = Outlines([p for p in prisms(plan) if p.bottom_m == 0])
+    assert low.nearest(4, 0.4)[0] == pytest.approx(0.6)
+
+
+@pytest.mark.parametrize(
+    ("start", "what"),
+    [((0.9, 0.0), "boxes[0]"), ((1.5, 0.8), "poles[0]"), ((2.2, -1.2), "walls[0]")],
+)
+def test_a_touch_ends_the_drive_and_is_named(tmp_path, start, what):
+    one = world(tmp_path)
+    one.robot = FloorPose(*start, math.atan2(0.5 - start[1], 1.1) if what == "boxes[0]" else 0.0)
+    if what != "boxes[0]":
+        one.robot = FloorPose(*start, math.pi / 2 if what == "poles[0]" else 0.0)
+    while one.ended is None:
+        one.act(Command(MAX_FORWARD_M, 0.0))
+    assert one.ended == f"touched {what}"
+
+
+def test_it_drives_over_what_is_flat_and_under_what_hangs(tmp_path):
+    text = PLAN.replace("height_m = 0.5", "height_m = 0.08")
+    for start, end in (((1.0, 0.5), 3.0), ((1.0, -0.8), 3.2)):
+        one = world(tmp_path, text)
+        one.robot = FloorPose(*start, 0.0)
+        while one.robot.x_m < end:
+            one.act(Command(MAX_FORWARD_M, 0.0))
+            assert one.ended is None
+
+
+def test_latency_speed_and_drift_are_those_of_the_plan(tmp_path):
+    extra = "heading_deg = 0\nspeed_m_s = 3.2\nlatency_frames = 2\ndrift = 0.1"
+    one = world(tmp_path, PLAN.replace("heading_deg = 20", extra))
+    moved = []
+    for forward_m in (0.05, 0.1, 0.0, 0.0, 0.0):
+        before = one.robot.x_m
+        one.act(Command(forward_m, 0.0))
+        moved.append(one.robot.x_m - before)
+    assert moved == pytest.approx([0, 0, 0.1, 0.2, 0])
+    off = one.believed.x_m - one.robot.x_m
+    assert 0 < abs(off) < 0.1
+    assert one.shot().pose.x_m == pytest.approx(one.believed.x_m, abs=1e-5)
+    straight = world(tmp_path)
+    straight.act(Command(0.1, 0.0))
+    assert straight.believed == straight.robot
+
+
+def test_a_goal_that_is_reached_ends_the_drive(tmp_path):
+    one = world(tmp_path, PLAN.replace("heading_deg = 20", "heading_deg = 180\ngoal = [-2, 0]"))
+    while one.ended is None:
+        one.act(Command(MAX_FORWARD_M, 0.0))
+    assert one.ended == "goal reached"
+    assert one.robot.x_m == pytest.approx(-1.5, abs=MAX_FORWARD_M)
+
+
+def test_a_drive_in_a_plan_writes_what_one_in_the_corridor_does(tmp_path):
+    path, out = tmp_path / "plan.toml", tmp_path / "out"
+    path.write_text(PLAN.replace("heading_deg = 20", "frames = 12\ngoal = [3, 2]"))
+    given = ["drive", out, "--world", path, "--width", "160", "--height", "120"]
+    done = CliRunner().invoke(cli, [str(each) for each in given])
+    assert done.exit_code == 0, done.output
+    assert "out of frames after 12 frames" in done.stderr
+    assert "laps" not in done.stderr
+    record = json.loads((out / "drive.json").read_text())
+    assert record["world"]["plan"]["boxes"][0]["height_m"] == 0.5
+    recordings = [out / "left.mkv", out / "right.mkv", "--rig", out / "rig.yaml"]
+    poses = ["--poses", out / "poses.txt", "--save", "steering", "--no-check"]
+    run = ["run", *recordings, *poses, "-o", tmp_path / "run"]
+    assert CliRunner().invoke(cli, [str(each) for each in run]).exit_code == 0
+    steered = (tmp_path / "run" / "steering.csv").read_bytes()
+    assert steered == (out / "steering.csv").read_bytes()
+
+
+def test_the_table_of_plans_says_how_drives_ended(tmp_path, capsys):
+    path = tmp_path / "plan.toml"
+    path.write_text(PLAN.replace("heading_deg = 20", "frames = 2"))
+    rows = ["--rows", str(tmp_path / "rows.csv"), "--seeds", "1", "--depths", "true depth"]
+    bench.main(["--worlds", str(path), *rows])
+    table = capsys.readouterr().out.splitlines()
+    assert table[0] == "| world | true depth |"
+    assert table[2].startswith(f"| {path} | 0.")
+    assert table[3].endswith("touched in 0 of 1 |")
