@@ -38,20 +38,20 @@ if TYPE_CHECKING:
 
 
 class _Encoding(NamedTuple):
-    """How raw images hold pixels: samples of each, bytes of each, what makes grey of them."""
+    """Pixel format of raw images: samples per pixel, bytes per sample, conversion to grey."""
 
     samples: int
     sample_bytes: int
     conversion: int | None
 
 
-#: Colours, and what cv2 makes grey of.
+#: Colour formats, and cv2's conversions to grey.
 _COLOURS = {
     "rgb": (3, cv2.COLOR_RGB2GRAY),
     "bgr": (3, cv2.COLOR_BGR2GRAY),
     "rgba": (4, cv2.COLOR_RGBA2GRAY),
     "bgra": (4, cv2.COLOR_BGRA2GRAY),
-    # OpenCV names a Bayer pattern by its second row's second and third pixel.
+    # OpenCV names a Bayer pattern by the second and third pixel of its second row.
     "bayer_rggb": (1, cv2.COLOR_BayerBG2GRAY),
     "bayer_bggr": (1, cv2.COLOR_BayerRG2GRAY),
     "bayer_gbrg": (1, cv2.COLOR_BayerGR2GRAY),
@@ -79,14 +79,14 @@ _ENCODINGS: dict[str, _Encoding] = {
     "uyvy": _Encoding(2, 1, cv2.COLOR_YUV2GRAY_UYVY),
     "yuv422_yuy2": _Encoding(2, 1, cv2.COLOR_YUV2GRAY_YUY2),
     "yuyv": _Encoding(2, 1, cv2.COLOR_YUV2GRAY_YUY2),
-    # Luma stands in a plane of its own before the colours.
+    # The luma plane precedes the colours.
     "nv12": _Encoding(1, 1, None),
     "nv21": _Encoding(1, 1, None),
     "nv16": _Encoding(1, 1, None),
     "nv24": _Encoding(1, 1, None),
 }
 
-#: What makes RGB of what these make grey of; None where it is RGB.
+#: Conversions to RGB, by those to grey; None if the pixels are RGB.
 _TO_RGB: dict[int, int | None] = {
     cv2.COLOR_RGB2GRAY: None,
     cv2.COLOR_BGR2GRAY: cv2.COLOR_BGR2RGB,
@@ -100,16 +100,16 @@ _TO_RGB: dict[int, int | None] = {
     cv2.COLOR_YUV2GRAY_YUY2: cv2.COLOR_YUV2RGB_YUY2,
 }
 
-#: How many first messages tell the difference of the clocks of camera and recorder.
+#: Number of first messages from which the offset of camera and recorder clocks is measured.
 _CLOCK_MESSAGES = 9
 
 
 class BagRecording(Recording):
     """The images of one topic, in the order in which they were recorded.
 
-    The time of an image is the stamp in its header, in ns; where the first is 0, the time at
-    which the message was recorded. A message that cannot be decoded is counted and its number
-    left out; where the bag cannot be read on, the images behind it are lost.
+    The time of an image is the stamp in its header, in ns; if the first is 0, the time at which the
+    message was recorded. A message that cannot be decoded is counted and its number skipped; if
+    the bag cannot be read further, the remaining images are lost.
 
     Args:
         files: the bag, or the parts of one that was split.
@@ -118,8 +118,8 @@ class BagRecording(Recording):
         max_pixels: largest width times height of an image.
 
     Attributes:
-        camera_info: the calibration that was recorded beside the images, the fields of
-            ``sensor_msgs/CameraInfo`` as JSON; None where there is none.
+        camera_info: the calibration that was recorded with the images, the fields of
+            ``sensor_msgs/CameraInfo`` as JSON; None if there is none.
 
     Raises:
         InputError: the bag cannot be read, or has no such images; while iterating: an image is too
@@ -165,7 +165,7 @@ class BagRecording(Recording):
 
     @property
     def lost(self) -> int:
-        """Messages that could not be decoded so far, and those behind a damaged place."""
+        """Messages so far that could not be decoded, and those after a damaged place."""
         return self._lost
 
     @property
@@ -185,7 +185,7 @@ class BagRecording(Recording):
         return lines
 
     def describe(self) -> dict[str, Any]:
-        """Return what the topic is, as JSON-able values."""
+        """Describe the topic, as JSON-able values."""
         return {
             "path": name_of(self._files),
             "topic": self._topic,
@@ -202,7 +202,7 @@ class BagRecording(Recording):
         }
 
     def fingerprint(self) -> dict[str, Any]:
-        """Return the size of the bag's files in bytes, and their SHA-256, one after another."""
+        """Return the total size of the bag's files in bytes, and a SHA-256 of all of them."""
         sums, size = hashlib.sha256(), 0
         for file in (
             each
@@ -217,7 +217,7 @@ class BagRecording(Recording):
         return {"bytes": size, "sha256": sums.hexdigest()}
 
     def _clock_ahead_s(self) -> Fraction | None:
-        """Return by how much the camera's clock is ahead of the recorder's; None if unknown."""
+        """Return how far the camera's clock is ahead of the recorder's; None if unknown."""
         with contextlib.closing(self._messages()) as messages:
             first = [
                 (_stamp_ns(message), recorded_ns)
@@ -227,7 +227,7 @@ class BagRecording(Recording):
         self._lost, self._ended = 0, ""
         if not first:
             return None
-        if first[0][0] == 0:  # no stamps: those of the recorder take their place
+        if first[0][0] == 0:  # no stamps: the recorder's are used
             return Fraction(0)
         return Fraction(statistics.median(stamp - recorded for stamp, recorded in first)) / 10**9
 
@@ -272,7 +272,7 @@ class BagRecording(Recording):
             self._lost += max(self._about.messages - count, 1)
 
     def _deserialized(self, raw: bytes, kind: str) -> Any:
-        """Return a message, None where it is damaged."""
+        """Return a message, None if it is damaged."""
         try:
             return self._reader.deserialize(raw, kind)
         except Exception as error:
@@ -288,7 +288,7 @@ class BagRecording(Recording):
         return self._scaled(pixels, self._name)
 
     def _colours(self, message: Any) -> NDArray[np.uint8] | None:
-        """Return the colours of a message, (height, width, 3) uint8 RGB; None where it is grey."""
+        """Return the colours of a message, (height, width, 3) uint8 RGB; None if it is grey."""
         pixels, conversion = self._pixels(message)
         if conversion is not None and (to_rgb := _TO_RGB[conversion]) is not None:
             pixels = np.asarray(cv2.cvtColor(pixels, to_rgb), pixels.dtype)
@@ -296,7 +296,7 @@ class BagRecording(Recording):
         return make() if make is not None else None
 
     def _pixels(self, message: Any) -> tuple[NDArray[Any], int | None]:
-        """Return the pixels of a message, and what cv2 makes grey of them; None = they need not."""
+        """Return the pixels of a message, and cv2's conversion to grey; None = they are grey."""
         name = self._name
         if not hasattr(message, "encoding"):
             return decode(bytes(message.data), Path(name), self._max_pixels)[0], None
@@ -322,7 +322,7 @@ class BagRecording(Recording):
         return pixels, conversion
 
     def _scaled(self, pixels: NDArray[Any], name: str) -> Grey:
-        """Return grey levels; of the first image note whether it leaves much of 16 bits unused."""
+        """Return grey levels; note whether the first image leaves much of 16 bits unused."""
         if pixels.dtype == np.uint16 and not self._judged:
             self._judge_depth(name, int(pixels.max(initial=0)), 16)
         self._judged = True

@@ -1,6 +1,6 @@
-"""What is in a ROS bag: ROS 1 (.bag), or ROS 2 (.db3, .mcap, or a folder of them).
+"""The topics of a ROS bag: ROS 1 (.bag), or ROS 2 (.db3, .mcap, or a folder of them).
 
-Read by rosbags, which needs no ROS.
+Bags are read by rosbags, which needs no ROS.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ if TYPE_CHECKING:
 
 SUFFIXES = frozenset({".bag", ".db3", ".mcap"})
 
-#: Types of messages that hold an image, and that of a calibration.
+#: Types of messages with an image, and that with a calibration.
 _IMAGES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
 _CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
 
-#: What the left camera is called in the names of topics, and the right one in its place.
+#: Names of the left camera in topics, and the matching names of the right one.
 _SIDES = (("left", "right"), ("infra1", "infra2"), ("cam0", "cam1"), ("camera0", "camera1"))
 
 
@@ -38,10 +38,10 @@ class Topic(NamedTuple):
     Attributes:
         name: its name.
         kind: type of its messages.
-        messages: how many there are.
+        messages: their number.
         encoding: of the first one's pixels.
         width, height: size of the first one in px; 0 for a compressed one.
-        rate: messages per second, a mean; None where one message tells none.
+        rate: mean messages per second; None for a single message.
     """
 
     name: str
@@ -60,9 +60,9 @@ class Topic(NamedTuple):
 
 
 def bags_in(name: str | Path) -> tuple[Path, ...]:
-    """Return the ROS bag of a name, or the parts of one that was split; none where it is no bag.
+    """Return the ROS bag of a name, or the parts of a split one; nothing if it is not a bag.
 
-    Parts lie in a folder, or have names of one pattern; they are in natural order. A bag of ROS 2
+    Parts are in one folder, or have names of one pattern; they are in natural order. A bag of ROS 2
     is a folder with ``metadata.yaml``.
     """
     path = Path(name)
@@ -83,7 +83,7 @@ def bags_in(name: str | Path) -> tuple[Path, ...]:
 
 
 def name_of(files: Sequence[Path]) -> str:
-    """Return what to call a bag, or the parts of one, in messages."""
+    """Return the name of a bag, or of the parts of one, for messages."""
     if len(files) == 1:
         return str(files[0])
     return f"{files[0]} (and {len(files) - 1} more)"
@@ -94,11 +94,11 @@ def stereo_topics(files: Sequence[Path], given: str = "") -> tuple[str, str]:
 
     Args:
         files: the bag, or the parts of one that was split.
-        given: both, as ``/left/image_raw,/right/image_raw``; found by name if empty.
+        given: both, as ``/left/image_raw,/right/image_raw``; if empty, found by name.
 
     Raises:
         InputError: the bag cannot be read, or there is no pair, or more than one.
-        SettingsError: what is given is not two topics of images.
+        SettingsError: ``given`` is not two topics of images.
     """
     path = name_of(files)
     with opened_bag(files) as reader:
@@ -113,7 +113,7 @@ def stereo_topics(files: Sequence[Path], given: str = "") -> tuple[str, str]:
             )
         return names[0], names[1]
     pairs = [(name, right) for name in found if (right := _right_of(name)) in found]
-    # Rectified images need no rectification, and raw ones lose nothing by compression.
+    # Rectified images are preferred, then uncompressed ones.
     for better in ("rect", "raw"):
         if len(pairs) > 1 and any(better in left for left, _ in pairs):
             pairs = [pair for pair in pairs if better in pair[0]]
@@ -175,7 +175,7 @@ def opened_bag(files: Sequence[Path]) -> Iterator[AnyReader]:
 
 
 def words_of(error: Exception) -> str:
-    """Return what rosbags, or a codec below it, says of damage, in a line."""
+    """Return the message of rosbags, or of a codec that it uses, about damage, in one line."""
     return " ".join(str(error).split()).rstrip(".") or type(error).__name__
 
 
@@ -205,7 +205,7 @@ def image_topics(reader: AnyReader) -> list[Topic]:
 
 
 def _first(reader: AnyReader, connections: Sequence[Connection]) -> Any:
-    """Return the first message of some connections, None where there is none to be read."""
+    """Return the first message of some connections, None if none can be read."""
     try:
         for connection, _, raw in reader.messages(connections=connections):
             return reader.deserialize(raw, connection.msgtype)
@@ -216,10 +216,10 @@ def _first(reader: AnyReader, connections: Sequence[Connection]) -> Any:
 
 
 def camera_info_of(reader: AnyReader, topic: str, size: tuple[int, int]) -> str | None:
-    """Return the calibration that lies beside a topic of images, as JSON.
+    """Return the calibration that belongs to a topic of images, as JSON.
 
-    It is of the sensor's images; where only a region of these was recorded, or pixels were binned,
-    it is adapted to the images recorded.
+    It is that of the sensor's full images, adapted to the recorded ones if these are a region or
+    binned.
 
     Args:
         reader: the bag.
@@ -246,9 +246,9 @@ def camera_info_of(reader: AnyReader, topic: str, size: tuple[int, int]) -> str 
 
 
 def _as_recorded(stated: dict[str, Any], info: Any, size: tuple[int, int]) -> dict[str, Any]:
-    """Return a calibration of the sensor's images as one of a region of them, with binned pixels.
+    """Return a calibration of the sensor's full images for a region of them, with binned pixels.
 
-    A pixel's centre has whole coordinates, so what was at x is at (x - offset + 0.5) / n - 0.5.
+    A pixel's centre has whole coordinates, so x becomes (x - offset + 0.5) / n - 0.5.
     """
     across, down = max(info.binning_x, 1), max(info.binning_y, 1)
     region = info.roi

@@ -1,4 +1,4 @@
-"""A video file as FFmpeg opens it: what it may read, and which of its tracks is the recording."""
+"""A video file opened with FFmpeg: only that file, and the track of the recording."""
 
 from __future__ import annotations
 
@@ -23,20 +23,20 @@ from motionstereo_cli.sources.seeking import CodedImage
 
 _PIPE_ADVICE = "pipe yuv4mpegpipe, Matroska, or MP4 with its index in front (-movflags +faststart)"
 
-#: What a file may have FFmpeg open besides, where the network is allowed.
+#: Protocols that a file may make FFmpeg open, if the network is allowed.
 _NETWORK = "file,crypto,data,http,https,httpproxy,tls,tcp,udp,rtp"
 
-#: FFmpeg gives streams without time this rate, so that it is not taken for one that they state.
+#: FFmpeg's default rate of streams without times, which is not one that they state.
 _FILLER = Fraction(7919, 331)
 
 #: The flag of formats without time stamps.
 _NO_TIME: int = Flags.no_timestamps.value  # type: ignore[assignment]
 
-#: Tracks that are pictures, not recordings, and how many packets tell one that is a picture.
+#: Flags of tracks that are pictures, and the number of packets by which a picture is detected.
 _PICTURES = Disposition.attached_pic | Disposition.timed_thumbnails | Disposition.still_image
 _PROBED_PACKETS = 200
 
-#: Bare HEVC of several views (MV-HEVC) is not known by its content.
+#: Bare HEVC of several views (MV-HEVC) is not detected by its content.
 _BARE_HEVC = frozenset({".hevc", ".h265", ".265"})
 
 #: No recording was made before this year.
@@ -53,8 +53,8 @@ ALL_VIEWS = -1
 class Container:
     """An open video.
 
-    Only the file itself is read, whatever it holds: FFmpeg gets it as an open file, and
-    may open no other.
+    Only the file itself is read, whatever its content: FFmpeg gets it as an open file, and may
+    open no other.
 
     Args:
         path: an existing file, a pipe, or a network address as text.
@@ -64,10 +64,10 @@ class Container:
         view: which view of a multiview stream to decode, :data:`ALL_VIEWS`, or None = its base.
 
     Attributes:
-        source: as FFmpeg has it.
+        source: FFmpeg's container.
         stream: the track.
         track: its number, from 1.
-        tracks: how many video tracks there are that are recordings.
+        tracks: number of video tracks that are recordings.
         timeless: the container has no time stamps.
 
     Raises:
@@ -117,7 +117,7 @@ class Container:
 
     @property
     def advice(self) -> str:
-        """What to do where it cannot be decoded, empty if there is nothing special."""
+        """What to do if it cannot be decoded, empty if nothing special."""
         return _PIPE_ADVICE if isinstance(self.path, Pipe) else ""
 
     @property
@@ -130,24 +130,24 @@ class Container:
 
     @property
     def clock(self) -> str:
-        """The format where it says when each image was; empty where it may begin at any time."""
+        """The format, if its times are absolute; empty if they may begin anywhere."""
         name = self.source.format.name
         return name if name.startswith(("mov,", "matroska,")) else ""
 
     @property
     def stated_rate(self) -> Fraction | None:
-        """The rate that a stream without time stamps states; to be asked once it is decoded."""
+        """The rate that a stream without time stamps states; known once it is decoded."""
         rate = self.stream.codec_context.framerate
         return rate if rate and rate != _FILLER else None
 
     @property
     def begin_s(self) -> Fraction:
-        """Time at which the container says that it begins."""
+        """Begin of the container, as it states it."""
         return Fraction(self.source.start_time or 0, av.time_base)
 
     @property
     def created(self) -> datetime | None:
-        """When the file was made, None if it does not say."""
+        """Creation time of the file, None if unknown."""
         said = self.stream.metadata.get("creation_time") or self.source.metadata.get(
             "creation_time"
         )
@@ -155,7 +155,7 @@ class Container:
             found = datetime.fromisoformat(said) if said else None
         except ValueError:
             return None
-        # Cameras whose clock is not set begin in 1904 or 1970.
+        # Clocks that are not set begin in 1904 or 1970.
         return found if found and found.tzinfo and found.year > _NO_CLOCK else None
 
     @property
@@ -167,7 +167,7 @@ class Container:
 
     @property
     def size_bytes(self) -> int | None:
-        """Size in bytes, so far where it comes through a pipe; None at an address."""
+        """Size in bytes, of a pipe so far; None for an address."""
         if isinstance(self.path, Pipe):
             return self.path.bytes_read
         return None if self._held is None else self._held.size_bytes
@@ -178,7 +178,7 @@ class Container:
         return self._held is not None and self._held.changed
 
     def fingerprint(self) -> dict[str, Any]:
-        """Return size in bytes and SHA-256 of the file opened, or of what came by the pipe."""
+        """Return size in bytes and SHA-256 of the open file, or of the pipe's data."""
         if isinstance(self.path, Pipe):
             return {"bytes": self.path.bytes_read, "sha256": self.path.sha256}
         if self._held is None:
@@ -186,11 +186,11 @@ class Container:
         return {"bytes": self._held.size_bytes, "sha256": self._held.sha256()}
 
     def check(self) -> None:
-        """Raise what a wait for the pipe ended by.
+        """Raise the reason why a wait for the pipe ended.
 
         Raises:
-            InputError: nothing came.
-            KeyboardInterrupt: the user did not want to wait.
+            InputError: no data came.
+            KeyboardInterrupt: the user interrupted it.
         """
         if isinstance(self.path, Pipe):
             if self.path.interrupted:
@@ -212,14 +212,14 @@ class Container:
         self.close_file()
 
     def close_file(self) -> None:
-        """Close what FFmpeg did not open."""
+        """Close the file that FFmpeg was given."""
         if isinstance(self.path, Pipe):
             self.path.close()
         elif self._held is not None:
             self._held.close()
 
     def count(self) -> int | None:
-        """Return how many images the track has, by reading the whole file; None for a pipe."""
+        """Count the images of the track by reading the whole file; None for a pipe."""
         if self._held is None:
             return None
         try:
@@ -234,7 +234,7 @@ class Container:
     def coded(self) -> list[CodedImage]:
         """Return all coded images of the track, by reading the whole file.
 
-        None at all where that cannot be, or does not say when each is shown.
+        Empty if that is impossible, or without times of presentation.
         """
         if self._held is None:
             return []
@@ -253,7 +253,7 @@ class Container:
         """Go to the key frame at a time stamp, or to one before.
 
         Raises:
-            av.FFmpegError: the container does not let it.
+            av.FFmpegError: the container cannot be seeked.
         """
         self.source.seek(pts, stream=self.stream, backward=True)
 
@@ -265,7 +265,7 @@ class Container:
 
     def _opened(self) -> av.container.InputContainer:
         limits = self._limits() | {"framerate": str(_FILLER)}
-        # Titles and the like may be anything, and do not matter.
+        # Metadata may be invalid text, and does not matter.
         opened = functools.partial(av.open, mode="r", metadata_errors="replace")
         path = self.path
         if isinstance(path, Pipe):
@@ -289,7 +289,8 @@ class Container:
                 return opened("fd:", options=options, format="hevc")
 
     def _limits(self) -> dict[str, str]:
-        # Twice, for coded images have a margin. This is for sizes that a head does not tell.
+        # Twice, because coded images have a margin. This limits sizes that the header does not
+        # state.
         return {"max_pixels": str(2 * self._max_pixels)}
 
     def _tracks(self) -> list[av.VideoStream]:
@@ -329,7 +330,7 @@ def _words_of(error: Exception) -> str:
 
 
 def _keep_quiet() -> None:
-    """Have FFmpeg's errors passed only to those who capture them."""
+    """Make FFmpeg's errors go only to those who capture them."""
     av.logging.set_level(av.logging.ERROR)
     av.logging.set_skip_repeated(False)
     logging.getLogger("libav").setLevel(logging.CRITICAL + 1)

@@ -27,7 +27,7 @@ from motionstereo_cli.sources.names import file_numbers, gaps
 from motionstereo_cli.sources.recording import Image, StillsRecording, images
 from motionstereo_cli.sources.times import timeline
 
-#: Pictures that are not read.
+#: Formats of images that are not read.
 _PICTURES = frozenset(
     {".gif", ".jp2", ".j2k", ".avif", ".heic", ".heif", ".jxl", ".exr", ".hdr", ".dng", ".raw"}
     | {".cr2", ".nef", ".arw", ".tga", ".pbm", ".pnm", ".pam", ".fits", ".npy", ".svg"}
@@ -37,18 +37,17 @@ _PICTURES = frozenset(
 class FolderRecording(StillsRecording):
     """Images of one folder in natural order: frame2 before frame10.
 
-    Colour becomes BT.601 luma, alpha is dropped, 16 bits are scaled to 8, and the orientation
-    that a camera noted is obeyed. An image that cannot be read is counted and its number left
-    out.
+    Colour becomes BT.601 luma, alpha is dropped, 16 bits are scaled to 8, and the orientation in
+    the metadata is applied. An image that cannot be read is counted and its number skipped.
 
-    The time stamp of an image is the number in its file name, where the names differ in one
-    number only and count in steps; otherwise its place. Only ``frame_rate`` makes a time of it.
-    Where a ``data.csv`` lies beside a folder ``data``, as EuRoC has it, or a ``times.txt`` beside a
-    folder ``image_0``, as KITTI has it, the time stamps are there.
+    The time stamp of an image is the number in its file name, if the names differ only in one
+    number that counts in steps; otherwise its position. It is a time only with ``frame_rate``.
+    If there is a ``data.csv`` beside a folder ``data`` (EuRoC) or a ``times.txt`` beside a folder
+    ``image_0`` (KITTI), the time stamps are read from it.
 
     Args:
         path: an existing folder, or a glob pattern for the messages.
-        files: the images, where not those of the folder.
+        files: the images, if not all of the folder.
         frame_rate: images per second, None = unknown.
         white: level that becomes 255 in images of 16 bits; 0 = 65535.
         max_pixels: largest width times height of an image.
@@ -92,7 +91,7 @@ class FolderRecording(StillsRecording):
         if stamps_ns:
             self._pts, self.time_base, self.stamped = stamps_ns, Fraction(1, 10**9), True
             if len(stamps_ns) > 1:
-                # The median: lost images do not count.
+                # The median, so that lost images do not matter.
                 period_ns = statistics.median(map(operator.sub, stamps_ns[1:], stamps_ns[:-1]))
                 self.frame_rate = Fraction(10**9) / Fraction(period_ns)
         else:
@@ -115,7 +114,7 @@ class FolderRecording(StillsRecording):
 
     @property
     def damage(self) -> list[str]:
-        """One line that counts the unreadable images and names the first, and the like."""
+        """One line for each kind of damage: the number of images, and the first."""
         lines = []
         if self._unreadable:
             count, first = images(self.lost), self._unreadable[0]
@@ -125,21 +124,21 @@ class FolderRecording(StillsRecording):
         return lines
 
     def describe(self) -> dict[str, Any]:
-        """Return what the images are, as JSON-able values."""
+        """Describe the images, as JSON-able values."""
         codecs = sorted({file.suffix.lower()[1:] for file in self._files})
         return self._described("images", ", ".join(codecs))
 
     @property
     def files(self) -> tuple[Path, ...]:
-        """The folder or the images given, and the table with the times if there is one."""
+        """The folder or the images given, and the table of times if there is one."""
         return (*self._given, *([self._table.table] if self._table.table else []))
 
     def fingerprint(self) -> dict[str, Any]:
         """Return the size of all images in bytes, and a SHA-256; reads those not yet decoded.
 
-        That is the hash of the text which ``sha256sum`` prints for the images by bare name, in
-        their order. Of an image that was decoded it is that of the bytes decoded. Where a table
-        told the times, its hash is ``times_sha256``.
+        It is the hash of the text that ``sha256sum`` prints for the images' bare names, in their
+        order; of decoded images the decoded bytes count. The hash of a table of times is
+        ``times_sha256``.
         """
         sums, size = hashlib.sha256(), 0
         for index, path in enumerate(self._files):
@@ -152,11 +151,11 @@ class FolderRecording(StillsRecording):
         return {"bytes": size, "sha256": sums.hexdigest(), **times}
 
     def outline(self) -> Sequence[tuple[int, int]]:
-        """Return places and time stamps of all images."""
+        """Return numbers and time stamps of all images."""
         return list(enumerate(self._pts))
 
     def skip_to(self, number: int) -> bool:
-        """Begin with an image; those before are not read."""
+        """Begin with an image; earlier ones are not read."""
         self._images = self._read(number, (self.height, self.width))
         return True
 
@@ -181,7 +180,7 @@ class FolderRecording(StillsRecording):
             yield Image(number, pts, grey, colours_of(still.pixels))
 
     def _look_at_first(self, still: Still, file: Path) -> None:
-        """Note what the first image and its file tell of all."""
+        """Note what the first image and its file tell about all."""
         self._look_at(still.pixels)
         self.stated = still.stated
         if still.pages > 1:
@@ -190,21 +189,21 @@ class FolderRecording(StillsRecording):
             )
 
     def _note(self, number: int, still: Still) -> None:
-        """Keep what was read, and count it where the fingerprint had read something else."""
+        """Keep an image's hash, and count a change since the fingerprint was read."""
         read, known = (still.size_bytes, still.sha256), self._sums[number]
         self._changed += known is not None and known != read
         self._sums[number] = read
 
 
 def _others(folder: Path) -> str:
-    """Return what a folder holds in the place of images."""
+    """Return a note on the other files of a folder without images."""
     found = {file.suffix.lower() for file in folder.iterdir() if not file.name.startswith(".")}
     kinds = sorted(found & _PICTURES)
     return f" (convert its {', '.join(kinds)} files to PNG)" if kinds else ""
 
 
 def _sums_of(path: Path) -> tuple[int, bytes] | None:
-    """Return size and SHA-256 of a file, None where it cannot be read."""
+    """Return size and SHA-256 of a file, None if it cannot be read."""
     try:
         with open_regular(path) as file:
             digest = hashlib.file_digest(file, "sha256").digest()

@@ -1,8 +1,8 @@
-"""What H.264 says of references: whether images are missing that later ones are built on.
+"""Missing reference images of H.264 streams.
 
-FFmpeg's decoder fills the place of a lost reference and does not report it. The stream tells:
-reference images are numbered (frame_num of ITU-T H.264, 7.4.3), so a number that does not follow
-means that one is gone. One that the camera skipped before encoding leaves no hole.
+FFmpeg's decoder conceals a lost reference without reporting it. Reference images are numbered
+(frame_num of ITU-T H.264, 7.4.3), so a gap in the numbers means that one is lost. An image that
+the camera skipped before encoding leaves no gap.
 """
 
 from __future__ import annotations
@@ -10,14 +10,14 @@ from __future__ import annotations
 import contextlib
 from typing import NamedTuple
 
-#: Profiles whose parameter sets say more of colour: 7.3.2.1.1.
+#: Profiles whose parameter sets have further fields for colour: 7.3.2.1.1.
 _HIGH = {100, 110, 122, 244, 44, 83, 86, 118, 128, 138, 139, 134, 135}
 
 _SLICE, _IDR_SLICE, _SEQUENCE_SET = 1, 5, 7
 
 
 class Head(NamedTuple):
-    """The head of a coded image: its number, modulo ``most``, and whether it is a reference."""
+    """The slice header of an image: its number modulo ``most``, and whether it is a reference."""
 
     number: int
     most: int
@@ -31,11 +31,11 @@ class Head(NamedTuple):
 
 
 class Heads:
-    """Reads the heads of the images in packets.
+    """Reads the slice headers of the images in packets.
 
     Args:
-        extradata: what the container says of the codec: the parameter sets, and how long the
-            lengths before the parts of a packet are.
+        extradata: the codec's data in the container: the parameter sets, and the size of the
+            length fields of units.
     """
 
     def __init__(self, extradata: bytes) -> None:
@@ -47,7 +47,7 @@ class Heads:
                 self._note(part)
 
     def read(self, packet: bytes) -> Head | None:
-        """Return the head of the first image in a packet, None where it cannot be told."""
+        """Return the slice header of the first image in a packet, None if it cannot be parsed."""
         parts = _lengths(packet, self._length_bytes) if self._length_bytes else _annex_b(packet)
         with contextlib.suppress(IndexError):  # torn
             for part in parts:
@@ -64,7 +64,7 @@ class Heads:
         return None
 
     def _note(self, part: bytes) -> None:
-        """Keep how many bits the numbers of images have, if a part is a parameter set."""
+        """Note the number of bits of frame numbers, if a unit is a parameter set."""
         if not part or part[0] & 31 != _SEQUENCE_SET:
             return
         bits = _Bits(part[4:512])
@@ -84,7 +84,7 @@ class Heads:
 
 
 class _Bits:
-    """Bits from the first on; IndexError behind the last."""
+    """Reads bits in order; IndexError after the last."""
 
     def __init__(self, content: bytes) -> None:
         plain = content.replace(b"\0\0\3", b"\0\0")

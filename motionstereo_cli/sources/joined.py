@@ -19,28 +19,28 @@ from motionstereo_cli.sources.names import file_numbers, gaps, natural_key
 from motionstereo_cli.sources.recording import Image, Recording
 from motionstereo_cli.sources.video import VideoRecording
 
-#: Names of videos that may be parts of one recording.
+#: Suffixes of videos that may be parts of one recording.
 SUFFIXES = frozenset(
     {".mp4", ".mov", ".m4v", ".avi", ".mkv", ".webm", ".ts", ".mts", ".m2ts", ".mpg", ".mpeg"}
     | {".wmv", ".3gp", ".flv", ".h264", ".264", ".hevc", ".h265", ".265", ".mjpeg", ".mjpg"}
 )
 
-#: GoPro's names: the chapter stands before the number of the recording; the first chapter of older
+#: GoPro's names: the chapter precedes the number of the recording; the first chapter of older
 #: cameras has none.
 _GOPRO = re.compile(r"G[A-Z](?P<chapter>\d\d)(?P<recording>\d{4})|GOPR(?P<first>\d{4})", re.I)
 
-#: Creation times are in whole seconds, and files may be made a moment before the first image.
+#: Tolerance of creation times in s: they are whole seconds, and earlier than the first image.
 _CREATED_WITHIN_S = Fraction(5, 2)
 
-#: Times that go on from file to file do so within this, in s.
+#: Tolerance of times that continue from file to file, in s.
 _LONGEST_GAP_S = 3600
 
 
 def parts_of(name: str, files: Sequence[Path]) -> list[Path]:
-    """Return the videos among files in the order in which they follow one another.
+    """Return the videos among files in the order of recording.
 
     Raises:
-        InputError: they are those of several recordings, or nothing tells their order.
+        InputError: they belong to several recordings, or their order is unknown.
     """
     videos = [each for each in files if each.suffix.lower() in SUFFIXES and each.is_file()]
     chapters = {video: _GOPRO.fullmatch(video.stem) for video in videos}
@@ -61,12 +61,12 @@ def parts_of(name: str, files: Sequence[Path]) -> list[Path]:
 
 
 def _in_order(video: Path) -> str:
-    """Return the name of a video, the first chapter of older GoPros before the others."""
+    """Return a sort key that puts the first chapter of older GoPros before the others."""
     return re.sub(r"^GOPR(?=\d{4}$)", "GP00", video.stem, flags=re.I)
 
 
 def next_chapter(path: Path) -> Path | None:
-    """Return GoPro's next chapter of a recording where it lies beside this one."""
+    """Return the next chapter of a GoPro recording, if it exists beside this one."""
     found = _GOPRO.fullmatch(path.stem)
     if found is None:
         return None
@@ -83,20 +83,20 @@ def _missing(files: Sequence[Path]) -> list[str]:
     found = [_GOPRO.fullmatch(file.stem) for file in files]
     if all(found):
         chapters = [int(each["chapter"] or 0) for each in found if each]
-        # One more before them: two files alone do not tell that their numbers go on by 1.
+        # With one before them: two files alone do not show that numbers count by 1.
         return gaps([chapters[0] - 1, *chapters])
     return gaps(file_numbers([file.stem for file in files]) or [0])
 
 
 class _Part(NamedTuple):
-    """One of the files: what its head says, and where its times are placed.
+    """One of the files: its metadata, and the shift of its times.
 
     Attributes:
         path: the file.
-        time_base: seconds per unit of its time stamps, None where it has none.
-        shift_s: what is added to its times.
-        begin_s, end_s: its first image, and the end of its last, by the recording's times.
-        created: when it was made, None if it does not say.
+        time_base: seconds per unit of its time stamps, None if it has none.
+        shift_s: added to its times.
+        begin_s, end_s: times of its first image, and of the end of its last, in the recording.
+        created: creation time, None if unknown.
     """
 
     path: Path
@@ -110,13 +110,13 @@ class _Part(NamedTuple):
 class JoinedRecording(Recording):
     """The images of several videos, one after the other, as one recording.
 
-    Numbers go on from file to file. So do times: where those of a file do not begin behind the
-    file before by themselves, they are shifted to its end. A file that cannot be opened is left
-    out and counted as damage.
+    Numbers continue from file to file, and so do times: if those of a file do not begin after the
+    previous file, they are shifted to its end. A file that cannot be opened is skipped and
+    counted as damage.
 
     Args:
-        name: what the files were given by: a folder or a pattern.
-        files: them, in order.
+        name: the folder or pattern that was given.
+        files: the files, in order.
         opened: opens one of them.
 
     Raises:
@@ -153,7 +153,7 @@ class JoinedRecording(Recording):
         self._images = self._read()
 
     def _take_over(self, first: VideoRecording) -> None:
-        """Note what the first file tells of all."""
+        """Take over the properties of the first file."""
         self.width, self.height = first.width, first.height
         self.time_base, self.frame_rate = first.time_base, first.frame_rate
         self.begin_pts, self.begin_s = first.begin_pts, first.begin_s
@@ -164,7 +164,7 @@ class JoinedRecording(Recording):
         self._described = first.describe()
 
     def _append(self, file: Path, recording: VideoRecording) -> None:
-        """Place a file behind those before it, and say what is missing between."""
+        """Append a file, and note what is missing before it."""
         size = recording.width, recording.height
         if size != (self.width, self.height) or recording.timeless != self.timeless:
             raise InputError(
@@ -216,7 +216,7 @@ class JoinedRecording(Recording):
         return self._given
 
     def describe(self) -> dict[str, Any]:
-        """Return what the recording is, as JSON-able values: its first file, and their number."""
+        """Describe the recording, as JSON-able values: its first file, and the number of files."""
         more = {"path": self.name, "files": len(self._given), "images": self.expected_images}
         return self._described | more
 
@@ -235,7 +235,7 @@ class JoinedRecording(Recording):
         }
 
     def count(self) -> int | None:
-        """Return how many images the files have, by their indices, or else by reading them."""
+        """Count the images of the files, by their indices or by reading them."""
         total = 0
         for part in self._parts:
             with closing(self._opened(part.path)) as recording:
@@ -260,7 +260,7 @@ class JoinedRecording(Recording):
         return found
 
     def skip_to(self, number: int) -> bool:
-        """Begin with an image, by a seek in the file that has it."""
+        """Begin with an image, by seeking in its file."""
         if not self._firsts and not self.outline():
             return super().skip_to(number)
         index = bisect.bisect_right(self._firsts, number) - 1
@@ -273,7 +273,7 @@ class JoinedRecording(Recording):
             self._current.close()
 
     def _pts(self, part: _Part, pts: int, first: int) -> int:
-        """Return a time stamp of a file as one of the recording."""
+        """Convert a time stamp of a file to the recording's."""
         if self.time_base is None or part.time_base is None or self.timeless:
             return first + pts
         if part.time_base == self.time_base:
@@ -281,7 +281,7 @@ class JoinedRecording(Recording):
         return round((pts * part.time_base + part.shift_s) / self.time_base)
 
     def _read(self, index: int = 0, number: int = 0) -> Iterator[Image]:
-        """Yield the images from one of a number on, which is in a file of an index."""
+        """Yield the images from a number on, which is in the file with an index."""
         first = self._firsts[index] if index else 0
         for part in self._parts[index:]:
             with closing(self._opened(part.path)) as recording:

@@ -1,4 +1,4 @@
-"""The views in a decoded image: taking them apart, stretching, cutting and scaling them."""
+"""The views in a decoded image: split, stretch, crop and scale them."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def split(image: Grey, layout: str) -> tuple[Grey, ...]:
     """Return the views in an image, (height, width) uint8: one, or left and right (top, bottom).
 
     Squeezed views are stretched to square pixels again, linearly. Side by side, that doubles the
-    disparity in px, and with it fits the focal length of the camera before the squeezing.
+    disparity in px, which then fits the focal length before squeezing.
     """
     height, width = image.shape[:2]
     if layout.startswith("side-by-side"):
@@ -48,19 +48,19 @@ def split(image: Grey, layout: str) -> tuple[Grey, ...]:
 
 
 def turned(view: Grey, clockwise: int, *, mirrored: bool) -> Grey:
-    """Return a view exchanged left to right, if it is mirrored, and turned clockwise by degrees."""
+    """Return a view mirrored left to right, if asked, and turned clockwise by degrees."""
     straight = view[:, ::-1] if mirrored else view
     return np.rot90(straight, -clockwise // 90)
 
 
 def cut(view: Grey, box: Box, width: int, height: int) -> Grey:
-    """Return a part of a view in a new size, C-contiguous."""
+    """Crop and scale a view, C-contiguous."""
     part = view[box.y : box.y + box.height, box.x : box.x + box.width]
     return np.ascontiguousarray(resized(part, width, height))
 
 
 def resized(view: Grey, width: int, height: int) -> Grey:
-    """Return a view in a new size: averaged where it shrinks, linear where it grows."""
+    """Scale a view: by averages to smaller sizes, linearly to larger ones."""
     if view.shape[:2] == (height, width):
         return view
     shrinks = width <= view.shape[1] and height <= view.shape[0]

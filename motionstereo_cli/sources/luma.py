@@ -27,7 +27,7 @@ _GREY_SPREAD = 6
 def is_full_range(frame: av.VideoFrame) -> bool:
     """Return whether luma spans 0..255 rather than 16..235.
 
-    What the stream says holds; where it says nothing, YUV is limited range, all else full.
+    By the stream's flag; without one, YUV is limited range, all else full.
     """
     if frame.color_range in (ColorRange.JPEG, ColorRange.MPEG):
         return frame.color_range == ColorRange.JPEG
@@ -36,25 +36,24 @@ def is_full_range(frame: av.VideoFrame) -> bool:
 
 
 def bits_of(frame: av.VideoFrame) -> int:
-    """Return how many bits the levels of an image have."""
+    """Return the number of bits of an image's levels."""
     return max(int(component.bits) for component in frame.format.components)
 
 
 def brightest(frame: av.VideoFrame) -> int:
-    """Return the largest level in an image, of all that its bits can say."""
+    """Return the largest level in an image, in its own bits."""
     return int(_deep(frame).max()) * ((1 << bits_of(frame)) - 1) // 65535
 
 
 def grey_levels(frame: av.VideoFrame, white: int = 0) -> Grey:
     """Return the grey levels of a decoded frame, (height, width) uint8 0..255.
 
-    Luma of 8 bits in a plane of its own is taken as it is and, where limited range, looked up
-    in a table. Other YUV goes through FFmpeg's scaler, RGB through BT.601 in full range.
+    An 8-bit luma plane is used directly, expanded by a table if it is limited range. Other YUV is
+    converted by FFmpeg's scaler, RGB by BT.601 in full range.
 
     Args:
         frame: the frame.
-        white: level that becomes 255, of those that the bits of the stream can say; 0 = the
-            largest.
+        white: level that becomes 255, in the stream's own bits; 0 = the largest.
     """
     if white:
         scale = ((1 << bits_of(frame)) - 1) / (257 * white)
@@ -96,7 +95,7 @@ def _deep(frame: av.VideoFrame) -> np.ndarray[tuple[int, ...], np.dtype[np.uint1
 
 def _reformatted(frame: av.VideoFrame, form: str) -> av.VideoFrame:
     source = ColorRange.JPEG if is_full_range(frame) else ColorRange.MPEG
-    # One thread: a pool for each frame costs more than it gains, and outlives no fork.
+    # One thread: a pool for each frame costs more than it gains, and breaks after a fork.
     return frame.reformat(
         format=form, src_color_range=source, dst_color_range=ColorRange.JPEG, threads=1
     )

@@ -1,4 +1,4 @@
-"""Spatial video (MV-HEVC): a stream that holds the views of both eyes, each coded by itself."""
+"""Spatial video (MV-HEVC): one stream with the views of both eyes."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from motionstereo_cli.sources.recording import Recording
 from motionstereo_cli.sources.settings import InputSettings
 from motionstereo_cli.sources.stereo3d import said_by, view_id
 
-#: Within this many images each view comes at least once.
+#: Number of images among which each view occurs.
 _PROBED_IMAGES = 60
 
 
@@ -39,7 +39,7 @@ def eyes_in(path: Path | str, settings: InputSettings, track: int) -> dict[str, 
                 if len(eyes) == 2:
                     break
         except (av.FFmpegError, OSError):
-            pass  # what came before tells, or too little came
+            pass  # decided by the images so far, or there are too few
     if set(eyes) != {"left", "right"}:
         raise InputError(
             f"{path} is spatial video (MV-HEVC), of which "
@@ -54,9 +54,9 @@ def eyes_in(path: Path | str, settings: InputSettings, track: int) -> dict[str, 
 
 
 def add_nominal_rig(path: str, left: Recording, right: Recording) -> None:
-    """Give both views the calibration that follows from what the file says of the cameras.
+    """Give both views a calibration from the camera data in the file.
 
-    Nothing where it does not say their distance and the angle that an image spans.
+    Without the distance of the cameras and their angle of view they get none.
     """
     said = left.said
     if not (said.baseline_m and 0 < said.width_deg < 180):

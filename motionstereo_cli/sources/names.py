@@ -1,4 +1,4 @@
-"""What file names tell of the images' order, numbers and times."""
+"""Order, numbers and times of images by their file names."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ def natural_key(name: str) -> list[tuple[int, str]]:
 def file_numbers(stems: list[str]) -> list[int] | None:
     """Return the number in each of a folder's file names without suffix, given in order.
 
-    None unless the names differ only in that number and count in steps of one size, gaps
-    allowed: time stamps, several numbers and words tell nothing.
+    None unless the names differ only in that number, which counts in steps of one size with gaps
+    allowed. Time stamps, several numbers and words give none.
     """
     split = [re.split(r"([0-9]+)", stem) for stem in stems]
     if len({len(parts) for parts in split}) > 1:
@@ -67,11 +67,11 @@ def gaps(numbers: list[int]) -> list[str]:
 
 
 def stamps_in(stems: Sequence[str]) -> list[int]:
-    """Return the time stamps in ns that names without suffix are, as cameras' drivers name images.
+    """Return names without suffix as time stamps in ns, in the forms of camera drivers.
 
-    Those are seconds since 1970 with a decimal point, whole ms, us or ns since then, or dates, in
-    what is but for that and for counters the same in all names. None where one is not, or they
-    do not rise.
+    These are seconds since 1970 with a decimal point, whole ms, us or ns since then, or dates; the
+    rest of the names, except for counters, is the same. None if a name has none, or the times do
+    not rise.
     """
     for pattern, stamp_of in ((_NAME_STAMP, _stamp_of), (_NAME_DATE, _stamp_of_date)):
         found = [each for stem in stems if (each := pattern.fullmatch(stem))]
@@ -101,16 +101,16 @@ def _stamp_of_date(found: re.Match[str]) -> int:
 def joint_marks(left: Sequence[str], right: Sequence[str]) -> tuple[list[int], list[int]] | None:
     """Return a rising number for each name of both sides, comparable between them.
 
-    It is what differs among the names of a side: a number, or several of fixed width one after
-    the other, such as seconds and their decimals. None where names are not of one form, or the
-    numbers do not rise.
+    It is the part that differs among the names of a side: a number, or several of fixed width,
+    such as seconds and their decimals. None if the names differ in form, or the numbers do not
+    rise.
     """
     sides = [[re.split(r"(\d+)", stem) for stem in stems] for stems in (left, right)]
     both = [parts for side in sides for parts in side]
     if not all(sides) or len({len(parts) for parts in both}) != 1:
         return None
     if any(len({tuple(parts[::2]) for parts in side}) != 1 for side in sides):
-        return None  # words differ, so numbers may not be of one row
+        return None  # words differ, so the numbers may not be comparable
     places = range(1, len(both[0]), 2)
     varying = [at for at in places if any(len({parts[at] for parts in side}) > 1 for side in sides)]
     if not varying:

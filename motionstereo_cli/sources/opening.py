@@ -1,4 +1,4 @@
-"""What an input given by name is: a video, images, standard input, a folder of both cameras."""
+"""Open inputs by name: videos, images, standard input, folders of both cameras."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ from motionstereo_cli.sources.video import VideoRecording
 #: The name of standard input. A file of that name is ``./-``.
 STDIN = "-"
 
-#: What FFmpeg takes for an address: a protocol and a colon. One letter is a drive of Windows.
+#: FFmpeg's addresses: a protocol and a colon. A single letter is a drive of Windows.
 _ADDRESS = re.compile(r"[A-Za-z][A-Za-z0-9+.,-]+:")
 
-#: Where the left and right images lie in folders that hold a whole recording. Of KITTI's two
-#: pairs of cameras the grey one comes first: it needs no conversion.
+#: Subfolders of the left and right images in folders of a whole recording. Of KITTI's two pairs of
+#: cameras the grey one comes first: it needs no conversion.
 PAIRS = (
     ("image_0", "image_1"),  # KITTI odometry
     ("image_00/data", "image_01/data"),  # KITTI raw
@@ -46,10 +46,10 @@ PAIRS = (
 
 
 class LoneRecordingError(SettingsError):
-    """A recording was given alone, and does not say that it holds both views.
+    """A recording was given alone, and does not state that it holds both views.
 
     Attributes:
-        described: what it is, as JSON-able values.
+        described: its description, as JSON-able values.
         warnings: what looks wrong with it, one line each.
     """
 
@@ -67,8 +67,8 @@ def open_stereo(
         left: a video file, a folder or a glob pattern of images, or of videos that follow one
             another, or ``-`` for standard input; without ``right`` also a KITTI or EuRoC folder,
             or a ROS bag. With ``allow_network`` in the settings also an address.
-        right: the like; None where ``left`` has both views.
-        settings: how the views lie, which images belong together, and what to use of them.
+        right: the same for the right view; None if ``left`` has both.
+        settings: layout of the views, pairing of images, and selection of frames.
 
     Raises:
         InputError: a recording is missing, cannot be decoded or has no images; both are the
@@ -113,10 +113,10 @@ def open_stereo(
 
 
 def _laid_out(streams: list[Recording], settings: InputSettings) -> tuple[InputSettings, list[str]]:
-    """Return the settings with the layout that a recording states, and what contradicts it.
+    """Return the settings with the layout that a recording states, and a warning of contradictions.
 
     Raises:
-        SettingsError: a lone recording does not say that it holds both views.
+        SettingsError: a lone recording does not state that it holds both views.
     """
     stated = [(stream.name, stream.stated) for stream in streams if stream.stated]
     if len(streams) == 1 and settings.layout == "two":
@@ -136,10 +136,10 @@ def _laid_out(streams: list[Recording], settings: InputSettings) -> tuple[InputS
 
 
 def _check_read(stream: Recording, settings: InputSettings) -> None:
-    """Make sure that a recording holds views that are read.
+    """Check that the views of a recording can be read.
 
     Raises:
-        InputError: it holds both in a way that is not read, or is spherical.
+        InputError: their layout is not read, or they are spherical.
     """
     if stream.unread:
         raise InputError(stream.unread)
@@ -194,7 +194,7 @@ def named(left: str | Path, right: str | Path | None, settings: InputSettings) -
 
 
 class CameraTopic(NamedTuple):
-    """The topic of a camera, and the bag, or the parts of one, that it is in."""
+    """The topic of a camera, and its bag or the parts of it."""
 
     files: tuple[Path, ...]
     name: str
@@ -203,12 +203,12 @@ class CameraTopic(NamedTuple):
 def topics_of(
     names: Sequence[str], settings: InputSettings
 ) -> tuple[CameraTopic | None, CameraTopic | None]:
-    """Return the topics of the left and the right camera, None where there is no bag.
+    """Return the topics of the left and the right camera, None without a bag.
 
-    Two bags are those of one camera each, or the parts of one bag.
+    Two bags have one camera each, or are the parts of one bag.
 
     Raises:
-        InputError: they are not to be found in the bag.
+        InputError: the bag does not have them.
         SettingsError: topics were given, and there is no bag or it does not have them.
     """
     bags = [bags_in(name) for name in dict.fromkeys(names)]
@@ -239,10 +239,10 @@ def open_recording(
 
     Args:
         name: of a file, folder, pattern, FIFO or address, or that of standard input.
-        settings: what to make of it.
-        track: which video track of it, from 1; 0 = the first.
-        topic: which topic of it, where it is a ROS bag.
-        view: which view of it, where it is a multiview stream; None = the base view.
+        settings: parameters of the input.
+        track: which of its video tracks, from 1; 0 = the first.
+        topic: which of its topics, if it is a ROS bag.
+        view: which of its views, if it is a multiview stream; None = the base view.
 
     Raises:
         InputError: it cannot be decoded or has no images.
@@ -300,7 +300,7 @@ def _open_video(
 
 
 def _videos_of(name: str) -> list[Path]:
-    """Return the videos of a folder or a pattern, in order; none where it has images."""
+    """Return the videos of a folder or a pattern, in order; nothing if it has images."""
     path = Path(name)
     if name == STDIN or is_address(name) or (path.exists() and not path.is_dir()):
         return []
@@ -310,7 +310,7 @@ def _videos_of(name: str) -> list[Path]:
 
 
 def _openable(name: str) -> Path | Pipe | str:
-    """Return a video by its kind: file, pipe or address."""
+    """Return a video in the form to open it: file, pipe or address."""
     if name == STDIN:
         return Pipe()
     if is_address(name):
@@ -320,7 +320,7 @@ def _openable(name: str) -> Path | Pipe | str:
 
 
 def is_address(name: str) -> bool:
-    """Return whether a name is a network address, or the like, and no file."""
+    """Return whether a name is a network address or the like, not a file."""
     return bool(_ADDRESS.match(name)) and not _files(name)
 
 
@@ -330,7 +330,7 @@ def _files(name: str) -> list[Path]:
 
 
 def _both_in(name: str) -> list[str]:
-    """Return the folders of both cameras in one, or the name if it may hold both views itself."""
+    """Return the folders of both cameras in a folder, or its name if it may hold both views."""
     for pair in PAIRS:
         folders = [Path(name, part) for part in pair]
         if all(folder.is_dir() for folder in folders):
@@ -348,7 +348,7 @@ def _alone(name: str) -> str:
     )
 
 
-#: Files of others that hold recordings, and how they become what is read here.
+#: Suffixes of other recordings, and how to convert them.
 _ELSEWHERE = {
     (".svo",): "an older ZED recording: export it with ZED_SVO_Export as side-by-side AVI",
     (".npy", ".npz"): "NumPy's arrays: write each as an image, with cv2.imwrite",

@@ -1,4 +1,4 @@
-"""Where a constant rate has holes: images that should have come and did not."""
+"""Gaps in a constant rate: images that should have come and did not."""
 
 from __future__ import annotations
 
@@ -8,22 +8,22 @@ from collections.abc import Sequence
 from fractions import Fraction
 from typing import NamedTuple
 
-#: Time stamps keep a constant rate where steps are whole within this share of a period.
+#: At a constant rate, steps are multiples of a period within this share.
 _JITTER = 0.25
 
-#: Where more than this share of the steps leap, the rate varies and nothing is missing.
+#: If more than this share of the steps are longer, the rate varies and nothing is missing.
 _LEAPING_SHARE = 0.25
 
-#: A leap that is longer, in s, is a pause of the recording.
+#: A longer step, in s, is a pause of the recording.
 _PAUSE_S = 10
 
 
 class Rhythm(NamedTuple):
-    """What an index of time stamps tells.
+    """The rate in an index of time stamps.
 
     Attributes:
-        rate: images per second between which nothing is missing, None where they vary.
-        places: images and holes.
+        rate: constant rate in images per second, None if it varies.
+        places: number of images and gaps.
     """
 
     rate: Fraction | None
@@ -50,18 +50,18 @@ def rhythm(stamps: Sequence[int], time_base: Fraction) -> Rhythm:
 
 
 class Pace:
-    """Follows the time stamps of a stream, and tells where a constant rate has holes.
+    """Follows the time stamps of a stream, and finds gaps in a constant rate.
 
     Args:
         rate: images per second, None if unknown.
         time_base: seconds per unit of the time stamps.
-        steady: the rate is known to be constant, or not to be; None = that is to be seen.
-        places: images and holes in all, None if unknown.
+        steady: whether the rate is constant; None = to be found out.
+        places: total number of images and gaps, None if unknown.
 
     Attributes:
-        steady: as given, or what was seen so far.
+        steady: as given, or as found so far.
         missing: images missing so far.
-        pause: the first leap that is too long to be a hole: its length and begin in s.
+        pause: the first step that is too long for a gap: its length and begin in s.
     """
 
     def __init__(
@@ -84,7 +84,7 @@ class Pace:
 
         Args:
             last_pts, pts: time stamps of the two.
-            failed: how many came between them and could not be decoded.
+            failed: number of images between them that could not be decoded.
             last_number: number of the first of the two.
         """
         if not self.steady and (self._known or self.steady is False):
@@ -113,8 +113,8 @@ class Pace:
         return (
             abs(periods - round(periods)) < _JITTER
             and hole >= 0
-            # A leap at the very first step means that the rate is mislabelled.
+            # A long first step means that the rate is mislabelled.
             and not (hole and self.steady is None)
-            # A leap beyond the end is a damaged time stamp.
+            # A step beyond the end is a damaged time stamp.
             and (self._places is None or last_number + round(periods) < self._places)
         )

@@ -28,9 +28,9 @@ def has_pages(path: Path) -> bool:
 
 
 class PagesRecording(StillsRecording):
-    """Images of one file in their order; they have no times, but ``frame_rate`` makes some.
+    """Images of one file in order; they have times only with ``frame_rate``.
 
-    Behind a page that cannot be read all others are lost.
+    After a page that cannot be read, all others are lost.
 
     Args:
         path: the file.
@@ -62,18 +62,18 @@ class PagesRecording(StillsRecording):
 
     @property
     def lost(self) -> int:
-        """Images behind one that could not be read, and that one."""
+        """The image that could not be read, and all after it."""
         return self._lost
 
     @property
     def damage(self) -> list[str]:
-        """A line that says where reading ended."""
+        """A line that tells where reading ended."""
         if not self._ended:
             return []
         return [f"{self._path}: {images(self._lost)} could not be read: {self._ended}"]
 
     def describe(self) -> dict[str, Any]:
-        """Return what the images are, as JSON-able values."""
+        """Describe the images, as JSON-able values."""
         return self._described("pages", self._path.suffix.lower()[1:])
 
     @property
@@ -90,7 +90,7 @@ class PagesRecording(StillsRecording):
         return [(number, number) for number in range(self._count)]
 
     def skip_to(self, number: int) -> bool:
-        """Begin with a page; those before are not decoded."""
+        """Begin with a page; earlier ones are not decoded."""
         self._images = self._read(number, (self.height, self.width))
         return True
 

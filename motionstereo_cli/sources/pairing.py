@@ -1,4 +1,4 @@
-"""Which left image belongs to which right image."""
+"""Pairing of left and right images."""
 
 from __future__ import annotations
 
@@ -20,31 +20,31 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
-#: Rates further apart, as a share, are those of recordings that time pairs badly: one of the two
-#: is mislabelled, or they are not of one rig.
+#: If rates differ by more than this share, times pair badly: one of them is mislabelled, or they
+#: are not of one rig.
 _RATES_APART = 0.1
 
-#: Recordings that begin further apart, in s, have clocks of their own.
+#: Recordings that begin further apart, in s, have independent clocks.
 _CLOCKS_APART_S = 1.0
 
-#: Fewer images tell nothing of clocks.
+#: Minimum number of images for comparing clocks.
 _FEW = 3
 
-#: How fast the difference of two clocks is followed: share of a new difference.
+#: Weight of a new difference when following the offset of two clocks.
 _FOLLOWING = 0.2
 
 
 @dataclass(frozen=True, slots=True)
 class Pairing:
-    """How to tell which images belong together.
+    """How images are paired.
 
     Attributes:
-        lead: how much earlier a left image is than a right one; negative where it is later.
+        lead: how much earlier a left image is than a right one; negative if it is later.
         tolerance: largest difference in a pair.
-        by_time: the differences are times.
-        note: is told each pair.
-        warning: what contradicts it, empty if nothing does.
-        thinned: the recording of the higher rate, where not all of its images have partners.
+        by_time: whether differences are times.
+        note: called with each pair.
+        warning: what contradicts the pairing, empty if nothing does.
+        thinned: the recording of the higher rate, if not all of its images have partners.
     """
 
     lead: Callable[[SideImage, SideImage], Fraction]
@@ -58,8 +58,8 @@ class Pairing:
 def pairing(left: Recording, right: Recording, settings: InputSettings) -> Pairing:
     """Return how images of two recordings are paired.
 
-    What is asked for holds. Otherwise: time stamps that both cameras took; numbers in the file
-    names of both; names that both have; times of both containers; or else places.
+    As the settings say. Otherwise by the first of these that both have: time stamps of cameras,
+    numbers in file names, common names, times of containers, positions.
 
     Raises:
         SettingsError: the settings need times that a recording does not have.
@@ -71,7 +71,7 @@ def pairing(left: Recording, right: Recording, settings: InputSettings) -> Pairi
 
 
 def _by_time(left: Recording, right: Recording, settings: InputSettings) -> Pairing | None:
-    """Return how times pair that were asked for, or that cameras or containers tell best."""
+    """Return the pairing by times, requested by the settings or given by cameras or containers."""
     tolerance = Fraction(str(settings.sync_tolerance))
     shift = Fraction(str(settings.sync_shift))
     for flag, given in (("--sync-tolerance", tolerance), ("--sync-shift", shift)):
@@ -102,7 +102,7 @@ def _by_time(left: Recording, right: Recording, settings: InputSettings) -> Pair
 
 
 def _clocks_apart_s(left: Recording, right: Recording) -> Fraction | None:
-    """Return how far the right clock is ahead, where one recorder tells; None where they agree."""
+    """Return how far the right clock is ahead by one recorder's times; None if they agree."""
     if left.clock_ahead_s is None or right.clock_ahead_s is None:
         return None
     ahead_s = right.clock_ahead_s - left.clock_ahead_s
@@ -110,7 +110,7 @@ def _clocks_apart_s(left: Recording, right: Recording) -> Fraction | None:
 
 
 def _by_names(left: Recording, right: Recording, offset: int) -> Pairing:
-    """Return how numbers in names pair, or names, or places."""
+    """Return the pairing by numbers in names, by names, or by positions."""
     if left.numbered and right.numbered:
         return Pairing(
             lambda one, other: Fraction(other.pts - offset - one.pts),
@@ -124,7 +124,7 @@ def _by_names(left: Recording, right: Recording, offset: int) -> Pairing:
 
 
 def _strangers(left: Recording, right: Recording, offset: int) -> str:
-    """Return a line where no number in the names of one side can be one of the other."""
+    """Return a warning if the numbers in the names of both sides do not overlap."""
     (first, last), (begin, end) = (
         (side.begin_pts, side.outline()[-1][1]) if side.outline() else (0, 0)
         for side in (left, right)
@@ -144,7 +144,7 @@ def _half_period(left: Recording, right: Recording) -> Fraction | None:
 
 
 def need_time(flag: str, recording: Recording) -> None:
-    """Make sure that a recording has times, for an option.
+    """Check that a recording has times, which an option needs.
 
     Raises:
         SettingsError: it has none.
@@ -158,13 +158,13 @@ def _time_lead(one: SideImage, other: SideImage) -> Fraction:
 
 
 def _share_names(left: Sequence[str], right: Sequence[str]) -> bool:
-    """Return whether most names of the shorter side are names of the other."""
+    """Return whether most names of the shorter side are also names of the other."""
     common = len(set(left) & set(right))
     return common > 0 and 2 * common >= min(len(left), len(right))
 
 
 class _NameLead:
-    """Puts the names of both sides in one order."""
+    """Orders the names of both sides together."""
 
     def __init__(self, left: Sequence[str], right: Sequence[str]) -> None:
         self._left, self._right = left, right
@@ -177,9 +177,9 @@ class _NameLead:
 
 
 def _by_marks(left: Sequence[int], right: Sequence[int]) -> Pairing:
-    """Pair by what differs in the names, where both count from one beginning; else by places.
+    """Pair by the differing part of names, if both count from one origin; else by positions.
 
-    Steps of one side that the other does not have show that images are lost.
+    Steps of one side that the other does not have indicate lost images.
     """
     steps = [np.diff(np.array(side, np.float64)) for side in (left, right)]
     step = Fraction(min((float(np.median(each)) for each in steps if len(each)), default=1.0))
@@ -200,12 +200,12 @@ def _by_marks(left: Sequence[int], right: Sequence[int]) -> Pairing:
 
 
 def _apart(left: Recording, right: Recording, shift: Fraction, reach: Fraction) -> str:
-    """Return a line where the nearest time stamps are far apart all along, or nothing."""
+    """Return a warning if the nearest time stamps are always far apart, else an empty text."""
     times = []
     for side in (left, right):
         if len(outline := side.outline()) < _FEW or side.time_base is None:
             return ""
-        # Differences in whole ticks: stamps since 1970 in ns are more than a float can hold.
+        # Differences in integers: a float cannot represent ns since 1970.
         ticks = np.array([pts for _, pts in outline], np.int64) - left.begin_pts
         times.append(ticks * float(side.time_base))
     one, other = times[0], times[1] - float(shift)
@@ -224,10 +224,10 @@ def _apart(left: Recording, right: Recording, shift: Fraction, reach: Fraction) 
 
 
 def _by_containers(left: Recording, right: Recording, half_period: Fraction) -> Pairing:
-    """Pair by the containers' times; where these have clocks of their own, from equal numbers on.
+    """Pair by the containers' times; if their clocks are independent, beginning at equal numbers.
 
-    A lost image is a leap of one time against the other, which is more than half a period. What
-    is less, and what comes slowly, is jitter and drift, and is followed.
+    A lost image is a step of the difference by more than half a period. Smaller and slower
+    changes are jitter and drift, which are followed.
     """
     one, other = left.frame_rate or 0, right.frame_rate or 0
     thinned = None
@@ -264,7 +264,7 @@ def _by_containers(left: Recording, right: Recording, half_period: Fraction) -> 
 
 
 def _as_long(left: Recording, right: Recording) -> bool:
-    """Return whether two recordings are equally long by their rates, so that these are right."""
+    """Return whether two recordings are equally long by their rates."""
     lengths_s = [
         side.expected_images / side.frame_rate
         for side in (left, right)
@@ -280,8 +280,8 @@ class _Step:
     """Follows the difference of two clocks.
 
     Args:
-        offset_s: right time minus left time where both are of one moment; None = not yet known.
-        period_s: time from image to image.
+        offset_s: right time minus left time at one moment; None = not yet known.
+        period_s: time between images.
     """
 
     def __init__(self, offset_s: float | None, period_s: Fraction) -> None:
@@ -305,13 +305,13 @@ def pair(
     lead: Callable[[T, T], Fraction],
     tolerance: Fraction = Fraction(0),
 ) -> Iterator[tuple[T, T]]:
-    """Yield the left and right items that belong together, in order; each is used once at most.
+    """Yield pairs of left and right items, in order; each item is used at most once.
 
-    An item is passed over where the next one on its side is nearer to its partner.
+    An item is skipped if the next one on its side is nearer to its partner.
 
     Args:
         lefts, rights: items in ascending order.
-        lead: how much earlier the left item is than the right one; negative where it is later.
+        lead: how much earlier the left item is than the right one; negative if it is later.
         tolerance: largest difference in a pair.
     """
     left, right = next(lefts, None), next(rights, None)

@@ -1,4 +1,4 @@
-"""Standard input, or a FIFO, as a file that is read once, from front to back."""
+"""Standard input or a FIFO, as a file that is read once from beginning to end."""
 
 from __future__ import annotations
 
@@ -13,25 +13,25 @@ from pathlib import Path
 from motionstereo_cli.errors import InputError
 from motionstereo_cli.files.reading import open_fifo
 
-#: How often a wait for data looks whether it should end, in s.
+#: Interval in s at which a wait for data checks whether it should end.
 _GLANCE_S = 0.2
 
-#: How long a FIFO may be silent, in s: perhaps nothing writes to it.
+#: Timeout of a FIFO, in s, because no program may be writing to it.
 PATIENCE_S = 10.0
 
 
 class Pipe:
-    """What FFmpeg reads a stream of bytes through; it hashes as it goes.
+    """A stream of bytes for FFmpeg, hashed as it is read.
 
     Args:
-        fifo: the FIFO to read, which may not be silent for long; None for standard input.
+        fifo: the FIFO to read, with a timeout; None for standard input.
 
     Attributes:
         bytes_read: bytes read so far.
         head: the first of them.
         ended: the other end has closed.
-        interrupted: a wait for data was, by the user.
-        silent: nothing came for too long, so that no more was waited for.
+        interrupted: the user interrupted a wait for data.
+        silent: the timeout passed without data.
 
     Raises:
         InputError: the FIFO cannot be opened; standard input is closed or a terminal.
@@ -50,11 +50,11 @@ class Pipe:
         return "standard input" if self._fifo is None else str(self._fifo)
 
     def read(self, size: int) -> bytes:
-        """Return up to ``size`` bytes; none at the end, once stopped, or after a long silence."""
+        """Return up to ``size`` bytes; none at the end, once stopped, or after the timeout."""
         try:
             if not self._wait():
                 return b""
-        except KeyboardInterrupt:  # it does not find its way through FFmpeg
+        except KeyboardInterrupt:  # it does not propagate through FFmpeg
             self.interrupted = True
             self.stop()
             return b""
@@ -76,7 +76,7 @@ class Pipe:
         return False
 
     def stop(self) -> None:
-        """Let a read that waits for data end now, as if there were no more."""
+        """End a read that waits for data, as if there were no more."""
         self._stopped.set()
 
     def close(self) -> None:
@@ -88,7 +88,7 @@ class Pipe:
 
     @property
     def sha256(self) -> str | None:
-        """SHA-256 of all that came, None before the end."""
+        """SHA-256 of all data, None before the end."""
         return self._sums.hexdigest() if self.ended else None
 
 

@@ -1,4 +1,4 @@
-"""Making the next items while the present one is used."""
+"""Compute items ahead in a thread."""
 
 from __future__ import annotations
 
@@ -18,11 +18,10 @@ class _End:
 def prefetch(
     items: Iterable[T], depth: int, stop: Callable[[], object] = lambda: None
 ) -> Generator[T]:
-    """Yield the items in order while a thread of its own makes up to ``depth`` of them ahead.
+    """Yield the items in order while a thread computes up to ``depth`` of them ahead.
 
     An error raised by ``items`` is raised here, after the items before it. The thread ends with
-    the items, or when this generator is closed; it never outlives the generator. ``stop`` is
-    called then, to end a wait in ``items``.
+    the items, or when this generator is closed, which calls ``stop`` to end a wait in ``items``.
     """
     queue: SimpleQueue[T | _End] = SimpleQueue()
     room = threading.Semaphore(depth - 1)

@@ -1,4 +1,4 @@
-"""What every stream of images from one camera offers, wherever the images come from."""
+"""The interface of streams of images from one camera."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ class Image(NamedTuple):
     """One image of one camera.
 
     Attributes:
-        number: place in the recording, from 0; places of lost images are left out.
+        number: number in the recording, from 0; numbers of lost images are skipped.
         pts: presentation time stamp in units of the stream's time base.
         grey: (height, width) uint8 grey levels 0..255; not to be written to.
-        colour: returns (height, width, 3) uint8 RGB, or None where there is no colour.
+        colour: returns (height, width, 3) uint8 RGB, or None without colour.
     """
 
     number: int
@@ -39,39 +39,39 @@ class Image(NamedTuple):
 
 
 class Recording(ABC):
-    """Images of one camera, all of one size; to be iterated once.
+    """Images of one camera, all of one size; can be iterated once.
 
     Attributes:
-        name: what to call the recording in messages.
-        width, height: size in px of the images as delivered.
-        time_base: seconds per unit of pts, None where images have no time.
-        frame_rate: images per second, a mean; None if unknown.
-        expected_images: how many places the recording seems to have, None if unknown.
+        name: the recording, for messages.
+        width, height: size of the delivered images in px.
+        time_base: seconds per unit of pts, None if images have no times.
+        frame_rate: mean images per second; None if unknown.
+        expected_images: estimated number of images, with lost ones; None if unknown.
         begin_pts: time stamp of the first image.
-        numbered: the time stamps are numbers from file names, which tell better than places
-            which images belong together.
-        stamped: the time stamps were taken by the camera, and do so as well.
-        timed: its time stamps are those of a container, which wrote them as images came.
-        clock_ahead_s: by how much the clock of its time stamps is ahead of that of the recorder,
-            which recorded both cameras; None if unknown.
-        clock: what time stamps count from, by a name: those of one name may be compared.
-        begin_s: time of the first image, 0 where there is no time.
-        timeless: nothing but a rate given makes a time of the images' numbers.
-        names: the images' names without suffix by their place, where they are files.
-        stated: how it says that it holds both views, None if it does not.
-        unread: how it holds both views, where that is not read, and what to do; empty elsewhere.
-        said: what its first image says of its views.
-        multiview: it is one view of a stream that holds more (MV-HEVC).
-        sphere: the angles of its rows and columns; None where it is flat.
-        rereadable: another process can read the same again.
-        warnings: what looks wrong before anything is lost, one line each.
-        camera_info: calibration that lies beside the images, the fields of
-            ``sensor_msgs/CameraInfo`` as JSON; None where there is none.
-        calibration_note: what to know of the calibration where none is given; empty = nothing.
-        rectified: that calibration is of images that are rectified already.
-        holes: the one of these that says that images are missing, empty if none does.
-        likely_white: level that seems to be white, where deep images use a small part of their
-            range, as 12 bits in 16 do; 0 = that of their bits.
+        numbered: time stamps are numbers from file names, which pair images better than
+            positions.
+        stamped: time stamps are the camera's, which pair images better, too.
+        timed: time stamps are the container's, written as images arrived.
+        clock_ahead_s: how far the clock of its time stamps is ahead of the recorder's, which
+            recorded both cameras; None if unknown.
+        clock: origin of its time stamps, by a name: those of one name are comparable.
+        begin_s: time of the first image, 0 without times.
+        timeless: times follow only from a given rate and the images' numbers.
+        names: the images' names without suffix by number, if they are files.
+        stated: the layout of both views that it states, None if none.
+        unread: a stated layout that is not read, and what to do; empty if none.
+        said: what its first image states about its views.
+        multiview: it is one view of a multiview stream (MV-HEVC).
+        sphere: the angles of its rows and columns; None if it is flat.
+        rereadable: whether another process can read it again.
+        warnings: what looks wrong at the outset, one line each.
+        camera_info: calibration recorded with the images, the fields of
+            ``sensor_msgs/CameraInfo`` as JSON; None if there is none.
+        calibration_note: what to know about the calibration if none is given; empty = nothing.
+        rectified: whether that calibration is of rectified images.
+        holes: which of these attributes shows that images are missing, empty if none does.
+        likely_white: likely white level, if deep images use a small part of their range, such
+            as 12 bits of 16; 0 = that of their bits.
     """
 
     name: str
@@ -107,7 +107,7 @@ class Recording(ABC):
         return self._images
 
     def _start(self, images: Iterator[Image], name: object, advice: str = "") -> None:
-        """Take the images to deliver, and the size from the first.
+        """Set the images to deliver, and the size by the first.
 
         Raises:
             InputError: there is none.
@@ -123,7 +123,7 @@ class Recording(ABC):
         self._images = itertools.chain([first], images)
 
     def _judge_depth(self, name: object, brightest: int, bits: int) -> None:
-        """Note and say where the first image uses a small part of its range."""
+        """Note and warn if the first image uses a small part of its range."""
         used = max(brightest, 1).bit_length()
         if used > bits - 2:
             return
@@ -136,50 +136,50 @@ class Recording(ABC):
     @property
     @abstractmethod
     def lost(self) -> int:
-        """Images so far that should have come and did not."""
+        """Images missing so far."""
 
     @property
     def flawed(self) -> int:
-        """Images so far that came with visible errors."""
+        """Images with visible errors so far."""
         return 0
 
     @property
     @abstractmethod
     def damage(self) -> list[str]:
-        """Both in words, one line for each kind of damage."""
+        """Missing and flawed images in words, one line for each kind of damage."""
 
     @abstractmethod
     def describe(self) -> dict[str, Any]:
-        """Return what the recording is, as JSON-able values."""
+        """Describe the recording, as JSON-able values."""
 
     @abstractmethod
     def fingerprint(self) -> dict[str, Any]:
         """Return the recording's size in ``bytes`` and its ``sha256``; reads all of it.
 
-        Where it came through a pipe, that is what came; the hash is None before the end.
+        Of a pipe it is the data so far; the hash is None before the end.
         """
 
     def outline(self) -> Sequence[tuple[int, int]]:
-        """Return numbers and time stamps of all images, without decoding any; none if unknown.
+        """Return numbers and time stamps of all images, without decoding; empty if unknown.
 
-        One that cannot be decoded is among them.
+        Images that cannot be decoded are included.
         """
         return ()
 
     def skip_to(self, number: int) -> bool:
         """Begin the iteration with the first image that has this number or a later one.
 
-        To be called before the iteration. What is delivered is what would be without it, to the
-        byte; what was lost before may stay unknown.
+        To be called before the iteration. The same images are delivered as without it, to the byte;
+        earlier losses may stay unknown.
 
         Returns:
-            Whether that was by a seek; otherwise all images before are decoded and dropped.
+            Whether it seeks; otherwise all earlier images are decoded and dropped.
         """
         self._images = itertools.dropwhile(lambda image: image.number < number, self._images)
         return False
 
     def count(self) -> int | None:
-        """Return how many images there are, though it takes reading all; None if unknown."""
+        """Count the images, if necessary by reading all; None if unknown."""
         return self.expected_images
 
     @property
@@ -188,15 +188,15 @@ class Recording(ABC):
         """The files and folders that are read."""
 
     def stop(self) -> None:  # noqa: B027 (files never wait)
-        """Let an iteration that waits for data in another thread end."""
+        """End an iteration that waits for data in another thread."""
 
     @abstractmethod
     def close(self) -> None:
-        """Give back what is open."""
+        """Close what is open."""
 
 
 class StillsRecording(Recording):
-    """What recordings from files of still images have in common."""
+    """The common part of recordings from files of still images."""
 
     _path: Path
     _white: int
@@ -206,7 +206,7 @@ class StillsRecording(Recording):
         """Do nothing: no file stays open."""
 
     def _look_at(self, pixels: NDArray[Any]) -> None:
-        """Note what the pixels of the first image tell of all."""
+        """Note what the first image's pixels tell about all."""
         self._pixel_format = pixel_format(pixels)
         if pixels.dtype == np.uint16 and not self._white:
             self._judge_depth(self._path, int(pixels.max()), 16)

@@ -1,4 +1,4 @@
-"""Two streams, or the two halves of one, as one stream of pairs."""
+"""Two streams, or two views of one, as one stream of stereo frames."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ from motionstereo_cli.types import StereoFrame
 if TYPE_CHECKING:
     from motionstereo_cli.types import Grey
 
-#: Images decoded ahead on each side: enough to even out key frames, little memory.
+#: Images decoded ahead on each side: enough to even out key frames, in little memory.
 _DEPTH = 4
 
-#: Images per second; beyond these a stamp is hardly in the unit that it is read in.
+#: Plausible images per second; beyond these the unit of time stamps is likely wrong.
 _LIKELY_RATES = (0.05, 5000)
 
 SIDES = ("left", "right")
@@ -38,17 +38,17 @@ SIDES = ("left", "right")
 class StereoSource:
     """The stereo frames of two recordings, or of one that holds both views.
 
-    To be iterated once, inside a ``with`` block. Images are paired as
-    :func:`~motionstereo_cli.sources.pairing.pairing` says. A recording leaves the numbers of lost
-    images out, so the partner of a lost image is dropped and the sides stay in step. Where one
-    side is longer, the common part is processed.
+    To be iterated once, inside a ``with`` block. Images are paired by
+    :func:`~motionstereo_cli.sources.pairing.pairing`. A recording skips the numbers of lost
+    images, so the partner of a lost image is dropped and the sides stay in step. If one side is
+    longer, the common part is processed.
 
-    Each recording decodes in a thread of its own, a few images ahead; views are taken apart,
-    rectified, cut and scaled there.
+    Each recording is decoded in its own thread, a few images ahead; views are split, rectified,
+    cropped and scaled there.
 
     Args:
         streams: the left and the right recording, or the one with both views; closed with this.
-        settings: how to pair them, and what to use of them.
+        settings: pairing, and selection of frames.
 
     Attributes:
         settings: as given.
@@ -56,17 +56,16 @@ class StereoSource:
         width, height: size of the images delivered in px.
         time_base: seconds per unit of pts (the right stream's), None where images have no time.
         frame_rate: frames delivered per second, a mean; None if unknown.
-        expected_frames: how many there seem to be, None if unknown.
+        expected_frames: their estimated number, None if unknown.
         paths: files and folders that are read.
-        recorded: the first file or folder of each recording, left then right; tables of times,
-            which are among ``paths``, are not.
-        first_pts: time stamp of frame 0, once this or a later one was delivered.
+        recorded: the first file or folder of each recording, left then right, without tables of
+            times, which ``paths`` includes.
+        first_pts: time stamp of frame 0, once a frame was delivered.
         warnings: what looks wrong at the outset, one line each.
 
     Raises:
-        InputError: the views differ in size or cannot be taken apart; while iterating: no frame
-            is left.
-        SettingsError: the settings need a time that the recordings do not have, or the crop
+        InputError: the views differ in size or cannot be split; while iterating: no frame is left.
+        SettingsError: the settings need times that the recordings do not have, or the crop
             goes beyond the views.
     """
 
@@ -90,7 +89,7 @@ class StereoSource:
         self._skipped = self._first_frame = 0
         self._begin = Selected(0, 0, None)
         self._to_the_end = self._placed = False
-        self._coloured = -1  # the view whose colours are asked for: 0 left, 1 right
+        self._coloured = -1  # the view whose colours are requested: 0 left, 1 right
         self.first_pts = 0
         lines = (line for stream in self._streams for line in stream.warnings)
         self.warnings = list(dict.fromkeys(lines))  # a table of both sides is named once
@@ -146,7 +145,7 @@ class StereoSource:
         self.close()
 
     def close(self) -> None:
-        """Close the recordings, after ending an iteration that is still under way."""
+        """Close the recordings, after ending a running iteration."""
         if self._frames is not None:
             self._frames.close()  # its threads read from what is closed next
         for stream in self._streams:
@@ -154,21 +153,21 @@ class StereoSource:
 
     @property
     def rereadable(self) -> bool:
-        """Whether another process can read the same again: not from standard input."""
+        """Whether another process can read them again: not from standard input."""
         return all(stream.rereadable for stream in self._streams)
 
     @property
     def projected_focal_px(self) -> float | None:
-        """Focal length of the pinhole image of a spherical view, before scale; None elsewhere."""
+        """Focal length of the pinhole image of a spherical view, before scale; None for others."""
         return None if self._pinholes[0] is None else self._pinholes[0].focal_px
 
     @property
     def likely_white(self) -> int:
-        """Level that seems to be white, where deep images are dark; 0 = that of their bits."""
+        """Likely white level, if deep images are dark; 0 = that of their bits."""
         return max(stream.likely_white for stream in self._streams)
 
     def keep_colours(self, camera: str) -> None:
-        """Have frames bring the colours of a view; to be called before the iteration.
+        """Add the colours of a view to frames; to be called before the iteration.
 
         Args:
             camera: ``left`` or ``right``; empty for none.
@@ -176,7 +175,7 @@ class StereoSource:
         self._coloured = SIDES.index(camera) if camera else -1
 
     def rectify(self, left: Callable[[Grey], Grey], right: Callable[[Grey], Grey]) -> None:
-        """Have each whole view go through a function; to be called before the iteration.
+        """Apply a function to each full view; to be called before the iteration.
 
         The functions take and return (view_height, view_width) uint8; they are called in the
         decoding threads, each in one thread.
@@ -185,7 +184,7 @@ class StereoSource:
 
     @property
     def numbers(self) -> tuple[int, int | None]:
-        """About which places the first and the last right image delivered have in the recording.
+        """Approximate numbers of the first and the last delivered right image in the recording.
 
         None for the last if unknown.
         """
@@ -198,9 +197,9 @@ class StereoSource:
 
     @property
     def span_s(self) -> tuple[float | None, float | None]:
-        """About when the first and the last right image delivered were taken, in s.
+        """Approximate times of the first and the last delivered right image, in s.
 
-        None for both where images have no time, and for the last if unknown.
+        None for both without times, and for the last if unknown.
         """
         right, (first, last) = self._sides[1].stream, self.numbers
         if right.time_base is None:
@@ -212,13 +211,13 @@ class StereoSource:
 
     @property
     def last_number(self) -> int | None:
-        """About which number the last right image of the whole recording has; None if unknown."""
+        """Approximate number of the last right image of the whole recording; None if unknown."""
         images = self._sides[1].stream.expected_images
         return None if images is None else images - 1
 
     @property
     def last_s(self) -> float | None:
-        """About when that image was taken, in s; None if unknown."""
+        """Approximate time of that image, in s; None if unknown."""
         right, last = self._sides[1].stream, self.last_number
         if right.time_base is None or not right.frame_rate or last is None:
             return None
@@ -226,26 +225,25 @@ class StereoSource:
 
     @property
     def counts(self) -> dict[str, Any]:
-        """What became of the images, as far as the stereo frames delivered so far go.
+        """Counts of images, up to the stereo frames delivered so far.
 
         ``skipped``: pairs left out by --start, --end and --every. For ``left`` and ``right``:
-        ``read`` = ``paired`` + ``unpaired`` + ``damaged``, where damaged images are those that
-        should have come and did not; ``flawed``: came with visible errors, and were used;
-        ``repeated``: were the image before once more while objects moved in the other view, and
-        were used;
-        ``unread``: about how many follow, None if unknown.
+        ``read`` = ``paired`` + ``unpaired`` + ``damaged``, where damaged images are missing ones;
+        ``flawed``: used despite visible errors; ``repeated``: used, but equal to the previous image
+        while objects moved in the other view; ``unread``: approximate number of images that
+        follow, None if unknown.
         """
         sides = {name: side.counts for name, side in zip(SIDES, self._sides, strict=True)}
         return {"skipped": self._skipped, **sides}
 
     @property
     def damage(self) -> list[str]:
-        """What was lost so far, one line each; complete after the iteration."""
+        """Losses so far, one line each; complete after the iteration."""
         shown = self._sides[: len(self._streams)]
         lines = [line for side in shown for line in side.loss.damage]
         offset = 0 if self._pairing.by_time else self.settings.sync_offset
         left, right = self._sides
-        # What an offset makes stand over is no damage, nor that streams begin apart in time.
+        # Images without partners because of an offset, or of a later start, are not damage.
         for side, over_first, over_last in ((left, -offset, offset), (right, offset, -offset)):
             early = 0 if self._pairing.by_time else max(side.early - max(over_first, 0), 0)
             late = side.left_over - max(over_last, 0) if self._to_the_end else 0
@@ -255,7 +253,7 @@ class StereoSource:
         return lines
 
     def describe(self, *, fingerprint: bool = True) -> dict[str, dict[str, Any]]:
-        """Return what the recordings are, as JSON-able values: ``left`` and ``right``, or ``both``.
+        """Describe the recordings, as JSON-able values: ``left`` and ``right``, or ``both``.
 
         With ``fingerprint``, reads all files for their size and SHA-256.
         """
@@ -268,45 +266,45 @@ class StereoSource:
 
     @property
     def camera_infos(self) -> tuple[tuple[str, str], ...]:
-        """Name and calibration of the left and the right recording, none where one lacks it."""
+        """Name and calibration of the left and the right recording, empty if one lacks it."""
         found = [(side.stream.name, side.stream.camera_info) for side in self._sides]
         given = tuple((name, info) for name, info in found if info is not None)
         return given if len(given) == len(found) else ()
 
     @property
     def calibration_notes(self) -> tuple[str, ...]:
-        """What to know of the calibration where none is given, one line each."""
+        """Notes on the calibration if none is given, one line each."""
         notes = (stream.calibration_note for stream in self._streams)
         return tuple(dict.fromkeys(filter(None, notes)))
 
     @property
     def rectified(self) -> bool:
-        """Whether that calibration is of images that are rectified already."""
+        """Whether that calibration is of rectified images."""
         return all(side.stream.rectified for side in self._sides)
 
     def count(self) -> None:
-        """Put the true numbers of images in the place of estimates; may read all of the files."""
+        """Replace estimated numbers of images by counts; may read all of the files."""
         for stream in self._streams:
             stream.expected_images = stream.count()
         self.expected_frames = self._expected()
 
     @property
     def first_files(self) -> list[Path]:
-        """The first file of the left and of the right recording; fewer where one has none."""
+        """The first file of the left and of the right recording; fewer if one has none."""
         return [stream.files[0] for stream in self._streams if stream.files]
 
     @property
     def length_s(self) -> float | None:
-        """About how long the shorter recording is, in s; None if unknown."""
+        """Approximate duration of the shorter recording, in s; None if unknown."""
         ends = [side.stream.expected_images for side in self._sides]
         rate = self._sides[1].stream.frame_rate
         return float(min(n or 0 for n in ends) / rate) if all(ends) and rate else None
 
     def unpaired(self, view: int) -> Iterator[tuple[int, Grey]]:
-        """Yield all images of the left (0) or the right (1) view, in the place of the iteration.
+        """Yield all images of the left (0) or the right (1) view, instead of the iteration.
 
-        Each with its number: that in its file's name, where both sides have such, or else its
-        place in the recording.
+        Each comes with its number: the one in its file name, if both sides have such, or its
+        number in the recording.
         """
         side = self._sides[view]
         numbered = all(each.stream.numbered for each in self._sides)
@@ -333,12 +331,12 @@ class StereoSource:
         return InputError(f"{damage}: stopped there, as --strict says")
 
     def begin_at(self, frame: int) -> bool:
-        """Begin the iteration with some frame, the same to the byte as without this.
+        """Begin the iteration with some frame; the frames are the same to the byte.
 
-        To be called before the iteration. Where the recordings tell when each image was, they are
-        paired without decoding, and begin at the key frames before. Elsewhere all is decoded, and
-        the frames before are dropped. In the first case, what was damaged before is not counted,
-        and each image before that cannot be decoded shifts the frames by one.
+        To be called before the iteration. If the recordings have the times of all images, they are
+        paired without decoding, and begin at the key frames before. Otherwise all is decoded, and
+        earlier frames are dropped. In the first case, earlier damage is not counted, and each
+        earlier image that cannot be decoded shifts the frames by one.
 
         Returns:
             Whether it was the first case.
@@ -354,7 +352,7 @@ class StereoSource:
         return True
 
     def _passed_over(self, frame: int) -> bool:
-        """Count what is before a frame as if it were read, and have the recordings begin there."""
+        """Count images before a frame as read, and make the recordings begin there."""
         one = len(self._streams) == 1
         feeds = (
             itertools.tee(bare(self._streams[0])) if one else (bare(s.stream) for s in self._sides)
@@ -362,7 +360,7 @@ class StereoSource:
         for place, left, right in self._pairs(*feeds):
             if place.frame == frame:
                 if one and left.number != right.number:
-                    return False  # one recording begins at one place
+                    return False  # one recording has one beginning
                 self._begin = place
                 for side, shot in zip(self._sides, (left, right), strict=True):
                     side.begin_with(shot)
@@ -417,7 +415,7 @@ class StereoSource:
             raise InputError(self._nothing(0 if place is None else place.number + 1))
 
     def _shots(self, side: Side) -> Iterator[SideImage | Loss]:
-        """Yield what a decoding thread makes, and at last what was lost in all."""
+        """Yield the results of a decoding thread, and finally the total loss."""
         s, stream = self.settings, side.stream
         views = range(2) if len(self._streams) == 1 else [self._sides.index(side)]
         if len(self._streams) == 1 and s.swap:
@@ -441,7 +439,7 @@ class StereoSource:
         yield Loss.of(stream)
 
     def _made(self, part: Grey, view: int) -> Grey:
-        """Turn, rectify, cut and scale the left or the right view."""
+        """Turn, rectify, crop and scale the left or the right view."""
         degrees, mirrored = self.settings.turns[view]
         if (pinhole := self._pinholes[view]) is not None:
             part = pinhole(part)

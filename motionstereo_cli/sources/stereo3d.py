@@ -1,4 +1,4 @@
-"""What Matroska, MP4 or the codec say of the views in an image."""
+"""What Matroska, MP4 or the codec state about the views in an image."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from motionstereo_cli.sources.sphere import Sphere
 #: Kinds of FFmpeg's AVFrameSideDataType.
 _STEREO3D, _SPHERICAL, _VIEW_ID = 2, 13, 29
 
-#: Kinds of FFmpeg's AVStereo3D that are read, and the shape of a pixel from which on views are
+#: Kinds of FFmpeg's AVStereo3D that are read, and the pixel aspect ratio from which views are
 #: squeezed.
 _LAYOUTS = {1: "side-by-side", 2: "top-bottom"}
 _SQUEEZED = 1.5
 
-#: Kinds that are not read: what they are, and what FFmpeg's filter stereo3d calls them, left view
-#: first and right view first; empty where it does not read them.
+#: Kinds that are not read: what they are, and their names in FFmpeg's filter stereo3d, left view
+#: first and right view first; empty if it does not read them.
 _UNREAD = {
     3: ("one after the other, frame by frame", ("al", "ar")),
     4: ("as a checkerboard", ("", "")),
@@ -30,7 +30,7 @@ _UNREAD = {
     7: ("in alternate columns", ("icl", "icr")),
 }
 
-#: The kind of files that hold two views in some way.
+#: The kind of files with two views in an unspecified layout.
 _SOMEHOW = 8
 
 #: Views of FFmpeg's AVStereo3D.
@@ -43,9 +43,9 @@ _CUBE = 1
 
 
 def _unnamed(kinds: Any, value: int) -> Type:
-    """Return a member for a kind of side data that PyAV has no name for.
+    """Return an enum member for a kind of side data that PyAV has no name for.
 
-    Without it, PyAV raises for an image that has such data, and none of its data can be read.
+    Without it, PyAV raises for an image with such data, and none of its side data can be read.
     """
     kind = object.__new__(kinds)
     kind._name_, kind._value_ = f"KIND_{value}", value
@@ -57,13 +57,13 @@ Type._missing_ = classmethod(_unnamed)  # type: ignore[method-assign, assignment
 
 
 class Said(NamedTuple):
-    """What an image says of its views.
+    """What an image states about its views.
 
     Attributes:
-        stated: how it says that it holds both views, None if it does not.
-        unread: how both views lie, where that is not read, and what to do; empty elsewhere.
-        sphere: the angles of its rows and columns; None where it is flat.
-        eye: ``left`` or ``right`` where it is a view of one eye, else empty.
+        stated: the layout of both views, None if it has one view.
+        unread: a layout that is not read, and what to do; empty if none.
+        sphere: the angles of its rows and columns; None if it is flat.
+        eye: ``left`` or ``right`` if it is a view of one eye, else empty.
         baseline_m: distance between the cameras; 0 = unknown.
         width_deg: angle that the image spans; 0 = unknown.
     """
@@ -77,9 +77,9 @@ class Said(NamedTuple):
 
 
 def said_by(frame: av.VideoFrame, aspect: Fraction | None) -> Said:
-    """Return what an image says of its views.
+    """Return what an image states about its views.
 
-    Squeezed views show in pixels twice as wide or high as others.
+    Squeezed views have pixels that are twice as wide or high as others.
 
     Args:
         frame: a decoded image.
@@ -98,7 +98,7 @@ def said_by(frame: av.VideoFrame, aspect: Fraction | None) -> Said:
         width_deg=degrees / divisor if divisor > 0 else 0.0,
     )
     swapped = bool(flags & 1)
-    if kind in _UNREAD and not said.eye:  # that of one eye is a stream of its own
+    if kind in _UNREAD and not said.eye:  # a view of one eye is a stream of its own
         how, filters = _UNREAD[kind]
         convert = f"ffmpeg -i IN -vf stereo3d={filters[swapped]}:sbsl OUT makes"
         advice = f"{convert if filters[swapped] else 'convert them to'} views side by side"
@@ -116,7 +116,7 @@ def said_by(frame: av.VideoFrame, aspect: Fraction | None) -> Said:
 
 
 def view_id(frame: av.VideoFrame) -> int | None:
-    """Return which view of a multiview stream (MV-HEVC) an image is, None in other streams."""
+    """Return the view of a multiview stream (MV-HEVC) that an image is, None in other streams."""
     found = _side_data(frame).get(_VIEW_ID)
     return None if found is None else int.from_bytes(found[:4], "little", signed=True)
 
@@ -127,7 +127,7 @@ def _side_data(frame: av.VideoFrame) -> dict[int, bytes]:
 
 
 def _sphere(said: bytes) -> Sphere | None:
-    """Return the angles of FFmpeg's AVSphericalMapping; None where the image is flat."""
+    """Return the angles of FFmpeg's AVSphericalMapping; None if the image is flat."""
     kind, _, _, _, left, top, right, bottom, _ = struct.unpack("=iiiiIIIII", said[:36])
     if kind == _CUBE:
         return Sphere("a cube", 0, 0, 0, 0)

@@ -33,22 +33,22 @@ from motionstereo_cli.sources.recording import Image, Recording, images
 
 SUFFIX = ".svo2"
 
-#: The topic of the header, and more images per second than a camera takes.
+#: The topic of the header, and the limit of plausible images per second.
 _HEADER, _FASTEST = "svo_header", 1000
 
 _TOPIC = re.compile(r"Camera_SN(\d+)/side_by_side")
 
-#: Where in the footer of a stream the time in ns stands, and how long the footer is at least.
+#: Offset of the time in ns in the footer of a stream, and the footer's minimum length.
 _TIME_AT = 24
 
-#: A strip of JPEG begins with this; there are hardly more of them.
+#: First bytes of a strip of JPEG, and the maximum number of strips.
 _JPEG, _MOST_STRIPS = b"\xff\xd8", 32
 
-#: No record of such a file is larger, in bytes.
+#: Maximum size of a record, in bytes.
 _MOST_BYTES = 1 << 28
 
-#: First bytes of streams: kinds of parts in H.265 (parameter sets) and H.264 (parameter sets,
-#: delimiter) with which an image can begin that needs no other.
+#: First bytes of streams: kinds of units in H.265 (parameter sets) and H.264 (parameter sets,
+#: delimiter) with which an independent image can begin.
 _HEVC_BEGINS, _H264_BEGINS = range(32, 36), (7, 8, 9)
 
 
@@ -60,15 +60,15 @@ def is_svo(path: Path) -> bool:
 class SvoRecording(Recording):
     """The images of a ZED's SVO2 recording, each with both views side by side.
 
-    What a recording that was cut off holds before the cut is read. Times are those of the camera,
-    in ns. The calibration is not in it, but the camera's serial number, which names the file.
+    A recording that was cut off is read up to the cut. Times are those of the camera, in ns. It has
+    no calibration, but the camera's serial number, which is the name of the file that has it.
 
     Args:
         path: the recording.
         max_pixels: largest width times height of an image.
 
     Raises:
-        InputError: it is no such recording, none of its images can be decoded, or mcap is not
+        InputError: it is not such a recording, none of its images can be decoded, or mcap is not
             installed; while iterating: an image is too large.
     """
 
@@ -121,7 +121,7 @@ class SvoRecording(Recording):
         return lines
 
     def describe(self) -> dict[str, Any]:
-        """Return what the recording is, as JSON-able values."""
+        """Describe the recording, as JSON-able values."""
         return {
             "path": str(self._path),
             "kind": "svo2",
@@ -150,7 +150,7 @@ class SvoRecording(Recording):
         self._opened.close()
 
     def _counted(self, file: BinaryIO) -> tuple[int | None, Fraction | None]:
-        """Return the number of images and the mean rate that the summary tells; None where cut."""
+        """Return the number of images and the mean rate in the summary; None if it is cut off."""
         try:
             from mcap.exceptions import McapError
             from mcap.reader import make_reader
@@ -173,12 +173,12 @@ class SvoRecording(Recording):
         span_ns = told.message_end_time - told.message_start_time
         if not counts or counts[0] < 2 or span_ns <= 0:
             return counts[0] if counts else None, None
-        # All topics together begin and end at about the first and the last image.
+        # All topics together begin and end near the first and the last image.
         rate = Fraction((counts[0] - 1) * 10**9, span_ns)
         return counts[0], rate.limit_denominator(1001)
 
     def _messages(self, file: BinaryIO) -> Iterator[tuple[int, bytes]]:
-        """Yield time and content of the messages of images, up to where the file can be read."""
+        """Yield time and content of the messages with images, as far as the file can be read."""
         from mcap.exceptions import EndOfFile
         from mcap.records import Channel, DataEnd, Message
 
@@ -281,7 +281,7 @@ class SvoRecording(Recording):
         return av.VideoFrame.from_ndarray(samples.reshape(len(samples), -1, 2), "yuyv422")
 
 
-#: What torn content raises besides, in mcap and the codecs below it.
+#: Further errors of damaged content, in mcap and its codecs.
 _TORN = (
     OSError,
     ValueError,
@@ -295,7 +295,7 @@ _TORN = (
 
 
 def _rate_in(header: bytes) -> Fraction | None:
-    """Return the images per second that a header tells: the fourth uint32 of its values."""
+    """Return the images per second in a header: the fourth uint32 of its values."""
     try:
         values = struct.unpack_from("<4I", base64.b64decode(json.loads(header)["header"]))
     except _TORN:
@@ -304,9 +304,9 @@ def _rate_in(header: bytes) -> Fraction | None:
 
 
 def _records_in(file: BinaryIO) -> Iterator[Any]:
-    """Yield the records of an MCAP, and those in its chunks, up to where it can be read.
+    """Yield the records of an MCAP, and those in its chunks, as far as it can be read.
 
-    mcap's readers need the summary at the end, or lose all where the end is missing.
+    mcap's own readers need the summary, and lose all if the end is missing.
     """
     from mcap.records import Chunk
     from mcap.stream_reader import StreamReader, breakup_chunk
@@ -332,7 +332,7 @@ def _plain(chunk: Any) -> Any:
 
 
 def _strips_of(content: bytes) -> list[bytes]:
-    """Return the JPEG images of a message, none where it is a stream."""
+    """Return the JPEG images of a message, nothing if it is a stream."""
     for count in range(1, _MOST_STRIPS + 1):
         at = 8 + 8 * count
         if content[at : at + 2] != _JPEG:
@@ -357,7 +357,7 @@ def _stream_of(content: bytes, recorded_ns: int) -> tuple[bytes, int]:
 
 
 def _codec_of(stream: bytes) -> str:
-    """Return FFmpeg's name of the codec of a stream that begins with a key frame, or nothing."""
+    """Return FFmpeg's name for the codec of a stream that begins with a key frame, else ''."""
     at = stream.find(b"\0\0\1") + 3
     if at < 3 or at + 1 >= len(stream):
         return ""

@@ -1,4 +1,4 @@
-"""What tables beside a folder tell of the images' times."""
+"""Times of images in tables beside their folder."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from motionstereo_cli.errors import InputError
 from motionstereo_cli.files.reading import MAX_TABLE_BYTES, as_text, read_bytes
 from motionstereo_cli.sources.names import MAX_STAMP, natural_key, stamps_in
 
-#: Beside a folder ``data``: the images' time stamps in ns and names, as EuRoC lays them.
+#: Beside a folder ``data``: the images' time stamps in ns and names, as in EuRoC.
 _EUROC = "data.csv"
 
 #: Beside KITTI's folders ``image_0`` and the like: the time of each image in s, a line each; and
@@ -29,10 +29,10 @@ class Timeline(NamedTuple):
 
     Attributes:
         files: the images.
-        stamps_ns: time of each in ns, rising; empty where nothing tells it.
-        table: the file that told it.
+        stamps_ns: time of each in ns, rising; empty if unknown.
+        table: the file with the times.
         sha256: of that file, as hexadecimal digits.
-        note: what to see to in that file, empty if nothing.
+        note: what to check in that file, empty if nothing.
     """
 
     files: list[Path]
@@ -43,12 +43,12 @@ class Timeline(NamedTuple):
 
 
 def timeline(path: Path, images: Iterable[Path], *, whole: bool) -> Timeline:
-    """Return images in order, with the times that a table beside their folder tells.
+    """Return images in order, with the times from a table beside their folder.
 
     Args:
         path: the folder.
         images: the images in it.
-        whole: they are all that the folder has, so that tables concern them.
+        whole: they are all of the folder's images, so that tables apply to them.
 
     Raises:
         InputError: a table cannot be read or does not fit the images.
@@ -88,7 +88,7 @@ def _euroc(table: Path, folder: Path) -> Timeline:
 
 
 def _by_number(table: Path, files: list[Path], parse: Callable[[str], int], form: str) -> Timeline:
-    """Return images whose numbers are those of a table's lines, from 0."""
+    """Return images whose numbers are the lines of a table, from 0."""
     content = read_bytes(table, "the times", MAX_TABLE_BYTES)
     try:
         lines = as_text(content).splitlines()

@@ -39,10 +39,10 @@ if TYPE_CHECKING:
 
     _Packet = av.Packet[av.VideoStream]
 
-#: The decoder of this codec tells of wrong checksums in FFmpeg's log and nowhere else.
+#: The decoder of this codec reports wrong checksums only in FFmpeg's log.
 _TELLS_THE_LOG = "ffv1"
 
-#: Decoders that build images on one that is missing, and do not tell.
+#: Decoders that use missing references without reporting it.
 _SILENT = {
     *("mpeg1video", "mpeg2video", "mpeg4", "msmpeg4v2", "msmpeg4", "wmv1", "wmv2", "flv", "h263"),
     *("vp8", "vp9", "libvpx", "libvpx-vp9", "av1", "libdav1d", "libaom-av1", "theora", "vc1"),
@@ -50,25 +50,24 @@ _SILENT = {
 
 
 class VideoRecording(Recording):
-    """The grey images of a video file, in the order in which they are shown.
+    """The grey images of a video file, in order of presentation.
 
     Grey is the luma plane, expanded to 0..255 where the stream is limited range; RGB streams
-    give BT.601 luma. Time stamps are those of the file, not shifted to begin at 0; where the
-    container has none, as bare H.264, the rate that the stream states makes times of the images'
-    numbers, or ``rate`` does. Rotation metadata is obeyed.
+    give BT.601 luma. Time stamps are those of the file, not shifted to begin at 0; if the
+    container has none, as bare H.264, times follow from the images' numbers and the stream's rate,
+    or ``rate``. Rotation metadata is applied.
 
-    Images with visible decoding errors are delivered and counted, and so are those that are
-    decoded from such or in place of lost ones, until the next key frame. An image that cannot be
-    decoded leaves its number out, so that the numbers of those after it still hold. So does one
-    that is missing from the file, which shows in either of two ways: the file's index lists more
-    images than come, or, at a constant rate, time stamps leap.
+    Images with visible decoding errors are delivered and counted, and so are those decoded from
+    them or in place of lost ones, until the next key frame. The number of an image that cannot be
+    decoded is skipped, so that later numbers stay correct. The same holds for images missing from
+    the file: its index lists more images than come, or time stamps have a gap at a constant rate.
 
     Decoding uses one thread: with more, FFmpeg decodes damaged files differently each time, and
     with slice threads it does not report the damage.
 
     Args:
         path: an existing file, a pipe, or a network address as text.
-        rate: images per second where the container has no time, None = what the stream states.
+        rate: images per second if the container has no times; None = as the stream states.
         track: which of the video tracks, from 1; 0 = the first.
         white: level that becomes 255; 0 = the largest that the bits can say.
         max_pixels: largest width times height of an image.
@@ -94,7 +93,7 @@ class VideoRecording(Recording):
         self._path, self._white = path, white
         self.rereadable = isinstance(path, Path)
         self._corrupt = self._undecodable = self._cut_off = 0
-        self._failed: list[int] = []  # pts of packets that gave no image, not yet passed
+        self._failed: list[int] = []  # pts of packets without an image, not yet passed
         self._torn_from: int | None = None  # pts from which on references are missing
         self._packets = 0
         self._packet_end = 0  # in bytes from the beginning of the file
@@ -118,7 +117,7 @@ class VideoRecording(Recording):
             )
 
     def _begin(self, rate: Fraction | None) -> None:
-        """Find out what the container says of numbers and times."""
+        """Read numbers and times from the container."""
         stream = self._file.stream
         self._stream, self._tick_s = stream, stream.time_base or Fraction(1)
         self.timeless, self._listed = self._file.timeless, self._count_listed()
@@ -152,9 +151,9 @@ class VideoRecording(Recording):
         return self._file.coded()
 
     def skip_to(self, number: int) -> bool:
-        """Begin with an image, by a seek to the key frame before it where the file tells it.
+        """Begin with an image, by seeking to the key frame before it if the file has an index.
 
-        Images that cannot be decoded count as those before them do, so that numbers are the same.
+        Images that cannot be decoded count as well, so that numbers are the same.
         """
         pace = None if self.timeless else self._new_pace()
         coded = self._coded if pace else []
@@ -186,7 +185,7 @@ class VideoRecording(Recording):
 
     @property
     def files(self) -> tuple[Path, ...]:
-        """The file; nothing where it is a pipe or an address."""
+        """The file; empty for a pipe or an address."""
         return (self._path,) if isinstance(self._path, Path) else ()
 
     @property
@@ -201,7 +200,7 @@ class VideoRecording(Recording):
 
     @property
     def damage(self) -> list[str]:
-        """What was damaged so far, one line for each kind."""
+        """Damage so far, one line for each kind."""
         found = {
             "decoded with errors, or after errors and before a key frame": self._corrupt,
             "could not be decoded": self._undecodable,
@@ -222,7 +221,7 @@ class VideoRecording(Recording):
 
     @property
     def _behind_holes(self) -> str:
-        """What may be wrong with images behind missing ones, where nothing tells."""
+        """A note on images after missing ones that may be wrong without a report."""
         name = self._stream.codec_context.name
         if name not in _SILENT:
             return ""
@@ -232,7 +231,7 @@ class VideoRecording(Recording):
         )
 
     def describe(self) -> dict[str, Any]:
-        """Return what the video is, as JSON-able values."""
+        """Describe the video, as JSON-able values."""
         more: dict[str, Any] = {"track": self._file.track} if self._file.tracks > 1 else {}
         if self._file.created:
             more["created"] = self._file.created.isoformat()
@@ -257,11 +256,11 @@ class VideoRecording(Recording):
         }
 
     def fingerprint(self) -> dict[str, Any]:
-        """Return size in bytes and SHA-256 of the file, or of what came through the pipe."""
+        """Return size in bytes and SHA-256 of the file, or of the pipe's data."""
         return self._file.fingerprint()
 
     def count(self) -> int | None:
-        """Return how many images the file has, by its index, or else by reading all of it."""
+        """Count the images of the file, by its index or by reading all of it."""
         return self._listed or self._file.count()
 
     def _count_listed(self) -> int | None:
@@ -278,7 +277,7 @@ class VideoRecording(Recording):
     def _stated_length_s(self) -> Fraction | None:
         if self._stream.duration is not None:
             return self._stream.duration * self._tick_s
-        # Matroska tells only the end of its longest stream.
+        # Matroska states only the end of its longest stream.
         container = self._file.source
         if container.duration is not None and len(container.streams) == 1:
             return Fraction(container.duration, av.time_base) - self._file.begin_s
@@ -286,7 +285,7 @@ class VideoRecording(Recording):
 
     @property
     def length_s(self) -> Fraction:
-        """Time from the first image to the end of the last, as far as the file tells it."""
+        """Time from the first image to the end of the last, if the file states it."""
         if (stated_s := self._stated_length_s()) is not None and not self.timeless:
             return stated_s
         return (
@@ -297,7 +296,7 @@ class VideoRecording(Recording):
 
     @property
     def created(self) -> datetime | None:
-        """When the file was made, None if it does not say."""
+        """Creation time of the file, None if unknown."""
         return self._file.created
 
     def _read(
@@ -321,7 +320,7 @@ class VideoRecording(Recording):
             lost = failed
             if last_pts is not None:
                 lost += self._pace.hole(last_pts, pts, failed, number)
-            # What is wrong with an image is wrong with all that are decoded from it.
+            # Errors of an image spread to all that are decoded from it.
             torn = self._torn_from is not None and pts >= self._torn_from
             inherited = (flawed or failed > 0 or torn) and not frame.key_frame
             if torn:
@@ -338,7 +337,7 @@ class VideoRecording(Recording):
         self._changed = self._file.changed
 
     def _look_at(self, frame: av.VideoFrame) -> None:
-        """Note what the first image tells of all."""
+        """Note what the first image tells about all."""
         self._quarters = round(frame.rotation / 90) % 4
         self._coloured = has_colour(frame)
         self._pixel_format, self._full_range = frame.format.name, is_full_range(frame)
@@ -355,7 +354,7 @@ class VideoRecording(Recording):
             self._judge_depth(self._path, brightest(frame), bits_of(frame))
 
     def _decode(self, packets: Iterator[_Packet]) -> Iterator[tuple[av.VideoFrame, bool]]:
-        """Yield the images, and whether the decoder complained about them only in its log."""
+        """Yield the images, and whether the decoder reported errors only in its log."""
         codec = self._stream.codec_context
         heeded = codec.name == _TELLS_THE_LOG
         heads = Heads(codec.extradata or b"") if codec.name == "h264" else None
@@ -407,7 +406,7 @@ class VideoRecording(Recording):
             self._failed.append(pts)
 
     def _failed_before(self, pts: int) -> int:
-        """Return how many images that could not be decoded come before one, and forget them."""
+        """Return and reset the number of images before one that could not be decoded."""
         failed = sum(each < pts for each in self._failed)
         self._failed = [each for each in self._failed if each > pts]
         return failed
@@ -422,9 +421,9 @@ class VideoRecording(Recording):
     def _lost_at_end(self, last_pts: int | None) -> int:
         if self._listed:
             return max(self._listed - self._packets, 0)
-        if self._file.source.format.name == "yuv4mpegpipe":  # bare images: a rest is a torn one
+        if self._file.source.format.name == "yuv4mpegpipe":  # a remainder is a cut-off image
             return int((self._file.size_bytes or 0) > self._packet_end)
-        # The length stands in the header of these; in others it is an estimate.
+        # The header of these has the length; in others it is an estimate.
         headed = self._file.source.format.name in ("matroska,webm", "avi")
         if last_pts is None or not (headed and self._pace.steady and self.frame_rate):
             return 0
