@@ -61,8 +61,8 @@ def _folder_lock(folder: Path) -> Iterator[None]:
 @contextlib.contextmanager
 def _file_lock(folder: Path) -> Iterator[None]:
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # imported where needed
-        import filelock  # where it is needed: it takes a tenth of a second to load
+        warnings.simplefilter("ignore")  # it warns that fcntl is missing
+        import filelock  # here, because importing takes a tenth of a second
 
     lock = filelock.FileLock(folder / LOCK)
     with reported(folder):
