@@ -15,7 +15,7 @@ class Bag:
     """A bag being written; topics are made when first used."""
 
     def __init__(self, path: Path, kind: str):
-        self.kind = kind
+        self.kind, self.frame_id = kind, "camera"
         self.types = get_typestore(STORES[kind])
         if kind == ".bag":
             self.writer = Writer1(path)
@@ -40,7 +40,7 @@ class Bag:
         )
         header = self.types.types["std_msgs/msg/Header"]
         more = {"seq": 0} if self.kind == ".bag" else {}
-        return header(stamp=time, frame_id="camera", **more)
+        return header(stamp=time, frame_id=self.frame_id, **more)
 
     def write(self, topic, message, recorded_ns):
         kind = message.__msgtype__

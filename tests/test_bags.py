@@ -262,6 +262,22 @@ def test_two_bags_of_one_camera_each_are_left_and_right(tmp_path):
         np.testing.assert_array_equal((frame.left, frame.right), (left, right))
 
 
+@pytest.mark.parametrize(
+    ("frames", "found"),
+    [
+        (("left_optical", "right_optical"), ("left_optical", "right_optical")),
+        (("/cam/optical", "/cam/optical"), ("cam/optical", "")),  # both in the left camera's
+    ],
+)
+def test_the_frames_of_the_images_are_known(tmp_path, frames, found):
+    with Bag(tmp_path / "drive.bag", ".bag") as bag:
+        for n, pair in enumerate(greys()):
+            for side, grey, bag.frame_id in zip(("left", "right"), pair, frames, strict=True):
+                bag.image(f"/{side}/image_rect", grey, n * PERIOD_NS + 10**9)
+    with open_stereo(tmp_path / "drive.bag") as source:
+        assert (source.frame_id("left"), source.frame_id("right")) == found
+
+
 @pytest.mark.parametrize("begin_s", [0, 12, 1_700_000_000])
 def test_clocks_of_topics_that_differ_are_brought_together(tmp_path, begin_s):
     path = tmp_path / "a.bag"

@@ -1,4 +1,4 @@
-"""Images encoded as PNG, PFM or TIFF."""
+"""Images encoded as PNG, JPEG, PFM or TIFF."""
 
 from __future__ import annotations
 
@@ -49,6 +49,20 @@ def encode_png(image: NDArray[np.uint8] | NDArray[np.uint16]) -> bytes:
 def _chunk(kind: bytes, content: bytes) -> bytes:
     check = zlib_ng.crc32(content, zlib_ng.crc32(kind))
     return struct.pack(">I", len(content)) + kind + content + struct.pack(">I", check)
+
+
+def encode_jpeg(image: NDArray[np.uint8], quality: int) -> bytes:
+    """Return an image, grey or RGB, as a JPEG file.
+
+    Args:
+        image: (height, width) or (height, width, 3) uint8.
+        quality: 0 to 100.
+
+    Raises:
+        OutputError: the image cannot be encoded.
+    """
+    bgr = image if image.ndim == 2 else image[:, :, ::-1]
+    return _encoded(".jpg", bgr, cv2.IMWRITE_JPEG_QUALITY, quality)
 
 
 def encode_pfm(image: Real) -> bytes:

@@ -49,7 +49,7 @@ from motionstereo_cli.runs.record import (
 )
 from motionstereo_cli.runs.threaded_sink import Threaded
 from motionstereo_cli.sinks.outputs import OUTPUTS, available, check_video_size
-from motionstereo_cli.sinks.sink import DEFAULT_TIME_BASE, RunContext, Sink
+from motionstereo_cli.sinks.sink import DEFAULT_TIME_BASE, OPTICAL_FRAME, RunContext, Sink
 from motionstereo_cli.sinks.steering_table import SteeringCopy, SteeringStream
 from motionstereo_cli.sources import StereoSource, open_stereo
 from motionstereo_cli.sources.settings import adapted_rig
@@ -186,7 +186,8 @@ def job_of(plan: RunPlan, source: StereoSource, warned: Warned) -> Job:
         plan = with_range(plan, say)
     else:
         plan, frames = with_range_of_opening(plan, source, say)
-    context = RunContext(time_base, plan.settings, rig, plan.output_settings)
+    frame_id = source.frame_id(plan.settings.reference) or OPTICAL_FRAME
+    context = RunContext(time_base, plan.settings, rig, plan.output_settings, frame_id)
     job = Job(plan, source, frames, context, poses, warned)
     job = with_measured_offset(job, partial(warned.say, "disparity-offset"))
     if plan.folder is not None:

@@ -328,14 +328,19 @@ OUTPUTS = {
     ),
     "bag": Output(
         "results.mcap",
-        "ROS 2 bag with the stamps of the input: depth (16UC1, mm) with camera_info, "
-        "DisparityImage (32FC1, px), charge (PNG), steering (PoseStamped in camera_link, REP 103), "
-        "objects (MarkerArray); images and objects in camera_optical_frame",
+        "ROS 2 bag with the stamps of the input: the view (JPEG) and depth (16UC1, mm) with "
+        "camera_info, DisparityImage (32FC1, px), charge (PNG), some 20,000 points of each frame, "
+        "steering (PoseStamped in camera_link, REP 103), objects (MarkerArray), numbers to plot, "
+        "and with poses /tf and the path in map; images, points and objects in the optical frame "
+        "of the input or camera_optical_frame, placed by /tf_static; layout.json shows all of it "
+        "in Foxglove",
         "bag.BagFile",
         needs_rig=True,
         takes="step",
         extras=_DEPTH,
         shows_images=True,
+        shows_colours=True,
+        beside=("layout.json",),
     ),
     "poses": Output(
         "poses.txt",

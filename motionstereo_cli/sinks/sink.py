@@ -14,6 +14,9 @@ if TYPE_CHECKING:
     from motionstereo_cli.types import Rig
 
 
+#: The optical frame of REP 103 where the input has none: x right, y down, z forward.
+OPTICAL_FRAME = "camera_optical_frame"
+
 #: Time between frames in videos, in s, if the source has no times.
 DEFAULT_TIME_BASE = Fraction(1, 25)
 
@@ -57,9 +60,11 @@ class RunContext:
         settings: parameters of the processing.
         rig: the calibration; None if unknown.
         output: parameters of the output.
+        optical_frame: name of the reference camera's optical frame in bags.
     """
 
     time_base: Fraction
     settings: Settings
     rig: Rig | None
     output: OutputSettings = field(default_factory=OutputSettings)
+    optical_frame: str = OPTICAL_FRAME

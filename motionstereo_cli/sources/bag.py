@@ -149,6 +149,7 @@ class BagRecording(Recording):
             if topic not in found:
                 raise InputError(f"{name_of(self._files)} has no images on {topic}")
             self._about = found[topic]
+            self.frame_id = self._about.frame_id
             self.expected_images = self._about.messages
             rate = self._about.rate
             self.frame_rate = None if rate is None else Fraction(rate).limit_denominator(1001)

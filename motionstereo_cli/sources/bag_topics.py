@@ -42,6 +42,7 @@ class Topic(NamedTuple):
         encoding: of the first one's pixels.
         width, height: size of the first one in px; 0 for a compressed one.
         rate: mean messages per second; None for a single message.
+        frame_id: frame of the first one.
     """
 
     name: str
@@ -51,6 +52,7 @@ class Topic(NamedTuple):
     width: int
     height: int
     rate: float | None
+    frame_id: str
 
     def __str__(self) -> str:
         """Return the topic in words."""
@@ -199,6 +201,7 @@ def image_topics(reader: AnyReader) -> list[Topic]:
                 first.width if raw else 0,
                 first.height if raw else 0,
                 (about.msgcount - 1) / seconds if about.msgcount > 1 and seconds > 0 else None,
+                first.header.frame_id.lstrip("/"),
             )
         )
     return found

@@ -69,6 +69,7 @@ class Recording(ABC):
             ``sensor_msgs/CameraInfo`` as JSON; None if there is none.
         calibration_note: what to know about the calibration if none is given; empty = nothing.
         rectified: whether that calibration is of rectified images.
+        frame_id: the optical frame of ROS that its images are in, empty if unknown.
         holes: which of these attributes shows that images are missing, empty if none does.
         likely_white: likely white level, if deep images use a small part of their range, such
             as 12 bits of 16; 0 = that of their bits.
@@ -100,6 +101,7 @@ class Recording(ABC):
     camera_info: str | None = None
     calibration_note: str = ""
     rectified: bool = False
+    frame_id: str = ""
     holes: str = ""
     likely_white: int = 0
 

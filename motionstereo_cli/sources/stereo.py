@@ -282,6 +282,14 @@ class StereoSource:
         """Whether that calibration is of rectified images."""
         return all(side.stream.rectified for side in self._sides)
 
+    def frame_id(self, camera: str) -> str:
+        """Return the optical frame of ROS of the ``left`` or ``right`` images, empty if unknown.
+
+        A frame that both recordings have is that of the left camera, as image_proc wants it.
+        """
+        left, right = (side.stream.frame_id for side in self._sides)
+        return left if camera == "left" else right if right != left else ""
+
     def count(self) -> None:
         """Replace estimated numbers of images by counts; may read all of the files."""
         for stream in self._streams:
