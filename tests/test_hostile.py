@@ -8,6 +8,7 @@ import fcntl
 import json
 import os
 import pickle
+import shutil
 import stat
 import subprocess
 import sys
@@ -344,6 +345,48 @@ def test_compressed_content_has_a_limit(monkeypatch):
         bounded.decompressed(bz2.BZ2Decompressor(), bz2.compress(bytes(1_000_000)))
     with pytest.raises(ValueError, match="is cut off"):
         bounded.decompressed(bz2.BZ2Decompressor(), content[:-9])
+
+
+#: Commands, a file that is larger than the limit of its kind, and where that limit stands.
+LARGE = [
+    (
+        ["run", "left", "right", "--rig", "big.yaml"],
+        "big.yaml",
+        "rig.formats.MAX_CALIBRATION_BYTES",
+    ),
+    (["rig", "big.yaml"], "big.yaml", "rig.formats.MAX_CALIBRATION_BYTES"),
+    (
+        ["run", "left", "right", "--rig", "rig.yaml", "--poses", "big.txt"],
+        "big.txt",
+        "rig.pose_forms.MAX_TABLE_BYTES",
+    ),
+    (["batch", "big.csv", "-o", "b"], "big.csv", "batch.manifest.MAX_RECORD_BYTES"),
+    (["report", "out"], "out/run.json", "files.records.MAX_RECORD_BYTES"),
+    (["report", "out"], "out/steering.csv", "sinks.read_back.MAX_RESULT_BYTES"),
+    (["compare", "out", "same"], "out/steering.csv", "sinks.read_back.MAX_RESULT_BYTES"),
+]
+
+
+@pytest.mark.parametrize(("command", "name", "limit"), LARGE, ids=lambda value: str(value)[-40:])
+def test_files_that_are_too_large_are_named(recording, monkeypatch, capsys, command, name, limit):
+    assert ran("-o", "out", "--save", "steering,depth", "--rig", "rig.yaml") == 0
+    monkeypatch.setattr(f"motionstereo_cli.{limit}", 10_000)
+    shutil.copytree("out", "same")
+    with Path(name).open("a") as file:
+        file.write(" " * 10_001)
+    capsys.readouterr()
+    assert main(command) in {1, 2, 4}  # to compare it is a difference
+    assert f"{name} is larger than 10000 bytes" in "".join(capsys.readouterr())
+
+
+def test_a_still_image_has_a_number_of_pages(recording, monkeypatch, capsys):
+    monkeypatch.setattr("motionstereo_cli.files.stills.MAX_PAGES", 3)
+    grey = np.zeros((8, 8), np.uint8)
+    for count in (3, 4):
+        assert cv2.imwritemulti("pages.tiff", [grey] * count)
+        assert main(["run", "pages.tiff", "right", "-o", "pages"]) in {1, 2}
+        error = capsys.readouterr().err
+        assert ("pages.tiff has more than 3 images" in error) == (count == 4)
 
 
 # Links.

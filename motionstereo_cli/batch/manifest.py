@@ -14,7 +14,7 @@ from pathlib import Path, PurePosixPath
 
 from motionstereo_cli.batch.own_folder import OWN, TABLE
 from motionstereo_cli.errors import InputError, MotionStereoError
-from motionstereo_cli.files.reading import read_text
+from motionstereo_cli.files.reading import MAX_RECORD_BYTES, read_text
 from motionstereo_cli.params import near_match
 from motionstereo_cli.report import PAGE
 from motionstereo_cli.rig.settings import NO_RIG
@@ -25,7 +25,6 @@ _OWN = ("left", "right", "out")
 _NEEDED = ("left", "out")
 #: Names in the folder of a batch that cannot be a recording's.
 _RESERVED = (OWN, TABLE, PAGE)
-_MAX_BYTES = 16_000_000
 #: Separator of two calibration files in a cell.
 _BETWEEN = ";"
 #: Values of a cell for an option that is a flag.
@@ -67,7 +66,7 @@ def read_manifest(
     Raises:
         InputError: the table cannot be used; its notes list all that is wrong.
     """
-    text = read_text(path, "the manifest", _MAX_BYTES)
+    text = read_text(path, "the manifest", MAX_RECORD_BYTES)
     lines = csv.reader(io.StringIO(text, newline=""))
     try:
         rows = list(lines)
