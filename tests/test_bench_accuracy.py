@@ -6,8 +6,9 @@ import cv2
 import numpy as np
 import pytest
 
-from bench import accuracy
+from bench import accuracy, depth
 from motionstereo_cli.method.block_matching import stereo_bm, stereo_sgbm
+from motionstereo_cli.simulate.scenes import render_scene
 
 WIDTH = 200
 HEIGHT = 90
@@ -63,24 +64,34 @@ def test_the_bench_prints_every_matcher_on_every_scene(tmp_path, capsys):
     assert moved["corridor straight"]["score"]["bad_1"] < 0.25
 
 
-def test_the_harder_scenes_have_tables_of_accuracy_and_of_steadiness(capsys):
-    accuracy.main(["--quick", "--held-out"])
+def test_every_kind_of_scene_has_a_row_with_all_contestants(tmp_path, capsys, monkeypatch):
+    monkeypatch.setitem(depth.KINDS, "layers", depth.KINDS["layers"][:1])
+    accuracy.main(["--quick", "--held-out", "--json", str(tmp_path / "scores.json")])
     lines = [line for line in capsys.readouterr().out.splitlines() if line.startswith("| ")]
-    heads = [line for line in lines if line.startswith("| matcher |")]
-    assert [head.split(" | ")[1] for head in heads] == [
-        "layers, charged",
-        "layers, charged",
-        "still: median change in px / share over 1 px",
+    assert [line.split(" | ")[0][2:] for line in lines if "---" not in line] == [
+        *("scene", "layers", "mean") * 2
     ]
-    for matcher in accuracy.MATCHERS:
-        assert sum(line.startswith(f"| {matcher} |") for line in lines) == 3
+    figures = json.loads((tmp_path / "scores.json").read_text())
+    assert figures["layers"] == figures["mean"]
+    kept = {key.rpartition(" | ")[2] for key in figures["mean"]}
+    assert kept >= {"coverage", "bad_1", "bias_1_3_px", "flicker_px", "tepe_1", *depth.EXTRAS}
+    for contestant in depth.CONTESTANTS:
+        one = {
+            name: figures["mean"][f"charged | {contestant} | {name}"]
+            for name in ("coverage", "bad_1", "truth_pixels", *depth.FRACTIONS)
+        }
+        assert one["truth_pixels"] == figures["mean"]["charged | motionstereo | truth_pixels"]
+        assert 0 < one["coverage"] <= 1
+        assert 0 <= one["bad_1"] < 0.9
+        assert sum(one[name] for name in depth.FRACTIONS) == pytest.approx(1)
+    assert figures["mean"]["charged | motionstereo | bad_1"] < 0.3
 
 
-def test_every_harder_scene_can_be_rendered_and_no_seed_is_in_both_sets():
-    for scene, values in accuracy.HARD_SCENES.items():
-        settings = accuracy.SimulateSettings(**values)
-        assert len(settings.frame_range) > accuracy.RUN_IN, scene
-    assert not set(accuracy.SEEDS) & set(accuracy.HELD_OUT_SEEDS)
+def test_every_kind_of_scene_can_be_rendered_and_no_seed_is_in_both_sets():
+    for clips in depth.KINDS.values():
+        for first, values in clips:
+            depth.SimulateSettings(**values, frames=f"{first}:{first + depth.FRAMES}")
+    assert not set(depth.SEEDS) & set(depth.HELD_OUT_SEEDS)
 
 
 def test_recordings_with_truth_of_either_view_are_scored_alike(tmp_path, monkeypatch):
@@ -88,7 +99,7 @@ def test_recordings_with_truth_of_either_view_are_scored_alike(tmp_path, monkeyp
     monkeypatch.setattr(accuracy, "MATCHERS", {"motionstereo": accuracy.MATCHERS["motionstereo"]})
     scene = accuracy.SimulateSettings(frames="250:256", width=160, height=96)
     plain, mirror = tmp_path / "plain", tmp_path / "mirror"
-    for index, shot in enumerate(accuracy.render_scene(scene)):
+    for index, shot in enumerate(render_scene(scene)):
         truth = np.rint(shot.disparity_px * 256).astype(np.uint16)
         for folder, images in (
             (plain, {"left": shot.left, "right": shot.right, "disparity": truth}),

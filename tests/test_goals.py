@@ -5,9 +5,10 @@ import math
 
 import pytest
 
-from bench import goals, house
+from bench import depth, goals, house
 from bench.goals import MEASURES, Goal, read_goals
 from bench.speed import PARTS
+from motionstereo_cli.evaluation.evaluate import Score
 
 
 def test_every_row_names_a_measurement_and_no_row_is_there_twice():
@@ -21,11 +22,12 @@ def test_every_row_names_a_measurement_and_no_row_is_there_twice():
 def test_rows_about_accuracy_name_scenes_and_scores():
     for row in read_goals():
         if row.measure == "accuracy":
-            scene, pixels, matcher, score = row.key.split(" | ")
-            assert scene in goals.accuracy.SCENES | goals.accuracy.HARD_SCENES
-            assert pixels in goals.accuracy.PIXELS
-            assert matcher in goals.accuracy.MATCHERS
-            assert score in goals.accuracy.Score.__dataclass_fields__
+            for key in filter(None, (row.key, row.per)):
+                kind, pixels, contestant, name = key.split(" | ")
+                assert kind in {*depth.KINDS, depth.MEAN}
+                assert pixels in depth.PIXELS
+                assert contestant in depth.CONTESTANTS
+                assert name in {*Score.__dataclass_fields__, *depth.EXTRAS}
 
 
 @pytest.mark.parametrize("least", [False, True])

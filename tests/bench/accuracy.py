@@ -10,32 +10,27 @@ import itertools
 import json
 import math
 import tempfile
-from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from tqdm import tqdm
 
+from bench import depth
+from bench.clips import recorded
 from bench.markdown import table
 from motionstereo_cli.evaluation.evaluate import FramePair, Score, Tally, tally
-from motionstereo_cli.files.video import VideoWriter
 from motionstereo_cli.method.block_matching import stereo_bm, stereo_sgbm
-from motionstereo_cli.method.memory import Memory, Sighting, age_of, mirrored, see
+from motionstereo_cli.method.memory import Memory, mirrored, see
 from motionstereo_cli.method.settings import Settings
-from motionstereo_cli.method.steady import averaged
-from motionstereo_cli.pipeline import match, recent_frames
-from motionstereo_cli.simulate.scenes import render_scene
+from motionstereo_cli.pipeline import match
 from motionstereo_cli.simulate.settings import SimulateSettings
 from motionstereo_cli.sinks.read_back import Maps
 from motionstereo_cli.sources import open_stereo
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from motionstereo_cli.types import Grey, Real
 
 #: In this many frames the memories charge; they are not counted.
@@ -48,27 +43,6 @@ SCENES: dict[str, dict[str, Any]] = {
     "cards panning": {"scene": "cards", "frames": "0:100", "pan": True},
 }
 NOISES = (0.0, 1.5, 4.0)
-
-_LAYERS: dict[str, Any] = {"scene": "layers", "frames": "0:48"}
-_STREET: dict[str, Any] = {"scene": "street", "frames": "0:40"}
-#: Scenes that are harder, each rendered with several seeds and a noise of :data:`HARD_NOISE`.
-HARD_SCENES: dict[str, dict[str, Any]] = {
-    "layers": _LAYERS,
-    "layers panning": _LAYERS | {"pan": True},
-    "left camera brighter": _LAYERS | {"pan": True, "left_gain": 1.1, "left_offset": 8},
-    "flickering light": _LAYERS | {"pan": True, "flicker": 0.1},
-    "motion blur": _LAYERS | {"pan": True, "shutter": 0.8},
-    "JPEG quality 30": _LAYERS | {"pan": True, "jpeg_quality": 30},
-    "H.264 crf 32": _LAYERS | {"pan": True, "crf": 32},
-    "street straight": _STREET,
-    "street winding": _STREET | {"street_winding_deg": 35.0},
-    "street, left brighter": _STREET | {"left_gain": 1.1, "left_offset": 8},
-}
-HARD_NOISE = 1.5
-#: Seeds to choose values by, and seeds to be measured only once, with the values that were chosen.
-SEEDS, HELD_OUT_SEEDS = (0, 1, 2), (101, 102, 103)
-#: Most of what flickers is compared on this many frames that follow one another.
-_STEADY_FRAMES = 8
 
 #: Pixels scored, by the default settings' right memory: with charge, and moved in this frame.
 PIXELS = ("charged", "moved")
@@ -152,7 +126,7 @@ def measure(
     """Score all matchers on one scene, rendered, encoded as H.264 and decoded again.
 
     Args:
-        scene: name from :data:`SCENES` or :data:`HARD_SCENES`.
+        scene: name from :data:`SCENES`.
         noise_sigma: standard deviation of the sensor noise in grey levels.
         every: score one frame of so many.
         seeds: of the scene; pixels of all count together.
@@ -196,58 +170,24 @@ def _scored(scene: str, noise_sigma: float, looks: Iterable[tuple[Look, Real]]) 
 def _recorded(
     scene: str, noise_sigma: float, seed: int, frames: str | None, width: int
 ) -> SimulateSettings:
-    values = (SCENES | HARD_SCENES)[scene] | ({} if frames is None else {"frames": frames})
+    values = SCENES[scene] | ({} if frames is None else {"frames": frames})
     return SimulateSettings(
         width=width, height=width * 2 // 3, noise_sigma=noise_sigma, seed=seed, **values
     )
-
-
-def unsteadiness(
-    seeds: Sequence[int], frames: int = _STEADY_FRAMES, width: int = 480
-) -> dict[str, Score]:
-    """Return how charged disparity changes from frame to frame, by matcher, on ``layers``.
-
-    That of ours is averaged in time, as in a run.
-
-    Args:
-        seeds: of the scene.
-        frames: how many frames are compared with the one before.
-        width: of the images in px.
-    """
-    sums: dict[str, Tally] = {}
-    for seed in seeds:
-        before: dict[str, FramePair] = {}
-        recent: dict[str, deque[tuple[Real, Grey]]] = {
-            name: deque(maxlen=recent_frames(s)) for name, s in OURS.items()
-        }
-        last = RUN_IN + frames + 1
-        scene = _recorded("layers", HARD_NOISE, seed, f"0:{last}", width)
-        for look, truth_px in _looks(scene, 1):
-            charged = look.memory.charge > DEFAULT.charge_min
-            wanted_px = np.where(charged, truth_px, np.float32(np.nan))
-            for matcher, find in MATCHERS.items():
-                found_px = find(look)
-                if matcher in OURS:
-                    memory = look.memories[matcher][0]
-                    now = Sighting.of(found_px, memory.grey)
-                    age = age_of(memory, OURS[matcher])
-                    found_px = averaged(found_px, now.grey, age, recent[matcher])
-                    recent[matcher].append((now.disparity_px, now.grey))
-                pair = FramePair(found_px, wanted_px)
-                if matcher in before:
-                    one = tally(pair, before[matcher])
-                    sums[matcher] = sums[matcher] + one if matcher in sums else one
-                before[matcher] = pair
-    return {matcher: total.score() for matcher, total in sums.items()}
 
 
 def _looks(scene: SimulateSettings, every: int) -> Iterator[tuple[Look, Real]]:
     """Yield the frames to score, with the true disparity of the right view."""
     with tempfile.TemporaryDirectory() as folder:
         left, right = Path(folder, "left.mp4"), Path(folder, "right.mp4")
-        truth = _record(scene, left, right, every)
+        shots = enumerate(recorded(scene, left, right))
+        truth = {index: shot.disparity_px for index, shot in shots if _is_scored(index, every)}
         with open_stereo(left, right) as source:
             yield from _seen(((frame.right, frame.left) for frame in source), truth)
+
+
+def _is_scored(index: int, every: int) -> bool:
+    return index >= RUN_IN and (index - RUN_IN) % every == 0
 
 
 def _looks_at(folder: Path, every: int) -> Iterator[tuple[Look, Real]]:
@@ -283,22 +223,6 @@ def _seen(
             memories[name] = see(before[0], right, settings), see(before[1], left, settings)
         if index in truth:
             yield Look(right, left, dict(memories)), truth[index]
-
-
-def _record(
-    settings: SimulateSettings, left: Path, right: Path, every: int
-) -> dict[int, NDArray[np.float32]]:
-    """Write the videos and return the truth of the frames to score, by number from 0."""
-    truth = {}
-    videos = [VideoWriter(path, Fraction(1, 30), quality=settings.crf) for path in (left, right)]
-    for index, shot in enumerate(render_scene(settings)):
-        for video, grey in zip(videos, (shot.left, shot.right), strict=True):
-            video.write(grey, index)
-        if index >= RUN_IN and (index - RUN_IN) % every == 0:
-            truth[index] = shot.disparity_px
-    for video in videos:
-        video.close()
-    return truth
 
 
 def format_markdown(cells: Sequence[Cell]) -> str:
@@ -353,58 +277,42 @@ def main(args: Sequence[str] | None = None) -> None:
         "of images), and disparity (of the right view) or disparity_left, as simulate writes them",
     )
     parser.add_argument("--json", type=Path, help="write all scores there too")
-    parser.add_argument("--quick", action="store_true", help="two small scenes: does it run?")
-    parser.add_argument("--hard", action="store_true", help="the harder scenes, several seeds each")
+    parser.add_argument("--quick", action="store_true", help="few small scenes: does it run?")
+    parser.add_argument(
+        "--hard", action="store_true", help="whole runs on many kinds of scenes, harder ones too"
+    )
     parser.add_argument(
         "--held-out",
         action="store_true",
-        help="the harder scenes with seeds that no value was chosen by: measure them only once",
+        help="the same with seeds that no value was chosen by: measure them only once",
     )
     given = parser.parse_args(args)
     if given.every < 1:
         parser.error("--every: give at least 1")
 
+    if given.hard or given.held_out:
+        seeds = depth.HELD_OUT_SEEDS if given.held_out else depth.SEEDS
+        depth.main(seeds, given.json, quick=given.quick)
+        return
     if given.recordings:
         cells = [cell for each in given.recordings for cell in measure_recording(each, given.every)]
-        print(format_markdown(cells))
-        _write(given.json, cells)
-        return
+    else:
+        cells = _measure_scenes(given.every, quick=given.quick)
+    print(format_markdown(cells))
+    if given.json is not None:
+        rows = [{**cell._asdict(), "score": asdict(cell.score)} for cell in cells]
+        given.json.write_text(json.dumps(rows, indent=2) + "\n")
+
+
+def _measure_scenes(every: int, *, quick: bool) -> list[Cell]:
     runs = [(scene, noise) for noise in NOISES for scene in SCENES]
-    size: dict[str, Any] = {"every": given.every}
-    hard = given.hard or given.held_out
-    if hard:
-        runs = [(scene, HARD_NOISE) for scene in HARD_SCENES]
-        size = {"every": 8, "seeds": HELD_OUT_SEEDS if given.held_out else SEEDS}
-    if given.quick:
-        runs = [("layers", 1.5)] if hard else [("corridor straight", 1.5), ("cards", 1.5)]
+    size: dict[str, Any] = {"every": every}
+    if quick:
+        runs = [("corridor straight", 1.5), ("cards", 1.5)]
         size = {"every": 4, "frames": "20", "width": 240}
     cells = []
     with tqdm(runs, unit="recording", disable=None) as bar:
         for scene, noise in bar:
             bar.set_description(f"{scene}, noise {noise:g}")
             cells += measure(scene, noise, **size)
-    print(format_markdown(cells))
-    if hard:
-        steady = unsteadiness(size.get("seeds", (0,)), *((2, 240) if given.quick else ()))
-        print("From frame to frame, layers, charged pixels:\n")
-        head = [
-            "matcher",
-            "still: median change in px / share over 1 px",
-            "error (TEPE): mean change in px / share over 1 px",
-        ]
-        rows_of = [
-            [
-                name,
-                f"{one.flicker_px:.3f} / {one.flicker_1:.3f}",
-                f"{one.tepe_px:.3f} / {one.tepe_1:.3f}",
-            ]
-            for name, one in steady.items()
-        ]
-        print(table(head, rows_of))
-    _write(given.json, cells)
-
-
-def _write(path: Path | None, cells: Sequence[Cell]) -> None:
-    if path is not None:
-        rows = [{**cell._asdict(), "score": asdict(cell.score)} for cell in cells]
-        path.write_text(json.dumps(rows, indent=2) + "\n")
+    return cells

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from fractions import Fraction
 from itertools import islice
@@ -11,7 +12,7 @@ import av
 
 from motionstereo_cli.files.video import VideoWriter
 from motionstereo_cli.rig import write_rig
-from motionstereo_cli.simulate.scenes import render_scene
+from motionstereo_cli.simulate.scenes import SceneFrame, render_scene
 from motionstereo_cli.simulate.settings import SimulateSettings
 from motionstereo_cli.sources import open_stereo
 from motionstereo_cli.types import Rig, StereoFrame
@@ -106,3 +107,15 @@ def _repeat(source: Path, target: Path, times: int) -> None:
                 again.time_base, again.duration = packet.time_base, packet.duration
                 again.is_keyframe, again.stream = packet.is_keyframe, stream
                 new.mux(again)
+
+
+def recorded(settings: SimulateSettings, left: Path, right: Path) -> Iterator[SceneFrame]:
+    """Render a recording into two videos, and yield what is shown; they are whole at the end."""
+    rate = Fraction(1 / settings.frame_rate).limit_denominator(1000)
+    videos = [VideoWriter(path, rate, quality=settings.crf) for path in (left, right)]
+    for index, shot in enumerate(render_scene(settings)):
+        for video, grey in zip(videos, (shot.left, shot.right), strict=True):
+            video.write(grey, index)
+        yield shot
+    for video in videos:
+        video.close()

@@ -15,11 +15,10 @@ import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
 
 from tqdm import tqdm
 
-from bench import accuracy, drive, house, objects, speed
+from bench import depth, drive, house, objects, speed
 from bench import map as maps
 from bench.markdown import table
 from motionstereo_cli.simulate.settings import DriveSettings, SimulateSettings
@@ -81,24 +80,15 @@ def _of_sanitizers(_: Sequence[Goal], quick: bool) -> dict[str, float]:
     return {"failed": float(done.returncode != 0)}
 
 
-def _of_accuracy(rows: Sequence[Goal], quick: bool) -> dict[str, float]:
-    """Figures by scene, pixels, matcher and score; of the scenes that rows name."""
-    size: dict[str, Any] = {"every": 8, "seeds": accuracy.HELD_OUT_SEEDS}
-    if quick:
-        size = {"every": 4, "frames": "0:20", "width": 240}
-    scenes = dict.fromkeys(row.key.partition(" | ")[0] for row in rows)
+def _of_accuracy(_: Sequence[Goal], quick: bool) -> dict[str, float]:
+    """Figures by kind of scene, pixels, contestant and measure, on held-out seeds."""
+    kinds, width = (["layers"], 160) if quick else (list(depth.KINDS), 480)
+    measured = depth.measure(kinds, depth.HELD_OUT_SEEDS, width=width)
     return {
-        f"{cell.scene} | {cell.pixels} | {cell.matcher} | {score}": value
-        for scene in tqdm(scenes, unit="scene", disable=None)
-        for cell in accuracy.measure(scene, accuracy.HARD_NOISE, **size)
-        for score, value in asdict(cell.score).items()
+        f"{kind} | {key}": value
+        for kind, figures in tqdm(measured, "depth", len(kinds) + 1, unit="kind", disable=None)
+        for key, value in figures.items()
     }
-
-
-def _of_steadiness(_: Sequence[Goal], quick: bool) -> dict[str, float]:
-    size = (2, 240) if quick else ()
-    steady = accuracy.unsteadiness(accuracy.HELD_OUT_SEEDS, *size)
-    return {matcher: score.flicker_px for matcher, score in steady.items()}
 
 
 def _of_speed(rows: Sequence[Goal], quick: bool) -> dict[str, float]:
@@ -182,7 +172,6 @@ MEASURES: dict[str, Callable[[Sequence[Goal], bool], dict[str, float]]] = {
     "house": _of_house,
     "sanitizers": _of_sanitizers,
     "accuracy": _of_accuracy,
-    "steadiness": _of_steadiness,
     "speed": _of_speed,
     "objects": _of_objects,
     "drive": _of_drive,
