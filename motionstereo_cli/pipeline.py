@@ -311,7 +311,8 @@ def follow(
         pose, fix = (found, fix) if pose is None else (pose, None)
     if context.tracker is not None:
         tracks, objects = context.tracker.follow(tracks, summary.regions, summary.time, pose)
-    guided, steering = context.guide.steer(tracking.guided, summary.profile, pose, objects)
+    seen = summary.profile, pose, objects, summary.time.time_s
+    guided, steering = context.guide.steer(tracking.guided, *seen)
     return TrackingState(guided, tracks, path), Step(
         time=summary.time,
         steering=steering,

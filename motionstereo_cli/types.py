@@ -169,6 +169,9 @@ class Steering:
         depth_m: depth in the direction of the heading or, with poses, the free distance there; None
             without a rig or where unknown.
         nearest_m: depth of the nearest object; None without a rig or where unknown.
+        risk_s: time until contact with the nearest thing in the way that is steered, which needs no
+            rig; None where it does not come closer or would need over a minute, where the source
+            has no time, and as long as it is unknown.
     """
 
     status: str
@@ -176,6 +179,7 @@ class Steering:
     steer_rad: float | None
     depth_m: float | None
     nearest_m: float | None
+    risk_s: float | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,8 +4,11 @@ import math
 
 import numpy as np
 import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
 
 from motionstereo_cli.method.settings import Settings
+from motionstereo_cli.robot.approach import Approach, nearest_in_way
 from motionstereo_cli.robot.course import (
     DIRECTIONS_RAD,
     Course,
@@ -285,3 +288,53 @@ class TestMapGuide:
         assert steering.status == "held"
         assert steering.steer > 0.9  # it lies to the left, beyond the image
         assert steering.depth_m > 4
+
+
+class TestApproach:
+    """The time until contact, from nearness over time."""
+
+    @staticmethod
+    def approach(depths, *, rate=10.0, place=0.5):
+        known = Approach()
+        for number, depth in enumerate(depths):
+            known = known.after(number / rate, place, 40 / depth)
+        return known
+
+    def test_an_even_approach_has_its_time_to_contact_in_any_unit(self):
+        for unit in (0.01, 1.0, 100.0):
+            depths = [unit * (10 - 0.2 * number) for number in range(12)]  # 2 a second
+            assert self.approach(depths).contact_s == pytest.approx(7.8 / 2)
+
+    @pytest.mark.parametrize(
+        "depths",
+        [
+            [10 + 0.2 * number for number in range(12)],  # it goes away
+            [10 + 0.05 * (number % 2) for number in range(12)],  # noise
+            [10 - 0.001 * number for number in range(12)],  # in over a minute
+            [10 - 0.2 * number for number in range(3)],  # too few frames
+            [10, 9.8, 9.6, 9.4, 9.2, 5, 4.9, 4.8],  # another thing since three frames
+        ],
+    )
+    def test_nothing_is_said_where_nothing_comes_closer_for_sure(self, depths):
+        assert self.approach(depths).contact_s is None
+
+    def test_a_frame_without_anything_in_the_way_begins_anew(self):
+        known = self.approach([10, 9.8, 9.6, 9.4, 9.2])
+        assert known.contact_s is not None
+        assert known.after(0.5, 0.5, float("nan")).contact_s is None
+        assert known.after(None, 0.5, 4.0).contact_s is None
+        assert known.after(0.5, 0.8, 40 / 9).contact_s is None  # the heading has moved on
+
+    @given(st.floats(0.3, 5), st.floats(2, 20), st.integers(4, 12))
+    def test_time_to_contact_is_distance_over_speed(self, speed, first, count):
+        depths = [first - speed * number / 100 for number in range(count)]
+        assume(0.5 < depths[-1] < 59 * speed)
+        found = self.approach(depths, rate=100.0).contact_s
+        assert found == pytest.approx(depths[-1] / speed, rel=1e-6)
+
+    def test_a_way_is_as_wide_as_the_vehicle_at_the_distance_of_what_stands_there(self):
+        near = np.full(20, np.nan, np.float32)
+        near[3], near[10], near[12] = 8, 1, 4
+        for half_way, nearest in ((0, 1), (3, 1), (6, 4), (30, 8)):
+            assert nearest_in_way(near, 0.52, 200, half_way) == nearest
+        assert math.isnan(nearest_in_way(np.full(4, np.nan, np.float32), 0.5, 200, 5))

@@ -116,7 +116,7 @@ def test_age_and_confidence_are_read_back(tmp_path):
 def test_the_steering_table_to_the_letter(tmp_path):
     sink = SteeringFile(tmp_path / "steering.csv")
     sink.write(step_of(frame_result(0)))
-    held = Steering("held", -0.00001, 0.12345, 2.71849, 0.0006)
+    held = Steering("held", -0.00001, 0.12345, 2.71849, 0.0006, 1.23456)
     sink.write(
         step_of(frame_result(1, pts=512, time_s=1 / 30, steering=held, charged=1 / 3, matched=1))
     )
@@ -124,10 +124,10 @@ def test_the_steering_table_to_the_letter(tmp_path):
     sink.write(step_of(frame_result(2, pts=-7, time_s=-0.25, steering=odd)))
     sink.close()
     assert (tmp_path / "steering.csv").read_bytes() == (
-        b"frame,pts,time_s,status,steer,steer_rad,depth_m,nearest_m,charged,matched\n"
-        b"0,0,,blind,,,,,0.0000,0.0000\n"
-        b"1,512,0.033333,held,0.0000,0.1235,2.718,0.001,0.3333,1.0000\n"
-        b"2,-7,-0.250000,ok,1.0000,,,,0.0000,0.0000\n"
+        b"frame,pts,time_s,status,steer,steer_rad,depth_m,nearest_m,charged,matched,risk_s\n"
+        b"0,0,,blind,,,,,0.0000,0.0000,\n"
+        b"1,512,0.033333,held,0.0000,0.1235,2.718,0.001,0.3333,1.0000,1.235\n"
+        b"2,-7,-0.250000,ok,1.0000,,,,0.0000,0.0000,\n"
     )
 
 
@@ -146,7 +146,7 @@ def test_json_lines_hold_the_same_numbers_and_null_where_unknown(tmp_path):
     assert lines[1] == (
         '{"frame": 1, "pts": 512, "time_s": 0.033333, "status": "held", "steer": 0.0000, '
         '"steer_rad": 0.1235, "depth_m": 2.718, "nearest_m": 0.001, "charged": 0.3333, '
-        '"matched": 0.0000}'
+        '"matched": 0.0000, "risk_s": null}'
     )
 
 

@@ -77,6 +77,7 @@ COLUMN_TOLERANCE = {
     "nearest_m": 0.1,
     "charged": 0.003,
     "matched": 0.005,
+    "risk_s": 0.5,
     "x": 2.0,
     "y": 2.0,
     "width": 2.0,

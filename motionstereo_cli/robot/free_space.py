@@ -45,7 +45,7 @@ _BELOW_COST = 2.0
 
 #: A vehicle's width, the longest way that is told from longer ones, and how far off the point is
 #: that it steers to, in camera heights; in a narrow place that point is nearer.
-_VEHICLE, _FARTHEST, _AIM = 1.5, 25.0, 8.0
+VEHICLE, _FARTHEST, _AIM = 1.5, 25.0, 8.0
 _AIM_SHARE = 0.25
 #: Where nothing stands the way is open if ground is seen as far as a share 1 / this of the longest.
 _OPEN = 2.0
@@ -232,7 +232,7 @@ def _lengths(
 
     def free(aside: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return lengths of ways that are so far aside (ways, strips) at what stands there."""
-        meets = np.abs(slant * ahead - aside) < _VEHICLE / 2
+        meets = np.abs(slant * ahead - aside) < VEHICLE / 2
         first: NDArray[np.float64] = np.where(meets, ahead, farthest).min(axis=1)
         return first
 

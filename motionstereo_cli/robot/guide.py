@@ -9,13 +9,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from motionstereo_cli.method.settings import Settings
+from motionstereo_cli.robot.approach import Approach, nearest_in_way
 from motionstereo_cli.robot.course import (
     DIRECTIONS_RAD,
     Course,
@@ -25,6 +26,7 @@ from motionstereo_cli.robot.course import (
     travelled,
 )
 from motionstereo_cli.robot.free_space import (
+    VEHICLE,
     FreeSpace,
     find_ground,
     free_space,
@@ -95,6 +97,7 @@ class Guide(Protocol, Generic[_Profile, _State]):
         seen: _Profile,
         pose: Pose | None = None,
         objects: Iterable[MovingObject] = (),
+        time_s: float | None = None,
     ) -> tuple[_State, Steering]:
         """Return what is known after a frame, and its heading.
 
@@ -103,6 +106,7 @@ class Guide(Protocol, Generic[_Profile, _State]):
             seen: the profile of the frame.
             pose: where the rig is.
             objects: what moves; the first to arrive is kept clear of.
+            time_s: when it was taken; None where the source has no time.
         """
 
 
@@ -143,10 +147,12 @@ class ImageHeading:
     Attributes:
         place: the last heading across the image, 0 left .. 1 right; None before the first.
         targets: where the last frames said to steer, :data:`TARGETS` at most.
+        approach: what was in the way in the last frames.
     """
 
     place: float | None = None
     targets: tuple[float, ...] = ()
+    approach: Approach = field(default_factory=Approach)
 
 
 @dataclass(frozen=True, slots=True)
@@ -179,6 +185,7 @@ class ImageGuide:
         seen: ImageProfile,
         _: Pose | None = None,
         __: Iterable[MovingObject] = (),
+        time_s: float | None = None,
     ) -> tuple[ImageHeading, Steering]:
         """Return the last heading and the steering, see :meth:`Guide.steer`."""
         before, width = state or ImageHeading(), seen.space.width
@@ -190,10 +197,12 @@ class ImageGuide:
         if target is not None:
             targets = (*before.targets, target)[-TARGETS:]
             place = steadied(before.place, _median(targets), self.settings.steer_gain)
-            before = ImageHeading(place, targets)
+            before = replace(before, place=place, targets=targets)
         if before.place is None:
             return before, _BLIND
         place = before.place
+        near_px = nearest_in_way(seen.space.standing_px, place, width, self._half_way(seen.space))
+        before = replace(before, approach=before.approach.after(time_s, place, near_px))
         ahead_px = float(strips_px[min(int(place * len(strips_px)), len(strips_px) - 1)])
         return before, Steering(
             status="held" if target is None else "ok",
@@ -201,7 +210,14 @@ class ImageGuide:
             steer_rad=_angle_rad(place, width, self.rig, self.settings.reference),
             depth_m=_depth_m(ahead_px, self.rig),
             nearest_m=_depth_m(seen.nearest_px, self.rig),
+            risk_s=before.approach.contact_s,
         )
+
+    def _half_way(self, space: FreeSpace) -> float:
+        """Return half the width of the way, see :func:`.approach.nearest_in_way`."""
+        if not math.isnan(space.slope):  # px of nearness a row: so many rows are a camera height
+            return VEHICLE / 2 / space.slope
+        return self.settings.robot_radius_m / self.rig.baseline_m if self.rig else 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -229,12 +245,14 @@ class MapCourse:
         pose: where the rig was in the last frame.
         course: what the robot intends; None while nothing has been seen.
         place: the last heading across the image, 0 left .. 1 right; None before the first.
+        approach: what was in the way in the last frames.
     """
 
     map: LocalMap
     pose: Pose
     course: Course | None = None
     place: float | None = None
+    approach: Approach = field(default_factory=Approach)
 
 
 @dataclass(frozen=True, slots=True)
@@ -270,6 +288,7 @@ class MapGuide:
         seen_now: MapProfile,
         pose: Pose | None = None,
         objects: Iterable[MovingObject] = (),
+        time_s: float | None = None,
     ) -> tuple[MapCourse, Steering]:
         """Return the map and the course after a frame, and the steering, see :meth:`Guide.steer`.
 
@@ -301,12 +320,16 @@ class MapGuide:
         course, free_m = plan(course, yaw, known_m, possible_m, directions, turned_rad=turned)
         angle_rad = math.remainder(course.heading_rad - yaw, math.tau)
         place = steadied(before.place, self._place_of(angle_rad, seen_now.width), s.steer_gain)
-        return MapCourse(known, pose, course, place), Steering(
+        half_way = s.robot_radius_m / self.rig.baseline_m
+        near_px = nearest_in_way(seen_now.bearings_px, place, seen_now.width, half_way)
+        approach = before.approach.after(time_s, place, near_px)
+        return MapCourse(known, pose, course, place, approach), Steering(
             status="ok" if new else "held",
             steer=1 - 2 * place,
             steer_rad=_angle_rad(place, seen_now.width, self.rig, s.reference),
             depth_m=free_m,
             nearest_m=_depth_m(seen_now.nearest_px, self.rig),
+            risk_s=approach.contact_s,
         )
 
     def _foreseen(self, contact: MovingObject | None, known: LocalMap) -> NDArray[np.bool_]:

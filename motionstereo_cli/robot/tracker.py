@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 
 from motionstereo_cli.method.settings import Settings
+from motionstereo_cli.robot.approach import MAX_CONTACT_S
 from motionstereo_cli.robot.free_space import MIN_KNOWN_SHARE
 from motionstereo_cli.robot.objects import (
     Movement,
@@ -43,9 +44,6 @@ _AROUND_PX, _MIN_MOVING_SHARE, _MIN_MOVED = 8, 0.0005, 0.05
 
 #: What moves by itself is faster than this over ground, and than so many standard deviations.
 _MIN_OVER_GROUND_MPS, _SIGMAS = 0.2, 2.0
-
-#: A contact later than this is none: so slow a speed is not told from 0.
-MAX_CONTACT_S = 60.0
 
 
 @dataclass(frozen=True, slots=True)

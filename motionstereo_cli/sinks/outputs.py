@@ -135,8 +135,8 @@ OUTPUTS = {
     "steering": Output(
         "steering.csv",
         "one row for each frame; time_s in s, steer -1..1 and steer_rad in rad with positive = "
-        "left, depth_m and nearest_m in m, charged and matched as shares of the image; "
-        "empty = unknown",
+        "left, depth_m and nearest_m in m, charged and matched as shares of the image, "
+        "risk_s in s until contact in the way steered; empty = unknown",
         "steering_table.steering_file",
         kind="table",
         takes="step",

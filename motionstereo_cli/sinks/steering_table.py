@@ -13,14 +13,14 @@ from motionstereo_cli.types import Step
 if TYPE_CHECKING:
     from motionstereo_cli.sinks.sink import RunContext
 
-HEADER = "frame,pts,time_s,status,steer,steer_rad,depth_m,nearest_m,charged,matched"
+HEADER = "frame,pts,time_s,status,steer,steer_rad,depth_m,nearest_m,charged,matched,risk_s"
 
 
 def steering_line(step: Step, table_format: str) -> str:
     """Return one row of the table, without its line end.
 
-    time_s has 6 decimals (microseconds), depth_m and nearest_m have 3 (mm), all other real
-    numbers 4. An empty cell, or null, is unknown. No cell can need quotes.
+    time_s has 6 decimals (microseconds), depth_m, nearest_m (mm) and risk_s (ms) have 3, all other
+    real numbers 4. An empty cell, or null, is unknown. No cell can need quotes.
 
     Args:
         step: that of the frame.
@@ -38,6 +38,7 @@ def steering_line(step: Step, table_format: str) -> str:
         cell(steering.nearest_m, 3),
         cell(step.charged, 4),
         cell(step.matched, 4),
+        cell(steering.risk_s, 3),
     )
     if table_format == "csv":
         return ",".join(cells)
