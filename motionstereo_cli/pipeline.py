@@ -21,20 +21,17 @@ from numpy.typing import NDArray
 
 from motionstereo_cli.errors import SettingsError
 from motionstereo_cli.method.confidence import sigma_px
-from motionstereo_cli.method.matching import matcher_of
+from motionstereo_cli.method.matching import Match, match
 from motionstereo_cli.method.memory import (
     Memory,
     Sighting,
     age_of,
     charged,
     checked_views,
-    in_mirror,
-    mirrored,
     see,
 )
-from motionstereo_cli.method.settings import AUTO, FOREVER, MATCHERS, Settings
+from motionstereo_cli.method.settings import AUTO, MATCHERS, Settings
 from motionstereo_cli.method.steady import averaged
-from motionstereo_cli.method.unknown import reasons
 from motionstereo_cli.robot.guide import Guide, guide_of
 from motionstereo_cli.robot.mapper import camera_points
 from motionstereo_cli.robot.mover_finder import MoverFinder, stands
@@ -55,7 +52,7 @@ from motionstereo_cli.types import (
 )
 
 if TYPE_CHECKING:
-    from motionstereo_cli.types import Grey, Real
+    from motionstereo_cli.types import Real
 
 #: What of a result takes time and is not always asked for.
 EXTRAS = frozenset({"age_frames", "confidence", "depth_m", "occlusion", "sigma_px"})
@@ -450,7 +447,7 @@ def analyse(
     shown = right if s.reference == "right" else left
     try:
         found = match(
-            *(right, left, s),
+            *(right, left, s, frame.disparity_px),
             with_confidence=not context.extras.isdisjoint({"confidence", "sigma_px"}),
             with_occlusion="occlusion" in context.extras,
         )
@@ -533,68 +530,3 @@ def depth_of(disparity_px: Real, rig: Rig | None) -> Real | None:
         return None
     before_infinity = rig.nearness_px(disparity_px) > 0
     return rig.depth_m(np.where(before_infinity, disparity_px, np.float32(np.nan)))
-
-
-class Match(NamedTuple):
-    """What was matched in one frame, in the reference view, (height, width) each.
-
-    Attributes:
-        disparity_px: float32, NaN = unknown.
-        confidence: 0..1, float32, NaN = unknown; None if not asked for.
-        occlusion: why it is unknown, uint8, by the codes of
-            :data:`~motionstereo_cli.method.settings.OCCLUSION`; None if not asked for.
-        at_limit: share of the image whose best match was the last one of the range.
-    """
-
-    disparity_px: Real
-    confidence: Real | None
-    occlusion: Grey | None
-    at_limit: float
-
-
-def match(
-    right: Memory,
-    left: Memory,
-    settings: Settings,
-    *,
-    with_confidence: bool = True,
-    with_occlusion: bool = False,
-) -> Match:
-    """Return what the two memories have in common, in the reference view."""
-    extras = {"with_confidence": with_confidence, "with_occlusion": with_occlusion}
-    if settings.reference == "left":
-        # In a mirror the left camera is the right one, and disparities stay what they are.
-        found = _match(in_mirror(left), in_mirror(right), settings, **extras)
-        return Match(
-            mirrored(found.disparity_px),
-            None if found.confidence is None else mirrored(found.confidence),
-            None if found.occlusion is None else mirrored(found.occlusion),
-            found.at_limit,
-        )
-    return _match(right, left, settings, **extras)
-
-
-def _match(
-    right: Memory,
-    left: Memory,
-    settings: Settings,
-    *,
-    with_confidence: bool,
-    with_occlusion: bool,
-) -> Match:
-    s = settings
-    disparity, confidence, at_limit = matcher_of(s)(right, left, s)
-    chance = confidence() if with_confidence or s.min_confidence > 0 else None
-    if s.min_confidence > 0 or s.max_age < FOREVER:
-        dropped = age_of(right, s) > s.max_age
-        if chance is not None:
-            dropped |= chance < s.min_confidence
-            chance[dropped] = np.nan
-        disparity[dropped] = np.nan
-    if at_limit is None:
-        at_limit = np.zeros(disparity.shape, np.bool_)
-    occlusion = None
-    if with_occlusion:
-        wanted = (right.charge > s.charge_min) | (s.depth_of == "all")
-        occlusion = reasons(disparity, wanted, at_limit)
-    return Match(disparity, chance, occlusion, float(np.count_nonzero(at_limit)) / at_limit.size)

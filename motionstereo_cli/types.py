@@ -140,6 +140,8 @@ class StereoFrame:
         left, right: (height, width) uint8 grey levels 0..255; not to be written to.
         number: place of the right image in its recording, from 0; None if unknown.
         colours: (height, width, 3) uint8 RGB of the view that was asked for; None without colour.
+        disparity_px: what another program found in the view that results are of, (height, width)
+            float32 px, NaN = unknown; None where it is to be matched.
     """
 
     index: int
@@ -149,6 +151,7 @@ class StereoFrame:
     right: Grey
     number: int | None = None
     colours: NDArray[np.uint8] | None = None
+    disparity_px: Real | None = None
 
     @property
     def time(self) -> FrameTime:

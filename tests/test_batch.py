@@ -273,12 +273,15 @@ def options_of(clip):
         (2, ",".join(OUTPUTS), "poses.txt"),
         (5, "steering,objects,disparity,depth-video,map", "poses.txt"),
         (5, "steering,objects,poses,poses-kitti,odometry,map", "auto"),
+        (5, "steering,objects,disparity,map", "disparity"),
     ],
 )
 def test_pieces_give_the_bytes_of_one_run(long_clip, tmp_path, count, save, poses):
     """Every output, in permanency mode; a run-in that is too short shows."""
-    poses = poses if poses == "auto" else str(long_clip / poses)
-    given = [*options_of(long_clip), "--poses", poses, "--save", save]
+    options = ["--poses", poses if poses == "auto" else str(long_clip / poses)]
+    if poses == "disparity":
+        options = ["--disparity", str(long_clip / poses), "--poses", "auto"]
+    given = [*options_of(long_clip), *options, "--save", save]
     assert piecemeal(given, tmp_path, count) == []
 
 

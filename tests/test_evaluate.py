@@ -272,7 +272,10 @@ def spoiled(tmp_path, spoil):
 @pytest.mark.parametrize(
     ("spoil", "message"),
     [
-        (lambda t: (t / "out/disparity/000000.png").unlink(), "has no .png or .pfm or .tiff files"),
+        (
+            lambda t: (t / "out/disparity/000000.png").unlink(),
+            "has no .png or .pfm or .tif or .tiff or .npy files",
+        ),
         (lambda t: (t / "out/disparity/000000.png").rename(t / "out/disparity/a.png"), "number"),
         (lambda t: (t / "out/disparity/000000.png").rename(t / "out/disparity/7.png"), "no frame"),
         (lambda t: (t / "out/disparity/000000.png").write_bytes(b"text"), "cannot be read"),
@@ -387,7 +390,7 @@ def test_dash_puts_csv_on_standard_output_alone(sides, tmp_path):
     ("args", "code", "message"),
     [
         (["--csv", "-", "--json", "-"], 2, "cannot both go to standard output"),
-        (["--truth-kind", "depth"], 1, "has no .png or .pfm or .tiff files"),
+        (["--truth-kind", "depth"], 1, "has no .png or .pfm or .tif or .tiff or .npy files"),
         (["--picture", "5"], 1, "frame 5 is not on both sides"),
         (["--csv", "missing/s.csv"], 1, "cannot write missing/s.csv"),
         (["--rig", "missing.yaml"], 1, "cannot read the rig missing.yaml"),

@@ -11,7 +11,7 @@ from motionstereo_cli.method.bands import band_table
 from motionstereo_cli.method.charge import permanency
 from motionstereo_cli.method.memory import keys_of, see
 from motionstereo_cli.method.motion import motion
-from motionstereo_cli.method.settings import MATCHERS, PRESETS, Settings
+from motionstereo_cli.method.settings import GIVEN, MATCHERS, PRESETS, Settings
 from motionstereo_cli.pipeline import process
 from motionstereo_cli.simulate.scenes import render_scene
 from motionstereo_cli.simulate.settings import SimulateSettings
@@ -57,7 +57,7 @@ def test_at_the_first_frame_nothing_has_moved():
     assert result.steering.steer is None
 
 
-@pytest.mark.parametrize("matcher", MATCHERS)
+@pytest.mark.parametrize("matcher", [name for name in MATCHERS if name != GIVEN])
 @pytest.mark.parametrize("preset", PRESETS)
 @pytest.mark.parametrize("disparity", [3, 17])
 def test_a_sliding_wall_has_its_disparity(matcher, preset, disparity):

@@ -50,6 +50,15 @@ _OPTIONS = (
     rig_options,
     pose_options,
     click.option(
+        "--disparity",
+        type=click.Path(path_type=Path),
+        cls=GroupedOption,
+        group="Method",
+        help="Folder with a map of disparity for each image, which another program found: 16-bit "
+        "PNG, PFM, TIFF or NPY of the rectified images, named like them or by number. It takes the "
+        "place of the matching. See --disparity-view and --disparity-scale.",
+    ),
+    click.option(
         "--save",
         multiple=True,
         metavar="NAMES",

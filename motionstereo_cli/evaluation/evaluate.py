@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from motionstereo_cli.errors import InputError
-from motionstereo_cli.sinks.read_back import Maps, numbered_files, read_mask, size_of
+from motionstereo_cli.files.maps import numbered_files
+from motionstereo_cli.sinks.read_back import Maps, read_mask, size_of
 from motionstereo_cli.types import Rig
 
 if TYPE_CHECKING:

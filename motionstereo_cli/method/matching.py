@@ -17,7 +17,7 @@ from motionstereo_cli.method.borders import hidden_filled, trimmed
 from motionstereo_cli.method.cleaning import filled, without_speckles
 from motionstereo_cli.method.confidence import confidence, confidence_by_margin, margin_of_planes
 from motionstereo_cli.method.dense import match_dense, smoothed, weights_of
-from motionstereo_cli.method.memory import Memory, age_of, blurred, keys_of
+from motionstereo_cli.method.memory import Memory, age_of, blurred, in_mirror, keys_of, mirrored
 from motionstereo_cli.method.planes import Surface, with_planes
 from motionstereo_cli.method.refine import refined
 from motionstereo_cli.method.regions import match_regions
@@ -30,13 +30,21 @@ from motionstereo_cli.method.rows import (
     whole,
     without_fringes,
 )
-from motionstereo_cli.method.settings import MATCHERS, Matcher, Settings, installed_matchers
+from motionstereo_cli.method.settings import (
+    FOREVER,
+    GIVEN,
+    MATCHERS,
+    Matcher,
+    Settings,
+    installed_matchers,
+)
 from motionstereo_cli.method.trails import match_trails
+from motionstereo_cli.method.unknown import reasons
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
-    from motionstereo_cli.types import Real
+    from motionstereo_cli.types import Grey, Real
 
 
 class Found(NamedTuple):
@@ -126,12 +134,34 @@ def _of_opencv(function: Callable[..., Real]) -> Callable[[Memory, Memory, Setti
 
     def match(right: Memory, left: Memory, settings: Settings) -> Found:
         disparity = function(right.grey, left.grey, settings.max_disparity + 1, filtered=True)
-        disparity[(right.charge == settings.charge_min) | (disparity > settings.max_disparity)] = (
-            np.nan
-        )
-        return Found(disparity, lambda: np.full_like(disparity, np.nan))
+        return _limited(disparity, right, settings)
 
     return match
+
+
+def of_others(given_px: Real) -> Callable[[Memory, Memory, Settings], Found]:
+    """Return a matcher that gives a disparity as it is, where both images agree with it.
+
+    Args:
+        given_px: of the right view, (height, width) float32, NaN = unknown.
+    """
+
+    def match(right: Memory, left: Memory, settings: Settings) -> Found:
+        found = _limited(given_px, right, settings)
+        differs = residual(found.disparity_px, blurred(right, settings), blurred(left, settings))
+        found.disparity_px[differs > settings.max_residual] = np.nan
+        return found
+
+    return match
+
+
+def _limited(disparity_px: Real, right: Memory, settings: Settings) -> Found:
+    """Return a disparity without what was not asked for: at rest, and nearer than the range."""
+    s = settings
+    wanted = (right.charge > s.charge_min) | (s.depth_of == "all")
+    at_limit = wanted & (disparity_px > s.max_disparity)
+    found = np.where(wanted & ~at_limit, disparity_px, np.float32(np.nan))
+    return Found(found, lambda: np.full_like(found, np.nan), at_limit)
 
 
 #: By the name that users give, as :data:`~motionstereo_cli.method.settings.MATCHERS` describes
@@ -147,7 +177,7 @@ MATCH: dict[str, Callable[[Memory, Memory, Settings], Found]] = {
 }
 
 #: The matchers of the package itself, which cannot be replaced.
-_OWN = frozenset(MATCH)
+_OWN = frozenset(MATCH) | {GIVEN}
 
 
 def register_matcher(
@@ -161,8 +191,9 @@ def register_matcher(
     Args:
         name: what ``Settings(matcher=...)`` and ``--matcher`` call it.
         function: takes the right and the left memory and the settings; returns the disparity in px
-            of each right pixel, (height, width), NaN = unknown. What it gives for pixels at rest,
-            or outside 0..``max_disparity``, becomes unknown; it must not write to the memories.
+            of each right pixel, (height, width), NaN = unknown. What it gives outside
+            0..``max_disparity`` becomes unknown, and so does what it gives for pixels at rest, but
+            with ``depth_of="all"``; it must not write to the memories.
             With ``--reference left`` it is given mirror images, and its result is mirrored back.
         what: what it does, in a few words.
 
@@ -181,24 +212,98 @@ def register_matcher(
             raise InputError(
                 f"the matcher {name} gives shape {found.shape}: give {right.charge.shape}"
             )
-        charged = right.charge > settings.charge_min
-        found[~(charged & (found >= 0) & (found <= settings.max_disparity))] = np.nan
-        return Found(found, lambda: np.full_like(found, np.nan))
+        found[~(found >= 0)] = np.nan
+        return _limited(found, right, settings)
 
     MATCH[name] = match
-    MATCHERS[name] = Matcher(what or name, knows_confidence=False)
+    MATCHERS[name] = Matcher(what or name, knows_confidence=False, knows_rest=True)
 
 
 def matcher_of(settings: Settings) -> Callable[[Memory, Memory, Settings], Found]:
     """Return the matcher that settings choose.
 
     Raises:
-        InputError: a package offers it, and it cannot be loaded.
+        InputError: a package offers it, and it cannot be loaded; or frames were to bring disparity,
+            and have none.
     """
     name = settings.matcher
+    if name == GIVEN:
+        raise InputError(f"the matcher {name} takes the disparity of frames, which have none")
     if name not in MATCH:
         try:
             register_matcher(name, installed_matchers()[name].load())
         except Exception as error:
             raise InputError(f"the matcher {name} cannot be loaded: {error!r}") from error
     return MATCH[name]
+
+
+class Match(NamedTuple):
+    """What was matched in one frame, in the reference view, (height, width) each.
+
+    Attributes:
+        disparity_px: float32, NaN = unknown.
+        confidence: 0..1, float32, NaN = unknown; None if not asked for.
+        occlusion: why it is unknown, uint8, by the codes of
+            :data:`~motionstereo_cli.method.settings.OCCLUSION`; None if not asked for.
+        at_limit: share of the image whose best match was the last one of the range.
+    """
+
+    disparity_px: Real
+    confidence: Real | None
+    occlusion: Grey | None
+    at_limit: float
+
+
+def match(
+    right: Memory,
+    left: Memory,
+    settings: Settings,
+    given_px: Real | None = None,
+    *,
+    with_confidence: bool = True,
+    with_occlusion: bool = False,
+) -> Match:
+    """Return what the two memories have in common, in the reference view.
+
+    Where disparity is given, that is taken.
+    """
+    extras = {"with_confidence": with_confidence, "with_occlusion": with_occlusion}
+    if settings.reference == "left":
+        # In a mirror the left camera is the right one, and disparities stay what they are.
+        given_px = None if given_px is None else mirrored(given_px)
+        found = _match(in_mirror(left), in_mirror(right), settings, given_px, **extras)
+        return Match(
+            mirrored(found.disparity_px),
+            None if found.confidence is None else mirrored(found.confidence),
+            None if found.occlusion is None else mirrored(found.occlusion),
+            found.at_limit,
+        )
+    return _match(right, left, settings, given_px, **extras)
+
+
+def _match(
+    right: Memory,
+    left: Memory,
+    settings: Settings,
+    given_px: Real | None,
+    *,
+    with_confidence: bool,
+    with_occlusion: bool,
+) -> Match:
+    s = settings
+    matcher = matcher_of(s) if given_px is None else of_others(given_px)
+    disparity, confidence, at_limit = matcher(right, left, s)
+    chance = confidence() if with_confidence or s.min_confidence > 0 else None
+    if s.min_confidence > 0 or s.max_age < FOREVER:
+        dropped = age_of(right, s) > s.max_age
+        if chance is not None:
+            dropped |= chance < s.min_confidence
+            chance[dropped] = np.nan
+        disparity[dropped] = np.nan
+    if at_limit is None:
+        at_limit = np.zeros(disparity.shape, np.bool_)
+    occlusion = None
+    if with_occlusion:
+        wanted = (right.charge > s.charge_min) | (s.depth_of == "all")
+        occlusion = reasons(disparity, wanted, at_limit)
+    return Match(disparity, chance, occlusion, float(np.count_nonzero(at_limit)) / at_limit.size)

@@ -26,6 +26,10 @@ FOREVER = 254
 AUTO = 0
 
 
+#: The matcher whose disparity another program found.
+GIVEN = "given"
+
+
 class Matcher(NamedTuple):
     """What a matcher is to users; its function is in ``matching.py`` under the same name.
 
@@ -33,11 +37,13 @@ class Matcher(NamedTuple):
         what: what it does, in a few words.
         knows_confidence: whether it gives a confidence; without, all of it is NaN.
         is_averaged: whether its disparity is averaged in time.
+        knows_rest: whether it tells the disparity of what stands still, too.
     """
 
     what: str
     knows_confidence: bool = True
     is_averaged: bool = False
+    knows_rest: bool = False
 
 
 MATCHERS = {
@@ -45,12 +51,14 @@ MATCHERS = {
     "dense": Matcher(
         "semi-global matching of what both views show now, trails where grey does not tell",
         is_averaged=True,
+        knows_rest=True,
     ),
     "regions": Matcher(
         "largest connected region of equal charge at each displacement", knows_confidence=False
     ),
-    "sgbm": Matcher("OpenCV's StereoSGBM, for comparison", knows_confidence=False),
-    "bm": Matcher("OpenCV's StereoBM, for comparison", knows_confidence=False),
+    "sgbm": Matcher("OpenCV's StereoSGBM, for comparison", knows_confidence=False, knows_rest=True),
+    "bm": Matcher("OpenCV's StereoBM, for comparison", knows_confidence=False, knows_rest=True),
+    GIVEN: Matcher("what --disparity has", knows_confidence=False, knows_rest=True),
 }
 
 #: What the codes of ``--save occlusion`` say of a pixel.
@@ -78,7 +86,7 @@ def installed_matchers() -> dict[str, EntryPoint]:
 def matchers() -> dict[str, Matcher]:
     """Return every matcher that can be chosen: of the package, registered, of other packages."""
     offered = {
-        name: Matcher(f"of {point.value}", knows_confidence=False)
+        name: Matcher(f"of {point.value}", knows_confidence=False, knows_rest=True)
         for name, point in installed_matchers().items()
     }
     return {**MATCHERS, **{name: row for name, row in offered.items() if name not in MATCHERS}}
@@ -167,7 +175,7 @@ class Settings:
     depth_of: str = param(
         "moved",
         "Which pixels have depth. moved: those with charge, as in the paper; all: what stands "
-        "still too, from the first frame on. Needs --matcher dense.",
+        "still too, from the first frame on. Not with --matcher trails or regions.",
         choices=("moved", "all"),
     )
     reference: str = param(
@@ -303,8 +311,9 @@ class Settings:
             )
         if self.max_age < FOREVER and self.charge_mode == "general":
             raise SettingsError("--max-age needs --charge-mode permanency: else age is not known")
-        if self.depth_of == "all" and self.matcher != "dense":
-            raise SettingsError("--depth-of all needs --matcher dense")
+        if self.depth_of == "all" and not matchers()[self.matcher].knows_rest:
+            knowing = " or ".join(name for name in MATCHERS if MATCHERS[name].knows_rest)
+            raise SettingsError(f"--depth-of all needs --matcher {knowing}")
         if self.depth_of == "all" and self.max_age < FOREVER:
             raise SettingsError("--max-age needs --depth-of moved: what stands still has no age")
         if self.min_confidence > 0 and not matchers()[self.matcher].knows_confidence:

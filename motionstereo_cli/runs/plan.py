@@ -10,7 +10,7 @@ from typing import Any
 
 from motionstereo_cli.errors import SettingsError
 from motionstereo_cli.files.targets import is_stream
-from motionstereo_cli.method.settings import Settings
+from motionstereo_cli.method.settings import GIVEN, Settings
 from motionstereo_cli.params import near_match
 from motionstereo_cli.rig.settings import NO_RIG, PoseSettings, RigSettings
 from motionstereo_cli.sinks.outputs import DEFAULT_OUTPUTS, OUTPUTS
@@ -22,7 +22,7 @@ _STANDARD = "-"
 #: Value for poses that are found from the recording itself. A file of that name is ``./auto``.
 AUTO_POSES = "auto"
 
-_PATHS = ("out", "poses", "table")
+_PATHS = ("out", "poses", "table", "disparity")
 _PARAMETERS = {
     "settings": Settings,
     "input_settings": InputSettings,
@@ -45,6 +45,8 @@ class RunPlan:
         poses: a file of poses, or ``auto``: found from the recording itself, which needs a
             calibration, from ``rig`` or a bag.
         pose_settings: how to understand the poses.
+        disparity: folder with a map of disparity for each image, which takes the place of the
+            matching; the matcher of the settings is then ``given``.
         save: names of the outputs in ``out``, from :data:`~motionstereo_cli.sinks.outputs.OUTPUTS`.
         table: a further place for the steering table; ``-`` is standard output, row by row.
         overwrite: replace the results of an earlier run in ``out``, and a file ``table``.
@@ -66,6 +68,7 @@ class RunPlan:
     rig_settings: RigSettings = field(default_factory=RigSettings)
     poses: Path | None = None
     pose_settings: PoseSettings = field(default_factory=PoseSettings)
+    disparity: Path | None = None
     save: tuple[str, ...] = ()
     table: Path | None = None
     overwrite: bool = False
@@ -81,10 +84,16 @@ class RunPlan:
         object.__setattr__(self, "out", Path(self.out))
         for name in ("rig", "reads"):
             object.__setattr__(self, name, tuple(map(Path, getattr(self, name))))
-        for name in ("poses", "table"):
+        for name in ("poses", "table", "disparity"):
             if getattr(self, name) is not None:
                 object.__setattr__(self, name, Path(getattr(self, name)))
+        if self.disparity is not None:
+            settings = dataclasses.replace(self.settings, matcher=GIVEN)
+            object.__setattr__(self, "settings", settings)
         clashes = {
+            f"--matcher {GIVEN} needs --disparity": (
+                self.settings.matcher == GIVEN and self.disparity is None
+            ),
             "-o - writes only the steering table: leave --save and --csv out": (
                 self.folder is None and (self.save or self.table)
             ),
@@ -159,14 +168,16 @@ class RunPlan:
         """What is read besides the plan itself, as it was given."""
         poses = self.poses_file and str(self.poses_file)
         rig = (str(path) for path in self.rig if path != NO_RIG)
-        named = (self.left, self.right, *rig, poses)
+        named = (self.left, self.right, *rig, poses, self.disparity and str(self.disparity))
         return tuple(name for name in named if name)
 
     @property
     def options(self) -> list[str]:
         """The options besides parameters and outputs, as words."""
         words = [word for path in self.rig for word in ("--rig", str(path))]
-        return words + (["--poses", str(self.poses)] if self.poses else [])
+        for flag, path in (("--poses", self.poses), ("--disparity", self.disparity)):
+            words += [flag, str(path)] if path else []
+        return words
 
 
 def _plain(value: Any) -> Any:

@@ -190,8 +190,10 @@ class Job:
 def identity_of(job: Job, inputs: Iterable[Path]) -> RunRecord:
     """Return the identity of a run in ``run.json``: all that its results depend on."""
     plan, source, context = job.plan, job.source, job.context
-    known = {*source.paths, *plan.reads}
-    files = [path for path in inputs if path not in known]
+    known = {*source.paths, *plan.reads, plan.disparity}
+    files = [FileRecord(str(path), sha256_of(path)) for path in inputs if path not in known]
+    if source.given is not None:
+        files.append(FileRecord(str(plan.disparity), source.given.sha256()))
     table: str | UnsetType = UNSET
     if plan.table and plan.folder and not plan.to_stdout and not is_stream(plan.table):
         # The same, however it is given.
@@ -206,7 +208,7 @@ def identity_of(job: Job, inputs: Iterable[Path]) -> RunRecord:
         input_settings=dataclasses.asdict(source.settings),
         output_settings=dataclasses.asdict(context.output),
         inputs=_described(source),
-        files=[FileRecord(str(path), sha256_of(path)) for path in files],
+        files=files,
         rig=None if context.rig is None else typed(rig_values(context.rig), RigRecord, "the rig"),
         time_base=None if source.time_base is None else str(source.time_base),
         grey=GREY,

@@ -24,7 +24,7 @@ from motionstereo_cli.errors import (
 from motionstereo_cli.files.atomic import reported
 from motionstereo_cli.files.reading import damage_of, real
 from motionstereo_cli.files.targets import check_target, is_stream, open_stream
-from motionstereo_cli.method.settings import FOREVER
+from motionstereo_cli.method.settings import FOREVER, GIVEN
 from motionstereo_cli.pipeline import State, steps
 from motionstereo_cli.rig.calibration import Calibration, rectify_source
 from motionstereo_cli.rig.poses import Trajectory, read_poses
@@ -35,6 +35,7 @@ from motionstereo_cli.runs.disparity_offset import with_measured_offset
 from motionstereo_cli.runs.disparity_range import RANGE, with_range, with_range_of_opening
 from motionstereo_cli.runs.folder import RunFolder
 from motionstereo_cli.runs.folder_files import TABLE
+from motionstereo_cli.runs.given_disparity import take_disparity
 from motionstereo_cli.runs.interrupts import finishing
 from motionstereo_cli.runs.open_outputs import Sinks, Totals
 from motionstereo_cli.runs.plan import RunPlan
@@ -177,6 +178,7 @@ def job_of(plan: RunPlan, source: StereoSource, warned: Warned) -> Job:
         rig = adapted_rig(calibration.rig, source.settings)
         if plan.poses_file:
             poses = _poses(plan.poses_file, plan, calibration, source, warned)
+    take_disparity(plan, source, warned)
     shows_colours = any(OUTPUTS[name].shows_colours for name in plan.outputs)
     source.keep_colours(plan.settings.reference if shows_colours else "")
     time_base = source.time_base or DEFAULT_TIME_BASE
@@ -244,7 +246,7 @@ def inputs_of(job: Job) -> list[Path]:
     return [
         *job.source.paths,
         *(path for path in plan.rig if path != NO_RIG),
-        *([plan.poses_file] if plan.poses_file else []),
+        *(path for path in (plan.poses_file, plan.disparity) if path),
         *plan.reads,
     ]
 
@@ -368,7 +370,11 @@ def warn_of_what_is_missing(
     charged, matched, at_limit = totals.means
     numbers = {"charged": charged, "matched": matched, "at_limit": at_limit}
     numbers = {name: round(share, 4) for name, share in numbers.items()}
-    if falls_short(charged, matched):
+    if falls_short(charged, matched) and s.matcher == GIVEN:
+        what = f"only {matched / charged:.0%} of what is charged has a disparity: what"
+        why = "says elsewhere, if anything, does not agree with the images; see --max-residual"
+        job.warned.warn("unmatched", f"{what} {job.plan.disparity} {why}", numbers)
+    elif falls_short(charged, matched):
         frame = last()
         if frame is not None:
             found = shortfall(charged, matched, frame.right, frame.left, s.max_disparity)

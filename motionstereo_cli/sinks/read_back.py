@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import csv
 import io
-import re
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -16,9 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from motionstereo_cli.errors import InputError
+from motionstereo_cli.files.maps import SUFFIXES, numbered_files, read_map
 from motionstereo_cli.files.reading import MAX_RESULT_BYTES, read_bytes, real
 from motionstereo_cli.files.records import read_json, typed
-from motionstereo_cli.files.stills import DamagedImageError, read_still, shown
+from motionstereo_cli.files.stills import DamagedImageError, read_still
 from motionstereo_cli.rig import read_rig
 from motionstereo_cli.sinks.images import DISPARITY_PER_PX
 from motionstereo_cli.sinks.outputs import OUTPUTS, RECORD
@@ -41,9 +41,6 @@ _FOLDERS = tuple(
 #: Maximum length of a value in a message.
 _SHOWN = 60
 
-_SUFFIXES = (".png", ".pfm", ".tiff")
-
-
 #: Prefixes of folder names by kind; KITTI's is disp_occ_0.
 _NAMED = {"disp": "disparity", "depth": "depth"}
 
@@ -51,12 +48,10 @@ _NAMED = {"disp": "disparity", "depth": "depth"}
 class Maps:
     """The disparity or depth images of a folder, by frame number.
 
-    16-bit PNG: disparity in 1/256 px (KITTI) or depth in mm (REP 118), or the unit in the run.json
-    beside it, 0 = unknown. PFM and float32 TIFF: disparity in px or depth in m;
-    unknown where not positive or not finite.
-
-    A frame's number is the number in its file name; of several numbers, it is the one that
-    differs most between files: 7 of 000007_10.png.
+    16-bit PNG: disparity in 1/256 px (KITTI) or depth in mm (REP 118), or the unit in the
+    run.json beside it, 0 = unknown. PFM, float32 TIFF and NPY: disparity in px or depth in
+    m; unknown where not positive or not finite. Frames are numbered as
+    :func:`~motionstereo_cli.files.maps.numbered_files` says.
 
     Args:
         folder: what ``run`` or ``simulate`` wrote, with folders of disparity (preferred) or depth
@@ -87,7 +82,7 @@ class Maps:
             named = _kind_by_name(folder)
             images, home = folder, real(folder).parent if named else folder
             kind = kind or named
-        self.files = numbered_files(images, _SUFFIXES)
+        self.files = numbered_files(images, SUFFIXES)
         if kind is None:
             raise InputError(
                 f"{folder}: its name does not tell whether it holds disparity or depth: "
@@ -104,11 +99,15 @@ class Maps:
             InputError: the file cannot be read, or its pixels have the wrong format.
         """
         path = self.files[number]
-        image = _read(path, self._within)
+        try:
+            image = read_map(path, within=self._within).values
+        except DamagedImageError as error:
+            raise _unreadable(path, error) from error
         wanted = np.uint16 if path.suffix.lower() == ".png" else np.float32
         if image.ndim != 2 or image.dtype != wanted:
             raise InputError(
-                f"{path} is not a 16-bit grey PNG, a one-channel PFM or a float32 TIFF: convert it"
+                f"{path} is not a 16-bit grey PNG, a one-channel PFM, or a TIFF or NPY of "
+                "floating-point numbers: convert it"
             )
         values = image.astype(np.float32)
         if wanted is np.uint16:
@@ -119,29 +118,6 @@ class Maps:
 def _kind_by_name(folder: Path) -> str | None:
     name = real(folder).name.lower()
     return next((kind for start, kind in _NAMED.items() if name.startswith(start)), None)
-
-
-def numbered_files(folder: Path, suffixes: tuple[str, ...]) -> dict[int, Path]:
-    """Return the files of a folder with one of the suffixes, by frame number, in order.
-
-    Raises:
-        InputError: there are none, or the frame numbers cannot be determined.
-    """
-    try:
-        files = shown(folder.iterdir(), suffixes)
-    except OSError as error:
-        raise InputError(f"cannot read the folder {folder}: {error.strerror}") from error
-    if not files:
-        raise InputError(f"{folder} has no {' or '.join(suffixes)} files: check the path")
-    # Columns of numbers, as many as in the name with the fewest.
-    columns = list(zip(*(re.findall("[0-9]+", file.stem) for file in files), strict=False))
-    if not columns:
-        raise InputError(f"{folder}: give every file name a frame number, such as 000007.png")
-    numbers = [int(digits) for digits in max(columns, key=lambda column: len(set(column)))]
-    numbered = dict(sorted(zip(numbers, files, strict=True)))
-    if len(numbered) < len(files):
-        raise InputError(f"{folder}: several files have the same frame number: keep one of each")
-    return numbered
 
 
 def _said_in(folder: Path) -> tuple[Rig | None, str | None, int]:
@@ -156,16 +132,16 @@ def _said_in(folder: Path) -> tuple[Rig | None, str | None, int]:
     return rig or record.camera, None if reference is None else str(reference), int(per_m)
 
 
-def _read(path: Path, within: Path | None = None) -> NDArray[Any]:
-    try:
-        return read_still(path, within=within).pixels
-    except DamagedImageError as error:
-        raise InputError(f"{path} cannot be read as an image ({error}): write it again") from error
+def _unreadable(path: Path, error: DamagedImageError) -> InputError:
+    return InputError(f"{path} cannot be read as an image ({error}): write it again")
 
 
 def read_mask(path: Path) -> NDArray[np.bool_]:
     """Return where an image is not 0, (height, width) bool."""
-    mask = _read(path)
+    try:
+        mask = read_still(path).pixels
+    except DamagedImageError as error:
+        raise _unreadable(path, error) from error
     return np.asarray(mask != 0 if mask.ndim == 2 else mask[..., :3].any(axis=2))
 
 

@@ -153,6 +153,18 @@ class InputSettings:
         unit="px",
         group="Calibration",
     )
+    disparity_view: str = param(
+        "auto",
+        "Camera whose view the maps of --disparity are in. auto: found from the images.",
+        choices=("auto", "left", "right"),
+    )
+    disparity_scale: float = param(
+        0.0,
+        "What the maps of --disparity have for 1 px: 256 in KITTI's PNG, 16 in OpenCV's whole "
+        "numbers, -1 where signs are exchanged (0 = found from the images).",
+        low=-65_536,
+        high=65_536,
+    )
     white: int = param(
         0,
         "Level that becomes white in images of more than 8 bits, as 4095 where a camera puts 12 "

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import ExitStack, closing
@@ -14,6 +15,7 @@ import numpy as np
 
 from motionstereo_cli.errors import InputError
 from motionstereo_cli.sources import layout
+from motionstereo_cli.sources.given import GivenDisparity
 from motionstereo_cli.sources.pairing import need_time, pair, pairing
 from motionstereo_cli.sources.prefetch import prefetch
 from motionstereo_cli.sources.recording import Recording
@@ -90,6 +92,7 @@ class StereoSource:
         self._begin = Selected(0, 0, None)
         self._to_the_end = self._placed = False
         self._coloured = -1  # the view whose colours are requested: 0 left, 1 right
+        self._given: GivenDisparity | None = None
         self.first_pts = 0
         lines = (line for stream in self._streams for line in stream.warnings)
         self.warnings = list(dict.fromkeys(lines))  # a table of both sides is named once
@@ -148,6 +151,8 @@ class StereoSource:
         """Close the recordings, after ending a running iteration."""
         if self._frames is not None:
             self._frames.close()  # its threads read from what is closed next
+        if self._given is not None:
+            self._given.close()
         for stream in self._streams:
             stream.close()
 
@@ -173,6 +178,39 @@ class StereoSource:
             camera: ``left`` or ``right``; empty for none.
         """
         self._coloured = SIDES.index(camera) if camera else -1
+
+    def bring_disparity(self, folder: Path, view: str, scale: float, camera: str) -> GivenDisparity:
+        """Have frames bring the disparity that a folder has; to be called before the iteration.
+
+        Args:
+            folder: maps of the rectified images, whole or as they are delivered.
+            view: the camera that they are of, ``left`` or ``right``.
+            scale: what they have for 1 px; 0: values are only scaled with the images.
+            camera: in whose view frames bring it.
+
+        Raises:
+            InputError: there are no maps, or their numbers cannot be told.
+            SettingsError: they do not belong to these images, by their size or number.
+        """
+        if self._given is not None:
+            self._given.close()
+        self._given = GivenDisparity(
+            *(folder, self._sides[SIDES.index(view)].stream, view, scale, camera),
+            box=self._box,
+            whole=(self.view_width, self.view_height),
+            size=(self.width, self.height),
+            max_pixels=self.settings.max_pixels,
+        )
+        if scale:
+            self.settings = dataclasses.replace(
+                self.settings, disparity_view=view, disparity_scale=scale
+            )
+        return self._given
+
+    @property
+    def given(self) -> GivenDisparity | None:
+        """The disparity that frames bring; None where it is to be matched."""
+        return self._given
 
     def rectify(self, left: Callable[[Grey], Grey], right: Callable[[Grey], Grey]) -> None:
         """Apply a function to each full view; to be called before the iteration.
@@ -250,7 +288,7 @@ class StereoSource:
             if self._pairing.thinned is side.stream:  # most of its images have no partner
                 early, late = early - side.between, 0
             lines += side.unused(early, late)
-        return lines
+        return lines + (self._given.damage if self._given else [])
 
     def describe(self, *, fingerprint: bool = True) -> dict[str, dict[str, Any]]:
         """Describe the recordings, as JSON-able values: ``left`` and ``right``, or ``both``.
@@ -417,7 +455,13 @@ class StereoSource:
                     time_s = None if right.time_s is None else float(right.time_s)
                     grey = left.views[left_side.half], right.views[right_side.half]
                     seen = (left, right)[self._coloured].colours if self._coloured >= 0 else None
-                    yield StereoFrame(place.frame, right.pts, time_s, *grey, right.number, seen)
+                    found = None
+                    if self._given is not None:
+                        of_left = self._given.view == "left"
+                        found = self._given.of((left if of_left else right).number)
+                    yield StereoFrame(
+                        *(place.frame, right.pts, time_s, *grey, right.number, seen, found)
+                    )
             self._to_the_end = place is None or not place.is_last
         if place is None or place.begun is None:
             raise InputError(self._nothing(0 if place is None else place.number + 1))

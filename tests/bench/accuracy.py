@@ -23,9 +23,9 @@ from bench.clips import recorded
 from bench.markdown import table
 from motionstereo_cli.evaluation.evaluate import FramePair, Score, Tally, tally
 from motionstereo_cli.method.block_matching import stereo_bm, stereo_sgbm
+from motionstereo_cli.method.matching import match
 from motionstereo_cli.method.memory import Memory, mirrored, see
 from motionstereo_cli.method.settings import Settings
-from motionstereo_cli.pipeline import match
 from motionstereo_cli.simulate.settings import SimulateSettings
 from motionstereo_cli.sinks.read_back import Maps
 from motionstereo_cli.sources import open_stereo

@@ -11,9 +11,9 @@ import cv2
 import numpy as np
 
 from motionstereo_cli.files.lettering import DARK, titled
+from motionstereo_cli.method.matching import match
 from motionstereo_cli.method.memory import see
 from motionstereo_cli.method.settings import PRESETS, Settings
-from motionstereo_cli.pipeline import match
 from motionstereo_cli.simulate.scenes import render_scene
 from motionstereo_cli.simulate.settings import SimulateSettings
 from motionstereo_cli.sinks.drawing import depth_colours

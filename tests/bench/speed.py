@@ -291,7 +291,7 @@ def _compute(matcher: cv2.StereoMatcher, look: Look) -> None:
 
 
 def _match(settings: Settings, look: Look) -> None:
-    pipeline.match(look.right, look.left, settings, with_confidence=False)
+    matching.match(look.right, look.left, settings, with_confidence=False)
 
 
 def bench_matching(bench: Bench) -> None:
