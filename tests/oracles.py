@@ -279,8 +279,8 @@ def plane(disparity, weight, grey, y, x, window):
     rows, width = disparity.shape
     samples = [
         (i - x, j - y, float(disparity[j, i]), float(weight[j, i]))
-        for j in range(y % window.step_y, rows, window.step_y)
-        for i in range(x % window.step_x, width, window.step_x)
+        for j in range(0, rows, window.step_y)
+        for i in range(j // window.step_y * window.shift % window.step_x, width, window.step_x)
         if abs(j - y) <= window.reach_y
         and abs(i - x) <= window.reach_x
         and weight[j, i] > 0
@@ -313,7 +313,7 @@ def plane(disparity, weight, grey, y, x, window):
     near = w * (np.abs(d - fitted) <= window.tolerance_px)
     variance = max(near @ (d - fitted) ** 2 / v.sum(), 0.15**2)
     lever = 1 / v.sum() + middle @ np.linalg.solve(normal, middle)
-    return here, np.sqrt(variance * lever), v.sum() / w.sum()
+    return here, v.sum() / w.sum(), np.sqrt(variance * lever)
 
 
 def refined(disparity, right, left):

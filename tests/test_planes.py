@@ -31,7 +31,7 @@ class TestPlanes:
     @settings(max_examples=40)
     @given(
         st.integers(0, 10_000),
-        st.sampled_from([(6, 4, 2, 1, 3, 2), (9, 5, 1, 2, 4, 3), (3, 3, 1, 1, 1, 1)]),
+        st.sampled_from([(6, 4, 2, 1, 1, 3, 2), (9, 5, 3, 2, 2, 4, 3), (3, 3, 1, 1, 0, 1, 1)]),
         st.integers(1, 5),
     )
     def test_planes_are_the_oracles(self, seed, sizes, rounds):
@@ -41,19 +41,23 @@ class TestPlanes:
         slopes = rng.uniform(-0.4, 0.4, 2)
         disparity = (9 + slopes[0] * x + slopes[1] * y).astype(np.float32)
         disparity += rng.normal(0, 0.3, disparity.shape).astype(np.float32)
+        disparity = np.round(64 * disparity) / 64
         disparity[rng.random(disparity.shape) < 0.2] = 15
         disparity[rng.random(disparity.shape) < 0.2] = np.nan
-        weight = rng.choice([0, 0.5, 1], disparity.shape).astype(np.float32)
+        halves = rng.integers(0, 3, disparity.shape).astype(np.uint8)
         grey = rng.integers(100, 112, disparity.shape).astype(np.float32)
         where = rng.random(disparity.shape) < 0.7
-        window = loops.Window(*sizes, 8, 1.0, rounds, 0.5, 0.7)
-        found = np.empty((3, rows, width), np.float32)
+        window = loops.Window(*sizes, 8, 1.0, rounds, 0.5, 0.7, 1.0)
+        rule = loops.Rule(True, *[np.inf] * 4, True)
+        found = np.full((3, rows, width), np.nan, np.float32)
         samples = loops.Samples(rows, width, 32)
-        loops.fit(disparity, weight, grey, where.view(np.uint8), window, samples, *found)
+        loops.fit(
+            *(disparity, halves, grey, where.view(np.uint8), window, rule, samples, *found),
+        )
         assert np.isnan(found[:, ~where]).all()
-        for top, left in np.ndindex(-(-rows // sizes[5]), -(-width // sizes[4])):
+        for top, left in np.ndindex(-(-rows // sizes[6]), -(-width // sizes[5])):
             block = np.s_[
-                top * sizes[5] : (top + 1) * sizes[5], left * sizes[4] : (left + 1) * sizes[4]
+                top * sizes[6] : (top + 1) * sizes[6], left * sizes[5] : (left + 1) * sizes[5]
             ]
             inside = np.argwhere(where[block])
             if not len(inside):
@@ -61,7 +65,7 @@ class TestPlanes:
             middle = (np.array(where[block].shape) - 1) / 2
             offset = min(inside.tolist(), key=lambda p: (np.abs(p - middle).sum(), p))
             place = np.add(offset, [block[0].start, block[1].start])
-            wanted = oracles.plane(disparity, weight, grey, *place.tolist(), window)
+            wanted = oracles.plane(disparity, halves / 2, grey, *place.tolist(), window)
             np.testing.assert_allclose(found[:, place[0], place[1]], wanted, rtol=0, atol=2e-3)
 
     def wall(self, slope=0.1):

@@ -1,6 +1,8 @@
-"""The average of disparities in time: the loop of :mod:`motionstereo_cli.method.steady`."""
+"""The average of disparities in time: the loops of :mod:`motionstereo_cli.method.steady`."""
 
 import cython
+
+ZERO = cython.declare(cython.float, 0)
 
 
 def add(
@@ -13,7 +15,7 @@ def add(
     max_grey: cython.int,
     tolerance_px: cython.float,
     total: cython.float[:, ::1],
-    count: cython.float[:, ::1],
+    count: cython.uchar[:, ::1],
 ) -> None:
     """Add an earlier result where it says the same of the same thing, and count it.
 
@@ -26,15 +28,69 @@ def add(
         total, count: of disparities so far.
     """
     y: cython.Py_ssize_t
-    x: cython.Py_ssize_t
     with cython.nogil:
         for y in range(disparity.shape[0]):
-            for x in range(disparity.shape[1]):
-                change: cython.float = earlier[y, x] - disparity[y, x]
-                if (
-                    abs(change) <= tolerance_px
-                    and age[y, x] >= frames
-                    and abs(cython.cast(cython.int, grey[y, x]) - earlier_grey[y, x]) <= max_grey
-                ):
-                    total[y, x] += earlier[y, x]
-                    count[y, x] += 1
+            add_row(
+                disparity[y],
+                grey[y],
+                age[y],
+                earlier[y],
+                earlier_grey[y],
+                frames,
+                max_grey,
+                tolerance_px,
+                total[y],
+                count[y],
+            )
+
+
+def divide(count: cython.const[cython.uchar][:, ::1], total: cython.float[:, ::1]) -> None:
+    """Turn sums into means."""
+    y: cython.Py_ssize_t
+    with cython.nogil:
+        for y in range(total.shape[0]):
+            divide_row(count[y], total[y])
+
+
+# Compilers make vectors of loops over arrays that are arguments of a function of their own.
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def add_row(
+    disparity: cython.const[cython.float][::1],
+    grey: cython.const[cython.uchar][::1],
+    age: cython.const[cython.uchar][::1],
+    earlier: cython.const[cython.float][::1],
+    earlier_grey: cython.const[cython.uchar][::1],
+    frames: cython.int,
+    max_grey: cython.int,
+    tolerance_px: cython.float,
+    total: cython.float[::1],
+    count: cython.uchar[::1],
+) -> cython.void:
+    """Add a row."""
+    x: cython.Py_ssize_t
+    for x in range(total.shape[0]):
+        step: cython.int = cython.cast(cython.int, grey[x]) - cython.cast(
+            cython.int, earlier_grey[x]
+        )
+        counts: cython.bint = (
+            (abs(earlier[x] - disparity[x]) <= tolerance_px)
+            & (age[x] >= frames)
+            & (step <= max_grey)
+            & (step >= -max_grey)
+        )
+        total[x] += earlier[x] if counts else ZERO
+        count[x] += counts
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def divide_row(count: cython.const[cython.uchar][::1], total: cython.float[::1]) -> cython.void:
+    """Turn a row of sums into means."""
+    x: cython.Py_ssize_t
+    for x in range(total.shape[0]):
+        total[x] /= count[x]

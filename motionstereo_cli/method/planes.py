@@ -18,7 +18,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from motionstereo_cli.compiled import checked_array, reused
+from motionstereo_cli.compiled import around, checked_array, reused
 from motionstereo_cli.compiled import planes as loops
 
 Reals = NDArray[np.float32]
@@ -52,11 +52,20 @@ _MAX_CHANGE_PX = 3.0
 _RESTING, _REST_FRAMES, _REST_WINDOW, _REST_PIXELS = 0.5, 2, (161, 65), 20
 
 _NEARBY, _AFAR, _FAR = (
-    loops.Window(*values)  # type: ignore[call-arg]  # mypy does not know its dataclasses
+    loops.Window(*values, _DEPENDENT**0.5)  # type: ignore[call-arg]  # mypy does not know its dataclasses
     for values in (
-        (32, 16, 4, 4, 8, 4, 6.0, 2.0, 3, 0.6, 0.6),
-        (240, 60, 12, 6, 16, 8, 14.0, 1.5, 5, 0.8, 1.0),
-        (24, 12, 3, 3, 8, 4, 12.0, 1.0, 5, 0.8, 1.0),
+        (32, 16, 4, 4, 1, 8, 4, 6.0, 2.0, 3, 0.6, 0.6),
+        (240, 60, 12, 6, 5, 16, 8, 14.0, 1.5, 5, 0.8, 1.0),
+        (24, 12, 3, 3, 1, 8, 4, 12.0, 1.0, 5, 0.8, 1.0),
+    )
+)
+_ALL = np.inf
+_DECIDES, _WHERE_MOVING, _WHERE_FAR = (
+    loops.Rule(*values)  # type: ignore[call-arg]
+    for values in (
+        (True, _ALL, _ALL, _ALL, _ALL, False),
+        (False, _ALL, _MAX_ERROR_PX, _MAX_CHANGE_PX, _ALL, True),
+        (False, 4 * _FAR_PX, _MAX_FAR_ERROR_PX, _MAX_CHANGE_PX, _FAR_PX, False),
     )
 )
 
@@ -101,80 +110,30 @@ def with_planes(
         surface: what is smooth, and what is wanted.
         max_disparity: px.
     """
-    need = surface.smooth & surface.wanted
-    believed = surface.smooth & _agreeing(disparity_px, trails_px) & ~np.isnan(trails_px)
-    source = np.where(believed, trails_px, disparity_px)
-    weight = np.where(surface.smooth & ~believed, np.float32(_WEIGHT), np.float32(1))
-    found, _, share = _fitted(source, weight, surface, need, _NEARBY, max_disparity)
-    result = np.where(need, found, source)
-
-    textured = np.where(surface.smooth, np.float32(0), np.float32(1))
-    error_px = np.full_like(result, np.nan)
-    moving = need & ~_resting(surface)
-    if moving.any():
-        found, error, inliers = _fitted(
-            disparity_px, textured, surface, moving, _AFAR, max_disparity
-        )
-        sure = (error < _MAX_ERROR_PX) & ~(np.abs(found - result) > _MAX_CHANGE_PX)
-        _take(found, inliers, sure, result, share)
-        np.copyto(error_px, error, where=sure)
-    far = need & ~(result >= 4 * _FAR_PX)
-    if far.any():
-        found, error, inliers = _fitted(disparity_px, textured, surface, far, _FAR, max_disparity)
-        is_far = (result < _FAR_PX) | (found < _FAR_PX)
-        sure = (error < _MAX_FAR_ERROR_PX) & ~(np.abs(found - result) > _MAX_CHANGE_PX)
-        _take(found, inliers, is_far & sure, result, share)
-    # A partner beyond the left view's border was not seen: only a sure plane tells of it.
-    beyond = np.arange(result.shape[1]) + np.nan_to_num(result) > result.shape[1] - 1
-    unsure = beyond & ~(error_px < _MAX_UNSEEN_ERROR_PX)
-    result[unsure] = share[unsure] = np.nan
-    return result, share
-
-
-def _take(found: Reals, inliers: Reals, where: Mask, result: Reals, share: Reals) -> None:
-    np.copyto(result, found, where=where)
-    np.copyto(share, inliers, where=where)
-
-
-def _fitted(
-    disparity_px: Reals,
-    weight: Reals,
-    surface: Surface,
-    where: Mask,
-    window: loops.Window,
-    max_disparity: int,
-) -> Reals:
-    """Return disparity, its error in px and the inliers' share, NaN where there is no plane."""
     shape = disparity_px.shape
-    found = np.empty((3, *shape), np.float32)
+    smooth, textured, wanted = (
+        checked_array(mask, np.bool_, shape).view(np.uint8)
+        for mask in (surface.smooth, surface.textured, surface.wanted)
+    )
+    disparity_px = checked_array(disparity_px, np.float32)
+    trails_px = checked_array(trails_px, np.float32, shape)
+    grey = checked_array(surface.grey, np.float32, shape)
+    age = checked_array(surface.age_frames, np.uint8, shape)
+    need, moving, weight = smooth & wanted, np.empty(shape, np.uint8), np.empty(shape, np.uint8)
+    source = np.empty_like(disparity_px)
+    counts = around.Counts(shape[1], *(side // 2 for side in _AGREEMENT_WINDOW))
+    around.believe(*(disparity_px, trails_px, smooth, _AGREE_PX, _AGREEING, counts, source, weight))
     # A trail's disparity between whole px may exceed the range a little.
     samples = reused(loops.Samples, *shape, max_disparity + 1)
-    loops.fit(
-        checked_array(np.minimum(disparity_px, np.float32(max_disparity + 1)), np.float32),
-        checked_array(weight, np.float32, shape),
-        checked_array(surface.grey, np.float32, shape),
-        checked_array(where, np.bool_, shape).view(np.uint8),
-        *(window, samples, *found),
-    )
-    found[1] *= np.float32(_DEPENDENT**0.5)
-    return found
-
-
-def _agreeing(disparity_px: Reals, trails_px: Reals) -> Mask:
-    """Return where most trails around say what the matching says."""
-    both = ~np.isnan(disparity_px) & ~np.isnan(trails_px)
-    agree = np.abs(disparity_px - trails_px) <= _AGREE_PX
-    return _count(agree, _AGREEMENT_WINDOW) > _AGREEING * _count(both, _AGREEMENT_WINDOW)
-
-
-def _resting(surface: Surface) -> Mask:
-    """Return where most textured pixels around have not moved lately."""
-    textured = _count(surface.textured, _REST_WINDOW)
-    resting = _count(surface.textured & (surface.age_frames >= _REST_FRAMES), _REST_WINDOW)
-    return (textured >= _REST_PIXELS) & (resting + 1 > _RESTING * (textured + 2))
-
-
-def _count(mask: Mask, window: tuple[int, int]) -> Reals:
-    return cv2.boxFilter(  # type: ignore[return-value]
-        mask.view(np.uint8), cv2.CV_32F, window, normalize=False, borderType=cv2.BORDER_CONSTANT
-    )
+    result, (share, error) = source.copy(), np.full((2, *shape), np.nan, np.float32)
+    found = result, share, error
+    loops.fit(source, weight, grey, need, _NEARBY, _DECIDES, samples, *found)
+    counts = around.Counts(shape[1], *(side // 2 for side in _REST_WINDOW))
+    rest = _REST_FRAMES, _RESTING, _REST_PIXELS
+    around.find_moving(textured, age, need, *rest, counts, moving)
+    weight = 2 * (1 - smooth)
+    loops.fit(disparity_px, weight, grey, moving, _AFAR, _WHERE_MOVING, samples, *found)
+    loops.fit(disparity_px, weight, grey, need, _FAR, _WHERE_FAR, samples, *found)
+    # A partner beyond the left view's border was not seen: only a sure plane tells of it.
+    loops.forget_unseen(error, _MAX_UNSEEN_ERROR_PX, result, share)
+    return result, share

@@ -35,7 +35,7 @@ def averaged(
     now = checked_array(disparity_px, np.float32)
     shape = now.shape
     grey, age = checked_array(grey, np.uint8, shape), checked_array(age, np.uint8, shape)
-    total, count = now.copy(), np.ones(shape, np.float32)
+    total, count = now.copy(), np.ones(shape, np.uint8)
     for frames, (earlier_px, earlier_grey) in enumerate(reversed(before), 1):
         loops.add(
             *(now, grey, age),
@@ -43,5 +43,5 @@ def averaged(
             checked_array(earlier_grey, np.uint8, shape),
             *(frames, _MAX_GREY, _TOLERANCE_PX, total, count),
         )
-    total /= count
+    loops.divide(count, total)
     return total
