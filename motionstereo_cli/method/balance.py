@@ -8,8 +8,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-#: Views are looked at in about this width in px: a half of 480 px, an eighth of 1920 px.
-_WIDTH_PX = 200
+#: Views are looked at in about this width in px: a quarter of 480 px, a sixteenth of 1920 px. If
+#: they differ there, they are looked at again in one that is larger by this.
+_WIDTH_PX, _CLOSER = 100, 4
 
 #: cv2.StereoBM finds points that both views show: it compares slopes of grey, not grey. These
 #: suit images of that size; what it is not sure of does not count.
@@ -48,7 +49,7 @@ def balanced(
     # Most views need nothing, which shows in small ones; larger ones tell more exactly what.
     found = _adjustment(right, left, max_disparity, scale)
     if found is not None and scale > 2:
-        found = _adjustment(right, left, max_disparity, scale // 2)
+        found = _adjustment(right, left, max_disparity, max(scale // _CLOSER, 2))
     if found is None:
         return left
     gain, offset, offsets = found
@@ -96,7 +97,7 @@ def _adjustment(
     lefts = smooth_left[_STEP * rows, _STEP * columns]
     gain, offset = _line(lefts, rights)
     rest = rights - (gain * lefts + offset)
-    if float(np.median(np.abs((gain - 1) * lefts + offset))) < _LEAST:
+    if _median(np.abs((gain - 1) * lefts + offset)) < _LEAST:
         gain, offset = 1.0, 0.0
     offsets = _smooth(rest, rows, columns, steps.shape, (width, height))
     if float(np.quantile(np.abs(offsets), 0.9)) < _LEAST:
@@ -131,10 +132,10 @@ def _smooth(
 
 def _line(lefts: NDArray[np.float32], rights: NDArray[np.float32]) -> tuple[float, float]:
     """Return gain and offset from left to right grey levels, (points,) each."""
-    gain, offset = 1.0, float(np.median(rights - lefts))
+    gain, offset = 1.0, _median(rights - lefts)
     for _ in range(3):
         rest = np.abs(rights - (gain * lefts + offset))
-        plain = rest <= max(_PLAIN, 2 * float(np.median(rest)))
+        plain = rest <= max(_PLAIN, 2 * _median(rest))
         x, y = lefts[plain].astype(np.float64), rights[plain].astype(np.float64)
         if len(x) < _LEAST_POINTS:
             break
@@ -142,3 +143,10 @@ def _line(lefts: NDArray[np.float32], rights: NDArray[np.float32]) -> tuple[floa
         gain = (float(np.mean((x - x.mean()) * (y - y.mean()))) + prior) / (float(x.var()) + prior)
         offset = float(y.mean()) - gain * float(x.mean())
     return gain, offset
+
+
+def _median(values: NDArray[np.float32]) -> float:
+    """Return a median, of float32; np.median takes longer, and at first loads np.ma."""
+    ends = (len(values) - 1) // 2, len(values) // 2
+    middle = np.partition(values, ends)[[*ends]]
+    return float((middle[0] + middle[1]) / 2)

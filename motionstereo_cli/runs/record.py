@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import functools
 import hashlib
-import importlib.metadata
 import json
 import os
 import platform
@@ -244,6 +243,8 @@ def builds() -> dict[str, str]:
 
     For this package it is a hash of its files: two states of one version may differ.
     """
+    import importlib.metadata  # it takes long to load, and only a batch asks
+
     home = Path(motionstereo_cli.__file__).parent
     own = {str(path.relative_to(home)): sha256_of(path) for path in home.rglob("*.py")}
     files = importlib.metadata.files("av") or ()
