@@ -91,6 +91,24 @@ class TestPlanes:
         assert (share[:, 68:92] > 0.6).all()
         assert np.isnan(share[~surface.smooth]).all()
 
+    def test_what_is_painted_on_a_moving_wall_tells_of_it_whatever_its_grey(self):
+        """Old trails keep the disparity of the edge that made them; the wall has gone on."""
+        rows, width = 40, 240
+        truth = np.broadcast_to(5 + 0.1 * np.arange(width, dtype=np.float32), (rows, width))
+        grey = np.full((rows, width), 180, np.float32)
+        painted = np.arange(width) // 10 % 10 == 0
+        grey[:, painted] = 60
+        matched = np.where(
+            cv2.dilate(painted[None].view(np.uint8), np.ones((1, 25))) > 0, truth, 20
+        )
+        surface = Surface.of(grey, np.ones(truth.shape, np.bool_), np.zeros(truth.shape, np.uint8))
+        wall = np.s_[:, 125:185]
+        assert surface.smooth[wall].all()
+        trails = np.full_like(matched, 20)
+        found, share = with_planes(matched.astype(np.float32), trails, surface, 64)
+        assert (np.abs(found - truth)[wall] < 0.1).all()
+        assert (share[wall] > 0.8).all()
+
     def test_trails_that_agree_with_the_matching_nearby_are_taken(self):
         truth, grey, matched = self.wall()
         matched[:, 60:100] = np.nan

@@ -54,8 +54,8 @@ class Found(NamedTuple):
         disparity_px: float32, NaN = unknown.
         confidence: makes the confidence 0..1, float32, NaN = unknown: it takes time, and few ask
             for it.
-        at_limit: where the best match was the last one of the range, bool; None where the matcher
-            does not tell.
+        at_limit: pixels left unknown because the best match was the last one of the range, bool;
+            None for none.
     """
 
     disparity_px: Real
@@ -134,7 +134,7 @@ def _of_opencv(function: Callable[..., Real]) -> Callable[[Memory, Memory, Setti
 
     def match(right: Memory, left: Memory, settings: Settings) -> Found:
         disparity = function(right.grey, left.grey, settings.max_disparity + 1, filtered=True)
-        return _limited(disparity, right, settings)
+        return _wanted(disparity, right, settings)
 
     return match
 
@@ -147,7 +147,7 @@ def of_others(given_px: Real) -> Callable[[Memory, Memory, Settings], Found]:
     """
 
     def match(right: Memory, left: Memory, settings: Settings) -> Found:
-        found = _limited(given_px, right, settings)
+        found = _wanted(given_px, right, settings)
         differs = residual(found.disparity_px, blurred(right, settings), blurred(left, settings))
         found.disparity_px[differs > settings.max_residual] = np.nan
         return found
@@ -155,13 +155,11 @@ def of_others(given_px: Real) -> Callable[[Memory, Memory, Settings], Found]:
     return match
 
 
-def _limited(disparity_px: Real, right: Memory, settings: Settings) -> Found:
-    """Return a disparity without what was not asked for: at rest, and nearer than the range."""
-    s = settings
-    wanted = (right.charge > s.charge_min) | (s.depth_of == "all")
-    at_limit = wanted & (disparity_px > s.max_disparity)
-    found = np.where(wanted & ~at_limit, disparity_px, np.float32(np.nan))
-    return Found(found, lambda: np.full_like(found, np.nan), at_limit)
+def _wanted(disparity_px: Real, right: Memory, settings: Settings) -> Found:
+    """Return a disparity without what was not asked for: at rest."""
+    wanted = (right.charge > settings.charge_min) | (settings.depth_of == "all")
+    found = np.where(wanted, disparity_px, np.float32(np.nan))
+    return Found(found, lambda: np.full_like(found, np.nan))
 
 
 #: By the name that users give, as :data:`~motionstereo_cli.method.settings.MATCHERS` describes
@@ -213,7 +211,7 @@ def register_matcher(
                 f"the matcher {name} gives shape {found.shape}: give {right.charge.shape}"
             )
         found[~(found >= 0)] = np.nan
-        return _limited(found, right, settings)
+        return _wanted(found, right, settings)
 
     MATCH[name] = match
     MATCHERS[name] = Matcher(what or name, knows_confidence=False, knows_rest=True)
@@ -300,8 +298,11 @@ def _match(
             dropped |= chance < s.min_confidence
             chance[dropped] = np.nan
         disparity[dropped] = np.nan
-    if at_limit is None:
-        at_limit = np.zeros(disparity.shape, np.bool_)
+    beyond = disparity > s.max_disparity - _LIMIT_PX
+    at_limit = beyond if at_limit is None else at_limit | beyond
+    disparity[beyond] = np.nan
+    if chance is not None:
+        chance[beyond] = np.nan
     occlusion = None
     if with_occlusion:
         wanted = (right.charge > s.charge_min) | (s.depth_of == "all")

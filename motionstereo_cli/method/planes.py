@@ -5,8 +5,9 @@ only as long as the wall has not gone on. What lies around decides, in this orde
 
 1. Whether trails tell the same as the matching nearby: then they are taken where it is smooth.
 2. A plane through the known disparities nearby that have about the same grey.
-3. A plane through textured pixels alone, farther away, if the camera or the wall moves: old trails
-   on a wall keep the disparity of the edge that made them, while the wall goes on.
+3. A plane through textured pixels alone, farther away and of any grey, if the camera or the wall
+   moves: old trails on a wall keep the disparity of the edge that made them, while the wall goes
+   on. What is painted on a wall tells more of it than what has its grey.
 4. The same nearby, of what is far away: there a small error is a large share of the disparity.
 """
 
@@ -41,11 +42,11 @@ _DEPENDENT = 11.0
 
 #: Largest error in px of the planes through textured pixels: where things move; far away, and there
 #: up to which disparity in px; and beyond the left view's border.
-_MAX_ERROR_PX, _MAX_FAR_ERROR_PX, _FAR_PX, _MAX_UNSEEN_ERROR_PX = 0.3, 0.17, 6.0, 0.15
+_MAX_ERROR_PX, _MAX_FAR_ERROR_PX, _FAR_PX, _MAX_UNSEEN_ERROR_PX = 0.5, 0.17, 6.0, 0.15
 
 #: By so many px at most such a plane changes what the matching nearby says: else it is another
-#: surface of the same grey.
-_MAX_CHANGE_PX = 3.0
+#: surface. Where things move, and far away.
+_MAX_CHANGE_PX, _MAX_FAR_CHANGE_PX = 6.0, 3.0
 
 #: A part rests if this share of the textured pixels around has not moved for so many frames, and
 #: there are enough of them.
@@ -55,7 +56,7 @@ _NEARBY, _AFAR, _FAR = (
     loops.Window(*values, _DEPENDENT**0.5)  # type: ignore[call-arg]  # mypy does not know its dataclasses
     for values in (
         (32, 16, 4, 4, 1, 8, 4, 6.0, 2.0, 3, 0.6, 0.6),
-        (240, 60, 12, 6, 5, 16, 8, 14.0, 1.5, 5, 0.8, 1.0),
+        (240, 60, 12, 6, 5, 16, 8, 255.0, 1.0, 5, 0.8, 1.0),
         (24, 12, 3, 3, 1, 8, 4, 12.0, 1.0, 5, 0.8, 1.0),
     )
 )
@@ -65,7 +66,7 @@ _DECIDES, _WHERE_MOVING, _WHERE_FAR = (
     for values in (
         (True, _ALL, _ALL, _ALL, _ALL, False),
         (False, _ALL, _MAX_ERROR_PX, _MAX_CHANGE_PX, _ALL, True),
-        (False, 4 * _FAR_PX, _MAX_FAR_ERROR_PX, _MAX_CHANGE_PX, _FAR_PX, False),
+        (False, 4 * _FAR_PX, _MAX_FAR_ERROR_PX, _MAX_FAR_CHANGE_PX, _FAR_PX, False),
     )
 )
 
