@@ -92,6 +92,17 @@ class TestSmoothing:
         assert np.abs(smoothed(view) - gaussian.astype(float)).mean() < 0.3
 
 
+class TestSlopes:
+    @given(
+        arrays(
+            np.uint8, st.tuples(st.integers(1, 5), st.integers(1, 9)), elements=st.integers(0, 255)
+        )
+    )
+    def test_slopes_are_half_of_what_sobels_filter_gives(self, grey):
+        wanted = np.clip(cv2.Sobel(grey, cv2.CV_16S, 1, 0), -80, 80) // 2
+        np.testing.assert_array_equal(dense.slopes_of(grey), wanted)
+
+
 class TestBalance:
     @pytest.mark.parametrize("size", [(160, 240), (96, 640), (160, 1920)])
     def test_equal_views_stay_as_they_are(self, size):

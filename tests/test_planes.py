@@ -175,6 +175,21 @@ class TestRows:
         np.testing.assert_array_equal(halved_exactly(view), [[2, 5.5], [9, 9]])
         assert np.abs(halved(view).astype(float) - halved_exactly(view)).max() <= 0.5
 
+    @settings(max_examples=40)
+    @given(st.tuples(st.integers(1, 9), st.integers(1, 9)), st.integers(0, 10_000))
+    def test_the_majority_around_is_that_of_sums_over_windows(self, shape, seed):
+        rng = np.random.default_rng(seed)
+        where = rng.random(shape) < 0.7
+        disparity = np.where(rng.random(shape) < 0.5, np.float32(3), NAN)
+        known, could = (
+            cv2.boxFilter(
+                mask.astype(np.float32), -1, (5, 5), normalize=False, borderType=cv2.BORDER_CONSTANT
+            )
+            for mask in (where & ~np.isnan(disparity), where)
+        )
+        wanted = np.where(where & (2 * known >= could - 0.5), disparity, NAN)
+        np.testing.assert_array_equal(without_fringes(disparity, where), wanted)
+
     def test_fringes_go_and_areas_stay(self):
         known = np.full((12, 20), NAN)
         known[3:9, 3:12] = 5

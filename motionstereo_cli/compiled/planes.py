@@ -14,9 +14,9 @@ MIN_VARIANCE = cython.declare(cython.double, 0.0225)
 NAN = cython.declare(cython.float, np.nan)
 HALF = cython.declare(cython.float, 0.5)
 
-#: Disparities of samples are whole multiples of a px by this, and by less where they are larger
-#: than 1,000 px: sums of their products have to stay below 2**31.
-PER_PX = cython.declare(cython.int, 64)
+#: Disparities of samples are whole numbers of a 64th px, and of larger parts where they may exceed
+#: 1,000 px: sums of their products have to stay below 2**31.
+PER_PX_BITS = cython.declare(cython.int, 6)
 LARGEST = cython.declare(cython.int, 1000 * 64)
 
 
@@ -102,6 +102,7 @@ class Samples:
     used: cython.int
     total: cython.int  # their weight
     per_px: cython.int
+    bits: cython.int
 
     def __init__(
         self,
@@ -121,7 +122,10 @@ class Samples:
         self.weight = np.empty(count, np.int32)
         self.counts = np.zeros(2 * max_disparity + 4, np.int32)
         self.sums = np.zeros(10, np.int32)
-        self.per_px = max(min(PER_PX, LARGEST // (max_disparity + 1) // 2 * 2), 2)
+        self.bits = PER_PX_BITS
+        while self.bits > 1 and (max_disparity + 1) << self.bits > LARGEST:
+            self.bits -= 1
+        self.per_px = 1 << self.bits
 
 
 @cython.cclass
@@ -333,10 +337,10 @@ def median_of(samples: Samples) -> cython.double:
     """Return the weighted median of the samples' disparities, to 0.5 px."""
     k: cython.int
     part: cython.int = 0
-    half_px: cython.int = samples.per_px // 2
+    half_px: cython.int = samples.bits - 1  # bits that are less
     samples.counts[:] = 0
     for k in range(samples.used):
-        samples.counts[samples.disparity[k] // half_px] += samples.weight[k]
+        samples.counts[samples.disparity[k] >> half_px] += samples.weight[k]
     for k in range(cython.cast(cython.int, samples.counts.shape[0])):
         part += samples.counts[k]
         if 2 * part >= samples.total:

@@ -1,7 +1,9 @@
 """Half the rows, and back: the loops of :mod:`motionstereo_cli.method.rows`."""
 
 import cython
+import numpy as np
 
+NAN = cython.declare(cython.float, np.nan)
 HALF = cython.declare(cython.float, 0.5)
 
 
@@ -89,3 +91,93 @@ def whole(
                 elif abs(level - half_grey[other, x]) + nearer < abs(level - half_grey[own, x]):
                     here = there
                 result[y, x] = here
+
+
+@cython.cclass
+class Workspace:
+    """What :func:`drop_fringes` needs besides input and output, used again for the next frame.
+
+    Args:
+        width: of the image in px.
+    """
+
+    majority: cython.schar[:, ::1]  # of five rows: -1 where a disparity can be, 1 where it is
+    down: cython.schar[::1]  # added up down; both have two more columns on each side
+
+    def __init__(self, width: cython.Py_ssize_t):
+        self.majority = np.zeros((5, width + 4), np.int8)
+        self.down = np.zeros(width + 4, np.int8)
+
+
+def drop_fringes(
+    disparity: cython.const[cython.float][:, ::1],
+    where: cython.const[cython.uchar][:, ::1],
+    work: Workspace,
+    result: cython.float[:, ::1],
+) -> None:
+    """Keep disparities where at least half of the pixels around that can have one do.
+
+    Args:
+        disparity: px, (height, width), NaN = unknown.
+        where: pixels that can have one, (height, width), 0 or 1.
+        work: workspace for this width.
+        result: gets the disparities that stay, NaN elsewhere.
+    """
+    y: cython.Py_ssize_t
+    height: cython.Py_ssize_t = disparity.shape[0]
+    with cython.nogil:
+        work.majority[:, :] = 0
+        for y in range(height + 2):
+            if y < height:
+                count_known(disparity[y], where[y], work.majority[y % 5])
+            else:
+                work.majority[y % 5, :] = 0
+            if y >= 2:
+                add_five(work.majority, work.down)
+                keep(disparity[y - 2], where[y - 2], work.down, result[y - 2])
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def count_known(
+    disparity: cython.const[cython.float][::1],
+    where: cython.const[cython.uchar][::1],
+    majority: cython.schar[::1],
+) -> cython.void:
+    """Fill in what a row contributes."""
+    x: cython.Py_ssize_t
+    for x in range(disparity.shape[0]):
+        d: cython.float = disparity[x]
+        known: cython.int = 2 if d == d else 0  # noqa: PLR0124
+        majority[x + 2] = cython.cast(cython.schar, known * where[x] - where[x])
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def add_five(majority: cython.const[cython.schar][:, ::1], down: cython.schar[::1]) -> cython.void:
+    """Fill in sums of five rows."""
+    x: cython.Py_ssize_t
+    for x in range(down.shape[0]):
+        down[x] = cython.cast(
+            cython.schar,
+            majority[0, x] + majority[1, x] + majority[2, x] + majority[3, x] + majority[4, x],
+        )
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def keep(
+    disparity: cython.const[cython.float][::1],
+    where: cython.const[cython.uchar][::1],
+    down: cython.const[cython.schar][::1],
+    result: cython.float[::1],
+) -> cython.void:
+    """Fill in a row of what stays."""
+    x: cython.Py_ssize_t
+    for x in range(disparity.shape[0]):
+        total: cython.int = down[x] + down[x + 1] + down[x + 2] + down[x + 3] + down[x + 4]
+        stays: cython.bint = (total >= 0) & (where[x] != 0)
+        result[x] = disparity[x] if stays else NAN

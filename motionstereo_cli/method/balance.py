@@ -8,9 +8,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-#: Views are looked at in about this width in px: a quarter of 480 px, a sixteenth of 1920 px. If
-#: they differ there, they are looked at again in one that is larger by this.
-_WIDTH_PX, _CLOSER = 100, 4
+#: Views are looked at in about this size in px, the larger one: an eighth of 640 x 480, a sixteenth
+#: of 1920 x 1080. If they differ there, they are looked at again in one that is larger by this.
+_WIDTH_PX, _HEIGHT_PX, _CLOSER = 100, 60, 4
 
 #: cv2.StereoBM finds points that both views show: it compares slopes of grey, not grey. These
 #: suit images of that size; what it is not sure of does not count.
@@ -45,7 +45,7 @@ def balanced(
         max_disparity: of the points looked for, px.
     """
     height, width = right.shape
-    scale = 2 ** max(1, round(math.log2(width / _WIDTH_PX)))
+    scale = 2 ** max(1, round(math.log2(min(width / _WIDTH_PX, height / _HEIGHT_PX))))
     # Most views need nothing, which shows in small ones; larger ones tell more exactly what.
     found = _adjustment(right, left, max_disparity, scale)
     if found is not None and scale > 2:

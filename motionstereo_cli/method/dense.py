@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from motionstereo_cli.compiled import bilateral, checked_array, checked_number, reused
+from motionstereo_cli.compiled import bilateral, checked_array, checked_number, reused, slopes
 from motionstereo_cli.compiled import dense as loops
 
 try:
@@ -22,6 +22,9 @@ except ImportError:  # in plain Python, and where the compiler has no vector typ
 
 #: Largest difference of grey, and of its slope in quarters of a level per px, that counts.
 _MAX_GREY, _MAX_SLOPE = 20, 20
+
+#: Larger slopes are taken for this one, in eighths of a level per px.
+_LARGEST_SLOPE = 80
 
 #: Costs are those of windows of 3 x 3 pixels. Penalties of a step by 1 px and by more between
 #: neighbours; the latter falls by a share of the step of grey there: that is where things end.
@@ -115,8 +118,8 @@ def match_dense(
     disparity, margin = semi_global(
         right,
         left,
-        _slopes(right),
-        _slopes(left),
+        slopes_of(right),
+        slopes_of(left),
         _around(where),
         proposed_px,
         weights,
@@ -127,9 +130,12 @@ def match_dense(
     return disparity, margin
 
 
-def _slopes(grey: NDArray[np.uint8]) -> NDArray[np.int8]:
+def slopes_of(grey: NDArray[np.uint8]) -> NDArray[np.int8]:
     """Return slopes of grey, which do not mind a difference in brightness between the views."""
-    return (np.clip(cv2.Sobel(grey, cv2.CV_16S, 1, 0), -80, 80) // 2).astype(np.int8)
+    grey = checked_array(grey, np.uint8)
+    result = np.empty(grey.shape, np.int8)
+    slopes.fill_slopes(grey, _LARGEST_SLOPE, reused(slopes.Workspace, grey.shape[1]), result)
+    return result
 
 
 def _around(where: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -160,7 +166,7 @@ def _sets(
     )
     nothing = np.zeros(small_right.shape, np.int16)
     found = semi_global(
-        *(small_right, small_left, _slopes(small_right), _slopes(small_left), small_where > 0),
+        *(small_right, small_left, slopes_of(small_right), slopes_of(small_left), small_where > 0),
         *(nothing.astype(np.float32), nothing, reach),
         margins=(0, 0),
         with_rivals=True,

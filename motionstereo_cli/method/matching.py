@@ -107,20 +107,25 @@ def _dense(right: Memory, left: Memory, settings: Settings) -> Found:
     at_limit = half > s.max_disparity - _LIMIT_PX
     half[at_limit] = np.nan
     half_grey = halved_exactly(right_grey)
-    brighter = halved_exactly(left_grey) - halved_exactly(left_smoothed)
-    half = refined(half, halved_exactly(right.grey), halved_exactly(left.grey) + brighter)
+    left_half = halved_exactly(left.grey)
+    if left_grey is not left_smoothed:
+        left_half += halved_exactly(left_grey) - halved_exactly(left_smoothed)
+    half = refined(half, halved_exactly(right.grey), left_half)
     surface = Surface.of(half_grey, charged[::ROWS], age)
     half, share = with_planes(half, proposed, surface, s.max_disparity)
     half[half > s.max_disparity - _LIMIT_PX] = np.nan
     disparity = trimmed(whole(half, half_grey, right_grey), right_grey, left_grey)
-    matched = without_speckles(disparity, ~np.isnan(disparity), s.speckle_px)
+    matched = without_speckles(disparity, np.ones(charged.shape, np.bool_), s.speckle_px)
     disparity = hidden_filled(filled(matched, charged, s.gap_px), charged)
-    disparity[~charged] = np.nan
     disparity = without_fringes(disparity, charged)
-    margin = np.where(np.isnan(share), margin, margin_of_planes(share))
-    margin = np.repeat(margin, ROWS, axis=0)[: len(charged)]
     at_limit = np.repeat(at_limit, ROWS, axis=0)[: len(charged)] & charged
-    return Found(disparity, lambda: confidence_by_margin(disparity, matched, margin), at_limit)
+
+    def sure() -> Real:
+        margins = np.where(np.isnan(share), margin, margin_of_planes(share))
+        margins = np.repeat(margins, ROWS, axis=0)[: len(charged)]
+        return confidence_by_margin(disparity, matched, margins)
+
+    return Found(disparity, sure, at_limit)
 
 
 def _regions(right: Memory, left: Memory, settings: Settings) -> Found:

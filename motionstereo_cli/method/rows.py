@@ -6,11 +6,10 @@ rows 2 j and 2 j + 1.
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from motionstereo_cli.compiled import checked_array
+from motionstereo_cli.compiled import checked_array, reused
 from motionstereo_cli.compiled import rows as loops
 
 #: Rows that make one.
@@ -19,9 +18,6 @@ ROWS = 2
 #: Half rows whose disparities differ by less than this in px are mixed; where they differ by more,
 #: a pixel takes the one that is nearer to it in grey by so many levels.
 _TOLERANCE_PX, _NEARER = 1.5, 2.0
-
-#: Of what is known around a pixel, this window counts, in px both ways.
-_MAJORITY_PX = 5
 
 
 def halved(view: NDArray[np.uint8]) -> NDArray[np.uint8]:
@@ -74,18 +70,17 @@ def whole(
 def without_fringes(
     disparity_px: NDArray[np.float32], where: NDArray[np.bool_]
 ) -> NDArray[np.float32]:
-    """Return disparity only where most of the pixels around that could have one do have one.
+    """Return disparity where one can be, and most of the pixels around that can have one do.
+
+    Those around are in a window of 5 x 5.
 
     Args:
         disparity_px: (height, width) float32, NaN = unknown.
         where: pixels that could, (height, width) bool.
     """
-    known, could = (
-        cv2.boxFilter(
-            *(mask.view(np.uint8), cv2.CV_8U, (_MAJORITY_PX, _MAJORITY_PX)),
-            normalize=False,
-            borderType=cv2.BORDER_CONSTANT,
-        )
-        for mask in (~np.isnan(disparity_px), where)
-    )
-    return np.where(2 * known >= could, disparity_px, np.float32(np.nan))
+    disparity_px = checked_array(disparity_px, np.float32)
+    where = checked_array(where, np.bool_, disparity_px.shape)
+    result = np.empty_like(disparity_px)
+    work = reused(loops.Workspace, disparity_px.shape[1])
+    loops.drop_fringes(disparity_px, where.view(np.uint8), work, result)
+    return result
