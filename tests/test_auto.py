@@ -91,3 +91,55 @@ def test_a_plan_gets_its_number_and_process_wants_one(recording):
     assert RunPlan.of_json(plan.as_json()) == plan
     with pytest.raises(SettingsError, match="give a number"):
         list(process([], plan.settings))
+
+
+def ends_in(out):
+    said = json.loads((out / "run.json").read_text())["output_settings"]
+    return [said[name] for name in ("near_m", "far_m", "near_px", "far_px")]
+
+
+def test_the_ends_of_the_depth_colours_are_measured_and_kept(recording, tmp_path, capsys):
+    given = ["run", *recording, "--save", "depth-video", "--jobs", "1", "-o"]
+    assert main([*given, str(tmp_path / "a")]) == 0
+    near_m, far_m, near_px, far_px = ends_in(tmp_path / "a")
+    assert [near_m, far_m] == [0, 0]
+    assert far_px < DISPARITY < near_px <= 4 * far_px
+    again = ["--near-px", f"{near_px}", "--far-px", f"{far_px}"]
+    assert main([*given, str(tmp_path / "b"), *again]) == 0
+    videos = {(tmp_path / name / "depth.mp4").read_bytes() for name in "ab"}
+    assert len(videos) == 1
+    assert main([*given, str(tmp_path / "a"), "--resume"]) == 0
+    assert "is complete already" in capsys.readouterr().err
+    assert main([*given, str(tmp_path / "a"), "--resume", "--colours", "turbo"]) == 1
+
+
+@pytest.mark.parametrize(
+    ("given", "ends"),
+    [
+        (["--near-m", "1"], [1, 2]),
+        (["--far-m", "0.05"], [0.025, 0.05]),
+        (["--near-m", "2", "--far-m", "5"], [2, 5]),
+    ],
+)
+def test_given_ends_of_the_depth_colours_stay(recording, tmp_path, given, ends):
+    rig = tmp_path / "rig.yaml"
+    rig.write_text("width: 160\nheight: 96\nfocal_px: 36\nbaseline_m: 0.2\ncx: 80\ncy: 48\n")
+    args = ["run", *recording, "--rig", str(rig), "--save", "depth-video", "-o"]
+    assert main([*args, str(tmp_path / "o"), *given]) == 0
+    assert ends_in(tmp_path / "o") == [*ends, 0, 0]
+    assert main([*args, str(tmp_path / "p"), "--near-px", "3"]) == 2
+
+
+def test_the_colours_of_a_pipe_are_those_of_its_first_frames(recording, tmp_path):
+    fifo = tmp_path / "left"
+    os.mkfifo(fifo)
+    threading.Thread(target=lambda: fifo.write_bytes(Path(recording[0]).read_bytes())).start()
+    report = run(RunPlan(str(fifo), recording[1], tmp_path / "o", save=("depth-video",)))
+    assert report.frames == 40
+    *_, near_px, far_px = ends_in(tmp_path / "o")
+    assert far_px < DISPARITY < near_px
+
+
+def test_what_nobody_sees_in_colour_is_not_measured(recording, tmp_path):
+    assert main(["run", *recording, "--save", "steering", "-o", str(tmp_path / "o")]) == 0
+    assert ends_in(tmp_path / "o") == [0] * 4

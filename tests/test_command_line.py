@@ -360,7 +360,7 @@ def test_every_command_says_that_the_input_was_damaged(run_args, command, capsys
         (["--near-m", "2"], "--near-m and --far-m need --rig"),
         (["--near-m", "2", "--far-m", "1"], "--near-m 2 is not below --far-m 1"),
         (["--depth-scale", "0"], "--depth-scale cannot be '0'"),
-        (["--colours", "rainbow"], "choose turbo | viridis"),
+        (["--colours", "rainbow"], "choose plasma | turbo"),
         (["--reference", "middle"], "choose right | left"),
         (["--speed", "9"], "--speed"),
         (["--config", "none.toml"], "none.toml"),

@@ -8,6 +8,8 @@ from fractions import Fraction
 import av
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from taken import step_of, taken
 
 from motionstereo_cli.files.lettering import (
@@ -26,7 +28,7 @@ from motionstereo_cli.sinks.drawing import depth_colours
 from motionstereo_cli.sinks.legend import strip
 from motionstereo_cli.sinks.outputs import OUTPUTS
 from motionstereo_cli.sinks.preview import heading_text, preview_picture, with_heading
-from motionstereo_cli.sinks.scale import DepthScale
+from motionstereo_cli.sinks.scale import DepthScale, measured_ends
 from motionstereo_cli.sinks.settings import OutputSettings
 from motionstereo_cli.sinks.sink import RunContext
 from motionstereo_cli.types import FrameResult, Rig, Steering, StereoFrame
@@ -113,12 +115,50 @@ def test_the_strip_of_the_depth_video_can_be_switched_off(tmp_path):
     assert heights == [HEIGHT + 28, HEIGHT]
 
 
-def test_where_nothing_is_known_the_dark_view_is_shown(tmp_path):
-    sink = OUTPUTS["depth-video"].open(tmp_path, context())
-    sink.write(taken("depth-video", result(BLIND, np.nan)))
+@pytest.mark.parametrize("output", ["depth-video", "preview"])
+def test_the_view_shines_through_in_grey_where_nothing_is_known(tmp_path, output):
+    shown, values = result(BLIND, 4.0), np.full((HEIGHT, WIDTH), np.nan, np.float32)
+    values[:, :8] = 4
+    view = np.repeat(np.linspace(0, 255, WIDTH).astype(np.uint8)[np.newaxis], HEIGHT, axis=0)
+    frame = dataclasses.replace(shown.frame, left=view, right=view)
+    sink = OUTPUTS[output].open(tmp_path, context())
+    sink.write(taken(output, dataclasses.replace(shown, frame=frame, disparity_px=values)))
     sink.close()
-    [picture] = frames(tmp_path / "depth.mp4")
-    assert np.abs(picture[:HEIGHT].astype(int) - 30).max() <= 3
+    [picture] = frames(tmp_path / OUTPUTS[output].path)
+    left, top = (0, 0) if output == "depth-video" else (2 * (WIDTH + GAP_PX), 26)
+    row = picture[top + HEIGHT // 2, left : left + WIDTH].astype(int)
+    assert np.ptp(row[2:6], axis=1).min() > 80
+    grey = row[14:]
+    assert np.ptp(grey, axis=1).max() < 16
+    assert 40 <= grey.min() < grey.max() <= 145
+    assert (np.diff(grey[::8, 0]) >= 0).all()
+
+
+@given(
+    st.lists(st.floats(0.01, 2000), min_size=1, max_size=50),
+    st.one_of(st.none(), st.floats(0.1, 5000)),
+)
+def test_measured_ends_leave_what_is_known_in_the_middle(nearness_px, px_m):
+    values = np.float32(nearness_px).repeat(1000)  # no quantile lies between two of them
+    near, far = measured_ends(values, px_m)
+    output = {"near_px": near, "far_px": far}
+    rig = None
+    if px_m:
+        output = {"near_m": near, "far_m": far}
+        rig = dataclasses.replace(RIG, focal_px=px_m / RIG.baseline_m)
+    scale = DepthScale.of(Settings(), OutputSettings(**output), rig)
+    assert scale.ends == pytest.approx((near, far))
+    assert max(near / far, far / near) >= 1.999
+    assert len(scale.ticks()) >= 2
+    shown = np.maximum(nearness_px, 0.5)
+    shown = px_m / shown if px_m else shown
+    places = np.array([scale.place(float(value)) for value in shown])
+    assert (places < 0.048).mean() <= 0.015
+    assert (places > 0.952).mean() <= 0.03
+
+
+def test_nothing_known_has_no_ends():
+    assert measured_ends(np.empty(0, np.float32), None) is None
 
 
 def test_the_preview_has_three_panels_and_the_heading(tmp_path):

@@ -209,6 +209,20 @@ def test_the_histogram_counts_known_pixels(copy):
     assert page.count("100.0%</title>") == 1
 
 
+def test_what_is_far_nearer_than_the_rest_is_not_piled_up_at_the_end(copy):
+    import cv2
+
+    depth_mm = np.full((64, 96), 2000, np.uint16)
+    depth_mm[:, 48:], depth_mm[0, :40] = 4000, 10
+    for path in (copy / "depth").iterdir():
+        cv2.imwrite(str(path), depth_mm)
+    page = run_page(copy, copy / "report.html")
+    shares = [float(share) for share in re.findall(r"m: ([\d.]+)%</title>", page)]
+    assert shares[0] == shares[-1] == 0
+    assert sorted(shares)[-2:] == pytest.approx([49.3, 50], abs=0.1)
+    assert "0.7 % lie beyond its ends" in page
+
+
 BATCH = """\
 name,status,frames,seconds,charged,matched,damage,warnings,said,reason,worker
 ../out,done,24,1.5,0.5,0.4,0,0,,,1

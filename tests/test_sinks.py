@@ -31,11 +31,11 @@ from motionstereo_cli.params import params
 from motionstereo_cli.runs.folder import complete, prepare, tidy
 from motionstereo_cli.runs.folder_files import head
 from motionstereo_cli.runs.threaded_sink import Threaded
-from motionstereo_cli.sinks.drawing import depth_colours
+from motionstereo_cli.sinks.drawing import coloured, depth_colours
 from motionstereo_cli.sinks.images import depth_png, disparity_png
 from motionstereo_cli.sinks.outputs import DEFAULT_OUTPUTS, OUTPUTS, available
 from motionstereo_cli.sinks.records import Counts
-from motionstereo_cli.sinks.scale import palette
+from motionstereo_cli.sinks.scale import DepthScale, palette
 from motionstereo_cli.sinks.settings import OutputSettings
 from motionstereo_cli.sinks.sink import RunContext
 from motionstereo_cli.sinks.steering_table import SteeringFile, SteeringStream
@@ -335,10 +335,11 @@ def test_a_video_has_the_rate_of_its_frames(tmp_path, name):
         assert read.streams.video[0].average_rate == 10
 
 
-def test_depth_colours_are_red_near_blue_far_black_unknown():
+def test_depth_colours_are_red_near_blue_far_grey_unknown():
     disparity_px = np.float32([[NAN, 0.0, 1.0, 8.0, 64.0, 70.0]])
-    unknown, zero, far, middle, near, nearer = depth_colours(disparity_px, 64)[0].astype(int)
-    assert unknown.tolist() == [0, 0, 0]
+    found = depth_colours(disparity_px, 64, colours="turbo")[0].astype(int)
+    unknown, zero, far, middle, near, nearer = found
+    assert len(set(unknown.tolist())) == 1
     assert zero.tolist() == far.tolist()
     assert near.tolist() == nearer.tolist()
     assert far[2] == far.max() > 100  # blue
@@ -381,10 +382,14 @@ def test_the_depth_video_keeps_colours_and_pads_odd_sizes(tmp_path):
     disparity_px[:, 32:] = 60
     stream = dataclasses.replace(STREAM, output=OutputSettings(legend=False))
     result = frame_result(disparity_px=disparity_px)
+    view = np.zeros((31, 45), np.uint8)
+    frame = dataclasses.replace(result.frame, left=view, right=view)
+    result = dataclasses.replace(result, frame=frame)
     [(_, rgb)] = decoded(saved(tmp_path, "depth-video", result, stream=stream))
     assert rgb.shape == (32, 46, 3)
+    scale = DepthScale.of(stream.settings, stream.output, stream.rig)
     for column in (8, 24, 40):
-        expected = depth_colours(disparity_px, 64)[16, column].astype(int)
+        expected = coloured(disparity_px, scale, view)[16, column].astype(int)
         assert np.abs(rgb[16, column] - expected).max() <= 16
 
 

@@ -17,7 +17,7 @@ import os
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -39,9 +39,10 @@ from motionstereo_cli.errors import InputError, MotionStereoError, OutputError
 from motionstereo_cli.files.atomic import remove_own, write_whole
 from motionstereo_cli.files.lock import locked
 from motionstereo_cli.runs.cores import usable_cores
-from motionstereo_cli.runs.disparity_range import Say, with_range
+from motionstereo_cli.runs.disparity_range import Say
 from motionstereo_cli.runs.plan import RunPlan
 from motionstereo_cli.runs.record import builds
+from motionstereo_cli.runs.run import settled
 from motionstereo_cli.sinks.outputs import RECORD
 from motionstereo_cli.sinks.records import Status
 
@@ -136,28 +137,25 @@ class Item:
         name: the recording.
         piece: which piece.
         pieces: all pieces of the recording; empty where it is not cut.
-        max_disparity: the range of all pieces, if it was measured.
+        measured: the settings, and those of the output, with what was measured for all pieces.
         seek: whether the piece may begin by seeking.
     """
 
     name: str
     piece: Piece | None = None
     pieces: tuple[Piece, ...] | None = None
-    max_disparity: int | None = None
+    measured: Mapping[str, Any] = field(default_factory=dict)
     seek: bool = True
 
 
 def _items(name: str, plan: RunPlan, count: int, say: Say, *, asked: bool) -> list[Item]:
     """Return the tasks of a recording that can start at once."""
-
-    def named(kind: str, text: str) -> None:
-        say(kind, f"{name}: {text}")
-
     if count > 1:
         try:
             pieces = tuple(pieces_of(plan, count))
             if len(pieces) > 1:
-                measured = with_range(plan, named).settings.max_disparity
+                whole = settled(plan, lambda kind, text: say(kind, f"{name}: {text}")).as_json()
+                measured = {group: whole[group] for group in ("settings", "output_settings")}
                 return [Item(name, piece, pieces, measured) for piece in pieces]
         except MotionStereoError:
             if asked:
@@ -285,12 +283,10 @@ class _Batch:
 
     def _submit(self, client: Client, item: Item, jobs: int) -> Future:
         plan = self._plans[item.name]
-        # Pieces have the measured range; the joined run warns of what was wrong with it.
-        known = item.piece is not None and item.max_disparity is not None
-        measured = {"max_disparity": item.max_disparity} if known else {}
-        settings = {**plan["settings"], **measured}
+        # Pieces have what was measured; the joined run warns of what was wrong with it.
+        measured = {} if item.piece is None else item.measured
         task = {
-            "plan": {**plan, "jobs": plan["jobs"] or jobs, "settings": settings},
+            "plan": {**plan, "jobs": plan["jobs"] or jobs, **measured},
             "out": str(self._out),
             "name": item.name,
             "hash": self._hashes[item.name],

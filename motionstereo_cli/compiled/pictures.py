@@ -130,28 +130,29 @@ def levels_of(
     doffs: cython.float,
     per_px: cython.float,
     table: cython.const[cython.uchar][::1],
+    view: cython.const[cython.uchar][:, ::1],
+    greys: cython.int,
     result: cython.uchar[:, ::1],
-) -> cython.bint:
-    """Fill in the level of each disparity by a table, 0 = unknown; return whether any is known.
+) -> None:
+    """Fill in the level of each disparity by a table and, where it is unknown, a grey of the view.
 
     Args:
         disparity: px, (height, width) float32, NaN = unknown.
         doffs: added to it, px.
         per_px: entries of the table in a px.
         table: level of each disparity from 0 on; of larger ones, the last.
+        view: grey levels, (height, width) uint8.
+        greys: the levels below this one, at most 256, are those of greys.
         result: (height, width) uint8.
     """
     x: cython.Py_ssize_t
     y: cython.Py_ssize_t
-    found: cython.bint = False
     last: cython.float = cython.cast(cython.float, table.shape[0] - 1)
     with cython.nogil:
         for y in range(disparity.shape[0]):
             for x in range(disparity.shape[1]):
                 place: cython.float = (disparity[y, x] + doffs) * per_px
-                result[y, x] = 0
+                result[y, x] = (view[y, x] * greys) >> 8
                 if place == place:  # noqa: PLR0124
-                    found = True
                     place = max(min(place, last), ZERO)
                     result[y, x] = table[cython.cast(cython.int, place)]
-    return found

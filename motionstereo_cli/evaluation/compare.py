@@ -23,6 +23,7 @@ from motionstereo_cli.files.records import read_json, typed
 from motionstereo_cli.sinks.outputs import OUTPUTS, RECORD
 from motionstereo_cli.sinks.read_back import Maps, read_record, read_table, shortened
 from motionstereo_cli.sinks.records import RunRecord
+from motionstereo_cli.sinks.scale import ENDS
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -34,6 +35,7 @@ _IGNORED = frozenset(
     {"program", "outputs", "sums", "table", "options", "shares", "warnings", "damage", "timing"}
 )
 _NOTED = frozenset({"versions", "inputs", "files"})
+_ENDS = frozenset(f"output_settings.{name}" for name in ENDS)
 
 #: Rounding allowance at exactly the tolerance: in a table's decimals, in float32 m.
 _ROUNDING = 1e-9
@@ -326,6 +328,8 @@ class _Comparison:
                 continue
             output.compared += section not in _NOTED
             if name in actual and _same(actual[name], theirs):
+                continue
+            if name in _ENDS and 0 in (actual.get(name), theirs):  # one run shows no colours
                 continue
             if name in actual:
                 mine = _shown(actual[name])

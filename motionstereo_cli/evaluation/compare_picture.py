@@ -16,6 +16,7 @@ from motionstereo_cli.sinks.legend import strip
 from motionstereo_cli.sinks.outputs import RECORD
 from motionstereo_cli.sinks.read_back import read_record
 from motionstereo_cli.sinks.scale import DepthScale
+from motionstereo_cli.sinks.settings import OutputSettings
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -69,7 +70,7 @@ def draw_worst(worst: WorstImage, golden: Path | None = None) -> NDArray[np.uint
         (_OFF, "off"),
         (_ACTUAL_ONLY, "known in actual only"),
         (_GOLDEN_ONLY, "known in golden only"),
-        ((0, 0, 0), "unknown"),
+        ((0, 0, 0), "unknown in both"),
     )
     width = body.shape[1]
     return np.concatenate([body, strip(width, scale), colour_key(width, entries, DARK)])
@@ -87,9 +88,9 @@ def _recorded(golden: Path | None, is_depth: bool) -> DepthScale | None:
 
 def _scale_of(values: Real, is_depth: bool) -> DepthScale:
     """Return the scale that fits images."""
-    known = values[~np.isnan(values)]
+    known, colours = values[~np.isnan(values)], OutputSettings().colours
     if not len(known):
-        return DepthScale(64, 1, None, "turbo")
+        return DepthScale(64, 1, None, colours)
     low, high = np.quantile(known, [0.01, 0.99]).tolist()
     near_px, far_px = (1 / low, 1 / high) if is_depth else (high, max(low, 1e-3))
-    return DepthScale(max(near_px, 2 * far_px), far_px, 1.0 if is_depth else None, "turbo")
+    return DepthScale(max(near_px, 2 * far_px), far_px, 1.0 if is_depth else None, colours)

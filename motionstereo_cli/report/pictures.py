@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import base64
+import dataclasses
+import math
 import os
 from fractions import Fraction
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 from urllib.parse import quote
 
 import cv2
@@ -14,6 +16,7 @@ import numpy as np
 
 from motionstereo_cli.files.reading import MAX_PIXELS, real
 from motionstereo_cli.files.video import opened_result
+from motionstereo_cli.sinks.scale import measured_ends
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -25,6 +28,9 @@ _JPEG_QUALITY = 80
 
 #: Maximum number of images and columns of a histogram.
 _MAX_IMAGES, _COLUMNS = 60, 48
+
+#: About how many pixels are counted at most.
+_MAX_COUNTED = 2_000_000
 
 
 class Picture(NamedTuple):
@@ -107,38 +113,53 @@ def _frame_at(video: Path, within: Path, time_s: float) -> NDArray[np.uint8] | N
         return None if last is None else np.asarray(last.to_ndarray(format="rgb24"), np.uint8)
 
 
-def histogram(maps: Maps, scale: DepthScale) -> dict[str, Any] | None:
-    """Return the histogram of depth, or of disparity where the scale is in px.
+class Histogram(NamedTuple):
+    """A histogram of depth, or of disparity where there is no rig.
+
+    Attributes:
+        scale: its columns are of equal width on it; its ends fit what is counted.
+        shares: of all known pixels in each column, 0..1, nearest first.
+        images: how many were counted.
+        median: of all known pixels, in the unit of the scale.
+    """
+
+    scale: DepthScale
+    shares: list[float]
+    images: int
+    median: float
+
+
+def histogram(maps: Maps, scale: DepthScale) -> Histogram | None:
+    """Return the histogram of some images, None where no pixel is known.
 
     Args:
-        maps: the images; of many, evenly spaced ones are counted.
-        scale: the columns are of equal width on it.
-
-    Returns:
-        ``shares`` of the known pixels, 0..1, nearest first, ``images`` that were counted, and the
-        ``median``; None where no pixel is known.
+        maps: the images; of many, evenly spaced ones are counted, and of these some pixels.
+        scale: that of the run.
     """
     numbers = sorted(maps.files)
     some = numbers[:: max(1, -(-len(numbers) // _MAX_IMAGES))]
-    near, far = scale.ends
-    edges = np.geomspace(near, far, _COLUMNS + 1)
-    counts = np.zeros(_COLUMNS, np.int64)
+    known = [np.empty(0, np.float32)]
     for number in some:
         values = maps.read(number)
+        step = math.ceil(math.sqrt(values.size * len(some) / _MAX_COUNTED))
+        values = values[::step, ::step]
         values = values[np.isfinite(values)]
         if maps.kind == "disparity":
             values = values + np.float32(scale.doffs)
-            if scale.px_m:
-                values = np.float32(scale.px_m) / values
-        inside = np.clip(values, min(near, far), max(near, far))
-        found = np.histogram(inside, np.sort(edges))[0]
-        counts += found if near < far else found[::-1]
-    total = int(counts.sum())
-    if not total:
+        elif scale.px_m:
+            values = np.float32(scale.px_m) / values
+        known.append(values[values > 0])
+    nearness_px = np.concatenate(known)
+    ends = measured_ends(nearness_px, scale.px_m)
+    if ends is None:
         return None
-    middle = int(np.searchsorted(np.cumsum(counts), total / 2))
-    return {
-        "shares": (counts / total).tolist(),
-        "images": len(some),
-        "median": float(np.sqrt(edges[middle] * edges[middle + 1])),
-    }
+    px = [scale.px_m / end if scale.px_m else end for end in ends]
+    own = dataclasses.replace(scale, near_px=px[0], far_px=px[1])
+    counts = np.histogram(nearness_px, np.geomspace(px[1], px[0], _COLUMNS + 1))[0][::-1]
+    median_px = float(np.median(nearness_px))
+    return Histogram(
+        own,
+        (counts / nearness_px.size).tolist(),
+        len(some),
+        scale.px_m / median_px if scale.px_m else median_px,
+    )

@@ -96,9 +96,15 @@ def _drawn(scale: DepthScale) -> dict[str, Any]:
     return {
         "unit": scale.unit,
         "gradient": ", ".join("rgb({},{},{})".format(*scale.colour(place)) for place in places),
-        "ticks": [(f"{tick:g}", scale.place(tick)) for tick in scale.ticks()],
+        "ticks": _ticks(scale),
+        "unknown": "rgb({},{},{})".format(*scale.unknown),
         "ends": scale.ends,
     }
+
+
+def _ticks(scale: DepthScale) -> list[tuple[str, float]]:
+    """Return the ticks of a scale: what they say, and their places from 0 to 1."""
+    return [(f"{tick:g}", scale.place(tick)) for tick in scale.ticks()]
 
 
 def _about(record: RunRecord, steering: SteeringTable | None) -> list[str]:
@@ -170,7 +176,7 @@ def _panels(run: Results, page: Path, steering: SteeringTable | None) -> list[di
     panels: list[tuple[str, str, str, Path | None, bool]] = [
         ("view", f"{run.reference.capitalize()} view", "what the camera saw", view, plays),
         ("charge", "Charge", "white moved just now, darker longer ago", run.video("charge"), True),
-        ("depth", "Depth", "black is unknown", run.video("depth-video"), True),
+        ("depth", "Depth", "grey, the view, is unknown", run.video("depth-video"), True),
     ]
     for key, title, what, video, played in panels:
         parts = _parts(video, run.path)
@@ -220,23 +226,31 @@ def _histogram(run: Results, scale: DepthScale) -> dict[str, Any] | None:
         found = histogram(Maps(run.path, within=run.path), scale)
     except InputError:
         return None
-    if not found:
+    if found is None:
         return None
-    most = max(found["shares"])
-    count = len(found["shares"])
+    count, (near, far) = len(found.shares), found.scale.ends
+    most = max(found.shares)
     bars = []
-    near, far = scale.ends
-    for index, share in enumerate(found["shares"]):
-        low, high = (near * (far / near) ** ((index + end) / count) for end in (0, 1))
+    for index, share in enumerate(found.shares):
+        low, middle, high = (near * (far / near) ** ((index + at) / count) for at in (0, 0.5, 1))
         bars.append(
             {
                 "x": index / count,
                 "height": share / most,
-                "colour": "rgb({},{},{})".format(*scale.colour((index + 0.5) / count)),
+                "colour": "rgb({},{},{})".format(*scale.colour(scale.place(middle))),
                 "text": f"{low:.3g} to {high:.3g} {scale.unit}: {share:.1%}",
             }
         )
-    return {**found, "bars": bars, "most": most, "width": 1 / count, "unit": scale.unit}
+    return {
+        "bars": bars,
+        "ticks": _ticks(found.scale),
+        "images": found.images,
+        "median": found.median,
+        "beyond": 1 - sum(found.shares),
+        "most": most,
+        "width": 1 / count,
+        "unit": scale.unit,
+    }
 
 
 def _map(run: Results) -> dict[str, Any] | None:

@@ -41,7 +41,7 @@ def with_range(plan: RunPlan, say: Say) -> RunPlan:
     """
     if plan.settings.max_disparity != AUTO:
         return plan
-    if begun := _begun_with(plan):
+    if begun := begun_with(plan):
         for warning in begun.warned:
             if warning.code == RANGE:
                 say("warning", warning.text)
@@ -49,8 +49,13 @@ def with_range(plan: RunPlan, say: Say) -> RunPlan:
     return _measured(plan, sample_of(plan), say)
 
 
-def sample_of(plan: RunPlan) -> Iterator[StereoFrame]:
-    """Yield up to five windows of 16 frames, spread over the recordings of a plan."""
+def sample_of(
+    plan: RunPlan, window: int = WINDOW_FRAMES, decoded: int = _MAX_DECODED_FRAMES
+) -> Iterator[StereoFrame]:
+    """Yield the first ``window`` frames of up to five windows, spread over the recordings.
+
+    A recording that cannot be read from the middle is decoded up to frame ``decoded``.
+    """
     for number in range(MAX_WINDOWS):
         with open_stereo(plan.left, plan.right, plan.input_settings) as source:
             rectify_source(source, plan.rig, plan.rig_settings)
@@ -58,9 +63,9 @@ def sample_of(plan: RunPlan) -> Iterator[StereoFrame]:
             if number >= len(places):
                 return
             begin = places[number]
-            if begin and not source.begin_at(begin) and begin > _MAX_DECODED_FRAMES:
+            if begin and not source.begin_at(begin) and begin > decoded:
                 return
-            yield from itertools.islice(source, WINDOW_FRAMES)
+            yield from itertools.islice(source, window)
 
 
 def with_range_of_opening(
@@ -102,8 +107,8 @@ def _settled(plan: RunPlan, max_disparity: int) -> RunPlan:
     return dataclasses.replace(plan, settings=settings)
 
 
-def _begun_with(plan: RunPlan) -> RunRecord | None:
-    """Return the record of the run to resume, if it has a measured range."""
+def begun_with(plan: RunPlan) -> RunRecord | None:
+    """Return the record of the run to resume, None if there is none."""
     if plan.folder is None or not plan.resume:
         return None
     place = plan.folder / RUN.record

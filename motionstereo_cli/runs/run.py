@@ -30,6 +30,7 @@ from motionstereo_cli.rig.calibration import Calibration, rectify_source
 from motionstereo_cli.rig.poses import Trajectory, read_poses
 from motionstereo_cli.rig.settings import NO_RIG
 from motionstereo_cli.runs.checkpoint import check_state
+from motionstereo_cli.runs.colour_range import with_colour_range
 from motionstereo_cli.runs.cores import check_memory, usable_cores
 from motionstereo_cli.runs.disparity_offset import with_measured_offset
 from motionstereo_cli.runs.disparity_range import RANGE, with_range, with_range_of_opening
@@ -192,6 +193,7 @@ def job_of(plan: RunPlan, source: StereoSource, warned: Warned) -> Job:
     context = RunContext(time_base, plan.settings, rig, plan.output_settings, frame_id)
     job = Job(plan, source, frames, context, poses, warned)
     job = with_measured_offset(job, partial(warned.say, "disparity-offset"))
+    job = with_colour_range(job)
     if plan.folder is not None:
         check_video_size(job.save, source.width, source.height)
     if job.with_own_motion and plan.poses is None:
@@ -199,6 +201,23 @@ def job_of(plan: RunPlan, source: StereoSource, warned: Warned) -> Job:
         asking = ", ".join(name for name, row in rows if row.needs_poses or row.needs_movers)
         note(f"{asking}: the rig's own motion is found, as by --poses auto")
     return job
+
+
+def settled(plan: RunPlan, say: Callable[[str, str], object]) -> RunPlan:
+    """Return a plan in which what is measured before the first frame is a number.
+
+    Args:
+        plan: the run; of recordings that can be read twice.
+        say: called with a kind, ``note`` or ``warning``, and a line.
+
+    Raises:
+        InputError: the recordings, or what is known of them, cannot be used.
+        SettingsError: an output needs a rig, or poses.
+    """
+    with open_stereo(plan.left, plan.right, plan.input_settings) as source:
+        job = job_of(plan, source, Warned(say))
+    settings, output = job.plan.settings, job.plan.output_settings
+    return dataclasses.replace(plan, settings=settings, output_settings=output)
 
 
 def _poses(

@@ -13,6 +13,7 @@ from motionstereo_cli.compiled import checked_array
 from motionstereo_cli.compiled.pictures import levels_of
 from motionstereo_cli.files.video import table_of
 from motionstereo_cli.sinks.scale import FARTHEST, DepthScale, palette
+from motionstereo_cli.sinks.settings import OutputSettings
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -26,9 +27,9 @@ _MAX_LEVELS = 1 << 20
 
 
 def depth_colours(
-    disparity_px: Real, near_px: float, far_px: float = 1.0, colours: str = "turbo"
+    disparity_px: Real, near_px: float, far_px: float = 1.0, colours: str = OutputSettings().colours
 ) -> NDArray[np.uint8]:
-    """Return depth in colour, black = unknown; in turbo, red = near and blue = far.
+    """Return depth in colour, grey = unknown; in turbo red is near, in most others what is bright.
 
     The scale is the logarithm of the disparity, the same for every frame: equal steps of colour
     are equal ratios of depth, so that far and near both show contrast, and no rig is needed.
@@ -44,25 +45,37 @@ def depth_colours(
         (height, width, 3) uint8 RGB.
     """
     scale = DepthScale(max(near_px, 2 * far_px), far_px, None, colours)
-    levels, _ = depth_levels(disparity_px, scale)
-    return cv2.applyColorMap(levels, palette(colours)).astype(np.uint8, copy=False)
+    return coloured(disparity_px, scale)
 
 
-def depth_levels(disparity_px: Real, scale: DepthScale) -> tuple[NDArray[np.uint8], bool]:
-    """Return the palette index of each disparity, 0 = unknown, and whether any is known.
+def coloured(disparity_px: Real, scale: DepthScale, view: Grey | None = None) -> NDArray[np.uint8]:
+    """Return the same, (height, width, 3) uint8 RGB; for the arguments see :func:`depth_levels`."""
+    levels = depth_levels(disparity_px, scale, view)
+    return cv2.applyColorMap(levels, palette(scale.colours)).astype(np.uint8, copy=False)
+
+
+def depth_levels(
+    disparity_px: Real, scale: DepthScale, view: Grey | None = None
+) -> NDArray[np.uint8]:
+    """Return which colour of the palette each disparity has; where it is unknown, a grey of it.
 
     Args:
         disparity_px: (height, width) float32, without doffs; NaN = unknown.
         scale: the scale of the colours.
+        view: what shows through where disparity is unknown, (height, width) uint8; one grey if
+            None.
 
     Returns:
-        (height, width) uint8; True where a disparity is known.
+        (height, width) uint8.
     """
     disparity_px = checked_array(disparity_px, np.float32)
+    if view is None:
+        view = np.full(disparity_px.shape, 128, np.uint8)
     per_px, table = _level_table(scale)
     levels = np.empty(disparity_px.shape, np.uint8)
-    known = levels_of(disparity_px, scale.doffs, per_px, table, levels)
-    return levels, bool(known)
+    view = checked_array(view, np.uint8)
+    levels_of(disparity_px, scale.doffs, per_px, table, view, FARTHEST, levels)
+    return levels
 
 
 @functools.lru_cache(maxsize=8)
@@ -94,14 +107,5 @@ def grey_picture(grey: Grey) -> NDArray[np.uint8]:
 
 
 def depth_picture(images: FrameImages, stream: RunContext) -> NDArray[np.uint8]:
-    """Return depth in colour, (height, width, 3) uint8 RGB.
-
-    If nothing is known, as at the beginning of a recording, it is the reference view, darkened:
-    players show the first picture as a poster, and a black one is of no use.
-    """
-    if np.isnan(images.disparity_px).all():
-        return grey_picture(images.view // np.uint8(3))
-    scale = depth_scale(stream)
-    return depth_colours(
-        images.disparity_px + np.float32(scale.doffs), scale.near_px, scale.far_px, scale.colours
-    )
+    """Return depth in colour, the view in grey where it is unknown, (height, width, 3) RGB."""
+    return coloured(images.disparity_px, depth_scale(stream), images.view)

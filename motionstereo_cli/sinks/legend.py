@@ -19,7 +19,10 @@ if TYPE_CHECKING:
 #: Minimum height of a strip in px, and the picture's width per px of its height.
 _MIN_HEIGHT_PX, _WIDTH_PER_PX = 28, 36
 
-#: Share of the width for the text; the rest is for the scale.
+#: What the colour of what is unknown is called, and the share of the scale's width it may take.
+_UNKNOWN, _UNKNOWN_SHARE = "unknown", 0.3
+
+#: Share of the width that the text has; the scale has the rest.
 _TEXT_SHARE = 0.3
 
 
@@ -65,17 +68,25 @@ def _ruler(width: int, scale: DepthScale, begin: int) -> NDArray[np.uint8]:
     size_px, margin = _letters(height), height // 3
     left, right = begin + margin, max(width - margin, begin + margin + 2)
     image = np.full((height, width, 3), DARK.ground, np.uint8)
-    places = np.linspace(0, 1, right - left)
     top, bottom = round(0.16 * height), round(0.42 * height)
+    labels: list[Label] = []
+    box_px = bottom - top
+    unknown_px = round(text_width(_UNKNOWN, size_px)) + box_px + 2 * margin
+    if unknown_px < _UNKNOWN_SHARE * (width - begin):
+        right -= unknown_px
+        box = right + margin
+        image[top:bottom, box : box + box_px] = scale.unknown
+        labels.append(Label(box + box_px + margin / 2, (top + bottom) / 2, _UNKNOWN))
+    places = np.linspace(0, 1, right - left)
     ramp = np.array([scale.colour(place) for place in places], np.uint8)
     image[top:bottom, left:right] = ramp[: max(width - left, 0)]
-    labels: list[Label] = []
-    free_from = float(begin)
+    free_from, first = float(begin), True
     for tick in scale.ticks():
-        unit = "" if labels else f" {scale.unit}"
+        unit = f" {scale.unit}" if first else ""
         middle = left + scale.place(tick) * (right - left - 1)
         half = text_width(f"{tick:g}{unit}", size_px) / 2
         if middle - half >= free_from and middle + half <= width:
+            first = False
             labels.append(Label(middle, 0.74 * height, f"{tick:g}{unit}", "mm"))
             image[bottom : bottom + 2, round(middle)] = 200
             free_from = middle + half + size_px / 2

@@ -36,6 +36,7 @@ class Output:
             its ``step``, which is sequential; None: it has no sink.
         shows_images: the steps that it takes include images.
         shows_colours: it shows the colours of the reference view.
+        shows_scale: it shows depth in colours of the run's scale.
         extras: the :data:`motionstereo_cli.pipeline.EXTRAS` that it needs.
         needs_rig: it needs a rig.
         needs_poses: it needs poses; if none are given, they are found from the recording.
@@ -57,6 +58,7 @@ class Output:
     takes: Input | None = "images"
     shows_images: bool = False
     shows_colours: bool = False
+    shows_scale: bool = False
     extras: tuple[str, ...] = ()
     needs_rig: bool = False
     needs_poses: bool = False
@@ -195,11 +197,11 @@ OUTPUTS = {
     ),
     "depth-video": Output(
         "depth.mp4",
-        "depth in colour (--colours; by default near = red, far = blue), "
-        "black = unknown, the dark view where nothing is known at all; log scale of disparity + "
-        "doffs from max_disparity, or near_m, to 1 px, or far_m; below it (output_settings.legend) "
-        "a strip with that scale in m or px and the time",
+        "depth in colour (--colours; by default near = yellow, far = violet), the reference view "
+        "in grey = unknown; logarithmic scale from near_m to far_m or, without a rig, near_px to "
+        "far_px (output_settings); below it (legend) a strip with that scale and the time",
         "videos.depth",
+        shows_scale=True,
         max_view_px=MAX_VIDEO_PX,
     ),
     "disparity": Output(
@@ -281,6 +283,7 @@ OUTPUTS = {
         shows_colours=True,
         takes="step",
         shows_images=True,
+        shows_scale=True,
     ),
     "report": Output(
         "report.html",

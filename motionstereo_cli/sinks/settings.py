@@ -29,23 +29,42 @@ class OutputSettings:
         choices=("csv", "jsonl"),
     )
     colours: str = param(
-        "turbo",
-        "Colour map of depth-video. In turbo and jet red is near.",
-        choices=("turbo", "viridis", "cividis", "magma", "inferno", "plasma", "jet", "bone"),
+        "plasma",
+        "Colour map of depth. Near is bright in all but turbo and jet, where it is red; those tell "
+        "more depths apart, but not to the colour-blind.",
+        choices=("plasma", "turbo", "viridis", "cividis", "magma", "inferno", "jet", "bone"),
     )
     near_m: float = param(
         0.0,
-        "Depth with the nearest colour of depth-video (0 = the depth of --max-disparity).",
+        "Depth with the nearest colour. auto (or 0): measured in a sample of the recording.",
         unit="m",
         low=0,
         high=1_000_000,
+        words={"auto": 0.0},
     )
     far_m: float = param(
         0.0,
-        "Depth with the farthest colour of depth-video (0 = the depth of a disparity of 1 px).",
+        "Depth with the farthest colour. auto (or 0): measured likewise.",
         unit="m",
         low=0,
         high=1_000_000,
+        words={"auto": 0.0},
+    )
+    near_px: float = param(
+        0.0,
+        "Disparity with the nearest colour, without a rig. auto (or 0): measured likewise.",
+        unit="px",
+        low=0,
+        high=1_000_000,
+        words={"auto": 0.0},
+    )
+    far_px: float = param(
+        0.0,
+        "Disparity with the farthest colour, without a rig. auto (or 0): measured likewise.",
+        unit="px",
+        low=0,
+        high=1_000_000,
+        words={"auto": 0.0},
     )
     legend: bool = param(
         True, "Add a strip below the images of depth-video: the scale of depth, and the time."
@@ -72,3 +91,5 @@ class OutputSettings:
         checked(self)
         if 0 < self.far_m <= self.near_m:
             raise SettingsError(f"--near-m {self.near_m:g} is not below --far-m {self.far_m:g}")
+        if 0 < self.near_px <= self.far_px:
+            raise SettingsError(f"--near-px {self.near_px:g} is not above --far-px {self.far_px:g}")

@@ -98,10 +98,8 @@ def _bands(images: FrameImages, stream: RunContext) -> NDArray[np.uint8]:
 
 def _depth(images: FrameImages, stream: RunContext) -> list[Picture]:
     scale = depth_scale(stream)
-    levels, known = depth_levels(images.disparity_px, scale)
-    parts: list[Picture] = [
-        Indexed(levels, colour_table(scale.colours)) if known else images.view // np.uint8(3)
-    ]
+    levels = depth_levels(images.disparity_px, scale, images.view)
+    parts: list[Picture] = [Indexed(levels, colour_table(scale.colours))]
     if stream.output.legend:
         parts.append(strip(levels.shape[1], scale, time_text(images.time)))
     return parts

@@ -47,7 +47,7 @@ def sheet(width: int = 324) -> NDArray[np.uint8]:
             assert left is not None
             found[name] = match(right, left, s)[0]
         panels = [np.repeat(shots[-1].right[..., None], 3, axis=2)]
-        panels += [depth_colours(px, Settings().max_disparity, 1, "turbo") for px in found.values()]
+        panels += [depth_colours(px, Settings().max_disparity) for px in found.values()]
         rows.append(titled(panels, (title, *found), DARK))
     return np.concatenate(rows)
 

@@ -1,0 +1,110 @@
+"""The ends of the scale of depth colours are measured before the first frame."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import itertools
+from collections.abc import Iterable, Iterator
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from motionstereo_cli.check.measure import WINDOW_FRAMES
+from motionstereo_cli.errors import InputError, SettingsError
+from motionstereo_cli.method.matching import match
+from motionstereo_cli.method.memory import checked_views, see
+from motionstereo_cli.runs.disparity_range import begun_with, sample_of
+from motionstereo_cli.runs.record import Job
+from motionstereo_cli.sinks.outputs import OUTPUTS
+from motionstereo_cli.sinks.scale import ENDS, measured_ends
+
+if TYPE_CHECKING:
+    from motionstereo_cli.types import Real, StereoFrame
+
+#: Every how many frames of a window depth is looked at; every how many pixels and rows of it.
+_STEP_FRAMES, _STEP_PX = 8, 2
+
+#: A recording that cannot be read from the middle is decoded up to here.
+_DECODED_FRAMES = 100
+
+
+def with_colour_range(job: Job) -> Job:
+    """Return the job with measured ends of the depth colours where an output shows them.
+
+    They are the same for all frames, and numbers of ``output_settings``. The sample is that of
+    ``--max-disparity auto``. A run that goes on keeps the numbers that it began with.
+
+    Args:
+        job: the job, with a range of disparities that is a number.
+
+    Raises:
+        InputError: the recordings cannot be read.
+        SettingsError: the ends are given in px, and there is a rig.
+    """
+    output, rig = job.context.output, job.context.rig
+    if rig is not None and (output.near_px or output.far_px):
+        raise SettingsError("with a rig depth is in m: give --near-m and --far-m, not --near-px")
+    near, far = (output.near_px, output.far_px) if rig is None else (output.near_m, output.far_m)
+    if (near and far) or not any(OUTPUTS[name].shows_scale for name in job.save):
+        return job
+    if begun := begun_with(job.plan):
+        said = begun.values("output_settings")
+        return _settled(job, {name: said[name] for name in ENDS if name in said})
+    frames = job.frames
+    sample: Iterable[StereoFrame]
+    if job.source.rereadable:
+        sample = sample_of(job.plan, _STEP_FRAMES, _DECODED_FRAMES)
+    else:
+        rest = iter(frames)
+        sample = list(itertools.islice(rest, WINDOW_FRAMES))
+        frames = itertools.chain(sample, rest)
+    nearness_px = np.concatenate([np.empty(0, np.float32), *_nearness_px(sample, job)])
+    found = measured_ends(nearness_px, None if rig is None else rig.focal_baseline)
+    job = dataclasses.replace(job, frames=frames)
+    if found is None:
+        return job
+    # An end that was given stays as it is, and the other one keeps its distance.
+    if rig is None:
+        nearest, farthest = max(found[0], 2 * far), min(found[1], near / 2 or found[1])
+        return _settled(job, {"near_px": near or nearest, "far_px": far or farthest})
+    nearest, farthest = min(found[0], far / 2 or found[0]), max(found[1], 2 * near)
+    return _settled(job, {"near_m": near or nearest, "far_m": far or farthest})
+
+
+def _settled(job: Job, ends: dict[str, Any]) -> Job:
+    output = dataclasses.replace(job.context.output, **ends)
+    return dataclasses.replace(
+        job,
+        plan=dataclasses.replace(job.plan, output_settings=output),
+        context=dataclasses.replace(job.context, output=output),
+    )
+
+
+def _nearness_px(sample: Iterable[StereoFrame], job: Job) -> Iterator[Real]:
+    """Yield the known disparities of some frames, doffs added, (n,) float32 each."""
+    settings, rig = job.plan.settings, job.context.rig
+    right = left = None
+    begun = last = -1
+    for frame, following in itertools.pairwise(itertools.chain(_readable(sample), (None,))):
+        assert frame is not None
+        if frame.index != last + 1:  # another window
+            right = left = None
+            begun = frame.index
+        last = frame.index
+        right_view, left_view = checked_views(frame, right, None)
+        right, left = see(right, right_view, settings), see(left, left_view, settings)
+        ends = following is None or following.index != last + 1
+        if ends or (last - begun) % _STEP_FRAMES == _STEP_FRAMES - 1:
+            disparity_px = match(
+                right, left, settings, frame.disparity_px, with_confidence=False
+            ).disparity_px
+            disparity_px = disparity_px[::_STEP_PX, ::_STEP_PX]
+            nearness_px = disparity_px if rig is None else rig.nearness_px(disparity_px)
+            yield nearness_px[nearness_px >= 0]
+
+
+def _readable(sample: Iterable[StereoFrame]) -> Iterator[StereoFrame]:
+    """Yield the frames up to one that cannot be read: the run itself says what is wrong there."""
+    with contextlib.suppress(InputError):
+        yield from sample
