@@ -193,7 +193,7 @@ class TestDense:
         np.testing.assert_array_equal(found, semi_global(*given_, with_vectors=False))
 
     @needs_vectors
-    @settings(max_examples=25, deadline=None)
+    @settings(max_examples=10, deadline=None)
     @given(st.integers(0, 2**32), st.integers(15, 40))
     def test_tiles_of_sets_give_what_the_oracle_does(self, seed, reach):
         rows, width = 9, 40
