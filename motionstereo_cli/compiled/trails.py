@@ -4,6 +4,7 @@ import cython
 import numpy as np
 
 NAN = cython.declare(cython.float, np.nan)
+MOST_VOTES = cython.declare(cython.int, 65535)
 ONE = cython.declare(cython.float, 1)
 
 
@@ -40,7 +41,7 @@ class Workspace:
     next_left: cython.int[::1]
     best: cython.int[:, ::1]  # of the right trails of a row: support, pair
     column: cython.int[::1]  # which column of blocks each pixel of a row lies in
-    votes: cython.int[:, :, ::1]  # (rows of blocks, columns of blocks, disparities)
+    votes: cython.ushort[:, :, ::1]  # (rows of blocks, columns of blocks, disparities)
     down: cython.int[:, ::1]  # sums of three rows of blocks, with a border of nothing
     pooled: cython.int[:, ::1]  # sums of 3 x 3 blocks, with a border of two disparities
     near: cython.int[:, ::1]  # the same within +-1 px
@@ -65,7 +66,7 @@ class Workspace:
         self.best_left, self.next_left = np.empty((2, trails), np.int32)
         self.best = np.empty((width + 1, 2), np.int32)
         self.column = (np.arange(width) // block_columns).astype(np.int32)
-        self.votes = np.empty((rows, columns, max_disparity + 1), np.int32)
+        self.votes = np.empty((rows, columns, max_disparity + 1), np.uint16)
         self.down = np.zeros((columns + 2, max_disparity + 1), np.int32)
         self.pooled = np.zeros((columns, max_disparity + 5), np.int32)
         self.near = np.empty((columns, max_disparity + 1), np.int32)
@@ -191,6 +192,17 @@ def pair_trails(work: Workspace) -> cython.bint:
 @cython.cfunc
 @cython.nogil
 @cython.exceptval(check=False)
+def give(
+    work: Workspace, row: cython.Py_ssize_t, column: cython.int, disparity: cython.int
+) -> cython.void:
+    """Give a block's disparity one more vote, if it has not as many as a number can hold."""
+    if work.votes[row, column, disparity] < MOST_VOTES:
+        work.votes[row, column, disparity] += 1
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
 @cython.locals(row=cython.Py_ssize_t, i=cython.int, k=cython.int)
 def vote(work: Workspace) -> cython.void:
     """Count all pairs, each at both its ends."""
@@ -201,8 +213,8 @@ def vote(work: Workspace) -> cython.void:
             at_start: cython.int = work.column[work.start[0, i]]
             at_stop: cython.int = work.column[work.stop[0, i] - 1]
             for k in range(work.first_pair[i], work.first_pair[i + 1]):
-                work.votes[y, at_start, work.pairs[k, 1]] += 1
-                work.votes[y, at_stop, work.pairs[k, 2]] += 1
+                give(work, y, at_start, work.pairs[k, 1])
+                give(work, y, at_stop, work.pairs[k, 2])
 
 
 @cython.cfunc
@@ -216,8 +228,8 @@ def vote_again(work: Workspace) -> cython.void:
         y: cython.Py_ssize_t = row // work.block_rows
         for i in range(work.first[0, row], work.first[0, row + 1]):
             if work.ends[i, 0] >= 0:
-                work.votes[y, work.column[work.start[0, i]], work.ends[i, 0]] += 1
-                work.votes[y, work.column[work.stop[0, i] - 1], work.ends[i, 1]] += 1
+                give(work, y, work.column[work.start[0, i]], work.ends[i, 0])
+                give(work, y, work.column[work.stop[0, i] - 1], work.ends[i, 1])
 
 
 @cython.cfunc
@@ -226,7 +238,7 @@ def vote_again(work: Workspace) -> cython.void:
 @cython.locals(column=cython.Py_ssize_t, d=cython.Py_ssize_t, other=cython.Py_ssize_t)
 def pool(row: cython.Py_ssize_t, work: Workspace) -> cython.void:
     """Add up the votes of 3 x 3 blocks in a row of blocks."""
-    votes: cython.int[:, :, ::1] = work.votes
+    votes: cython.ushort[:, :, ::1] = work.votes
     down: cython.int[:, ::1] = work.down
     pooled: cython.int[:, ::1] = work.pooled
     above: cython.Py_ssize_t = max(row - 1, 0)
