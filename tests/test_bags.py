@@ -292,9 +292,8 @@ def test_clocks_of_topics_that_differ_are_brought_together(tmp_path, begin_s):
     with open_stereo(path) as source:
         frames = list(source)
         (warning,) = source.warnings
-        ahead_s = float(re.search(r"of a clock (\S+) s ahead", warning)[1])
+        ahead_s = float(re.search(r"--sync-shift (\S+);", warning)[1])
         assert ahead_s == pytest.approx(begin_s - 1_650_000_000, abs=0.01)
-        assert "--sync-shift" in warning
     assert len(frames) == 5
     np.testing.assert_array_equal(frames[0].left, greys()[1][0])
     np.testing.assert_array_equal(frames[4].right, greys()[5][1])

@@ -416,7 +416,7 @@ def test_what_is_advised_mends_the_run(corridor: Views, tmp_path: Path, capsys: 
     assert values == {
         "white": 4095,
         "rotate-left": 180,
-        "sync-offset": 2,
+        "sync-offset": "2",
         "max-disparity": 16,
     }
     assert "# disparities of" in Path(config).read_text()

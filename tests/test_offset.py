@@ -23,9 +23,9 @@ from motionstereo_cli.check.offset import with_offset
 from motionstereo_cli.check.sound import sound_shift_s
 from motionstereo_cli.errors import InputError, SettingsError
 from motionstereo_cli.sources import open_stereo
-from motionstereo_cli.sources.settings import AUTO_OFFSET, InputSettings
+from motionstereo_cli.sources.settings import MEASURED, InputSettings
 
-AUTO = InputSettings(sync_offset=AUTO_OFFSET)
+AUTO = InputSettings(sync_offset=MEASURED)
 
 
 def quiet(*_: str) -> None:
@@ -121,7 +121,7 @@ def test_the_offset_is_measured_before_the_run(tmp_path: Path, kind: str) -> Non
     found = with_offset(
         given[0],
         given[1] if len(given) > 1 else None,
-        InputSettings(sync_offset=AUTO_OFFSET, **layout),
+        InputSettings(sync_offset=MEASURED, **layout),
         lambda kind, text: said.append(f"{kind}: {text}"),
     )
     assert found == InputSettings(sync_offset=-31, **layout)
@@ -139,12 +139,56 @@ def test_the_commands_measure_it_and_check_writes_it(
     out = tmp_path / "out"
     assert main(["run", *given, *auto, "-o", str(out), "--save", "steering", "--no-check"]) == 0
     assert "note: --sync-offset 40: measured by the motion" in capsys.readouterr().err
-    assert json.loads((out / "run.json").read_text())["input_settings"]["sync_offset"] == 40
+    assert json.loads((out / "run.json").read_text())["input_settings"]["sync_offset"] == "40"
     main(["check", *given, *auto, "--write", str(tmp_path / "run.toml")])
-    assert tomllib.loads((tmp_path / "run.toml").read_text())["sync-offset"] == 40
+    assert tomllib.loads((tmp_path / "run.toml").read_text())["sync-offset"] == "40"
     # Without it, check finds the same by itself, far beyond what rows tell.
     main(["check", *given, "--write", str(tmp_path / "found.toml")])
     assert tomllib.loads((tmp_path / "found.toml").read_text())["sync-offset"] == 40
+
+
+@pytest.mark.parametrize("lag", [0, 1, -3, 12, -17])
+def test_of_short_recordings_the_rows_tell_it(tmp_path: Path, lag: int) -> None:
+    left = film(tmp_path / "l.mp4", LEFTS[100 + max(0, lag) :][:40])
+    right = film(tmp_path / "r.mp4", RIGHTS[100 + max(0, -lag) :][:40])
+    assert with_offset(left, right, AUTO, quiet).offset == lag
+
+
+def test_a_short_recording_whose_rows_tell_nothing_is_refused(tmp_path: Path) -> None:
+    # A view that moves across alone is another one of the same later, at another disparity.
+    wide = np.concatenate([WORLD[0], WORLD[200], WORLD[300]], axis=1)
+    moving = np.array([wide[:, 3 * n :][:, :160] for n in range(60)])
+    left, right = film(tmp_path / "l.mp4", moving[5:45]), film(tmp_path / "r.mp4", moving[:40])
+    with pytest.raises(InputError, match=r"does not tell .* give --sync-offset N"):
+        with_offset(left, right, AUTO, quiet)
+
+
+@pytest.mark.parametrize(
+    ("given", "pairs"),
+    [
+        *[({}, 6), ({"sync_offset": 0}, 8), ({"sync_offset": "2"}, 6)],
+        *[({"sync_shift": 0}, 6), ({"sync_shift": "0.2"}, 8)],
+    ],
+)
+def test_an_offset_or_a_shift_of_0_counts(
+    tmp_path: Path, given: dict[str, Any], pairs: int
+) -> None:
+    sides = tmp_path / "left", tmp_path / "right"
+    for begin, path in zip((0, 2), sides, strict=True):
+        path.mkdir()
+        for n, image in enumerate(LEFTS[:8]):
+            cv2.imwrite(str(path / f"{1_700_000_000 + (n + begin) / 10:.6f}.png"), image)
+    with open_stereo(*sides, InputSettings(**given)) as source:
+        assert sum(1 for _ in source) == pairs
+
+
+@pytest.mark.parametrize("value", ["x", "1.5", "1e99", "-2000000000"])
+def test_an_offset_that_is_none_is_refused(value: str) -> None:
+    with pytest.raises(SettingsError, match="--sync-offset cannot be"):
+        InputSettings(sync_offset=value)
+    if value != "1.5":
+        with pytest.raises(SettingsError, match="--sync-shift cannot be"):
+            InputSettings(sync_shift=value.replace("2000000000", "20000000000"))
 
 
 def test_what_cannot_be_measured_is_said(tmp_path: Path) -> None:
@@ -163,7 +207,7 @@ def test_a_recording_that_loses_images_is_said_to_drift(tmp_path: Path) -> None:
     right = film(tmp_path / "r.mp4", np.roll(moving, -7, axis=2)[kept])
     said: list[str] = []
     found = with_offset(left, right, AUTO, lambda kind, text: said.append(f"{kind}: {text}"))
-    assert found.sync_offset == 5
+    assert found.offset == 5
     assert "warning: the recordings drift apart: at their end -3 images more" in said[1]
 
 
@@ -203,8 +247,8 @@ def test_sound_tells_the_shift(tmp_path: Path, shift_s: float) -> None:
     assert found == pytest.approx(shift_s, abs=2e-3)
     said: list[str] = []
     measured = with_offset(left, right, AUTO, lambda kind, text: said.append(text))
-    assert measured.sync_shift == pytest.approx(shift_s, abs=2e-3)
-    assert measured.sync_offset == 0
+    assert float(measured.shift_s or 0) == pytest.approx(shift_s, abs=2e-3)
+    assert measured.offset is None
     assert "measured by the sound in both recordings" in said[0]
 
 

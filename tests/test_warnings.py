@@ -98,7 +98,7 @@ def test_each_warning_is_said_recorded_and_on_the_page(clips, tmp_path, capsys, 
     assert page.count("<li>") >= len(said)
 
 
-def unsure_offset(left, right, settings, say):
+def unsure_offset(left, right, settings, say, prepare):
     say("note", "it is measured")
     say("warning", "other offsets explain it nearly as well")
     return settings.__class__()

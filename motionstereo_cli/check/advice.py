@@ -53,7 +53,7 @@ def advised(
         half_period_s = round(float(1 / (2 * frame_rate)), 6)
         found.append(Advice("sync_tolerance", half_period_s, why["drifting"]))
     elif "out-of-step" in why:
-        offset = given.sync_offset - report.step_frames
+        offset = (given.offset or 0) - report.step_frames
         found.append(Advice("sync_offset", offset, why["out-of-step"]))
     if "swapped" in why:
         found.append(Advice("swap", not given.swap, why["swapped"]))

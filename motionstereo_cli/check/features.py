@@ -96,6 +96,7 @@ class FrameWindow:
         self.right: list[Grey] = []
         self._moments = moments
         self._features: dict[tuple[str, int], Keypoints] = {}
+        self._moved: dict[int, tuple[Column, NDArray[np.bool_]]] = {}
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -116,7 +117,7 @@ class FrameWindow:
         if not mutual.size:
             return NO_MATCHES
         at_left, at_right = left.points[mutual[:, 0]], right.points[mutual[:, 1]]
-        down, followed = _followed(self.left, t_left, at_left)
+        down, followed = self._motion(t_left, mutual[:, 0])
         across, lower = (at_right - at_left).astype(np.float64).T
         matches = Matches(
             x=at_left[:, 0].astype(np.float64),
@@ -127,6 +128,20 @@ class FrameWindow:
             grey=_grey_at(self.left[t_left], at_left) - _grey_at(self.right[t_right], at_right),
         )
         return matches.where(followed & (np.abs(lower) < _ROW_REACH * self.shape[0]))
+
+    def _motion(self, t: int, chosen: NDArray[np.intp]) -> tuple[Column, NDArray[np.bool_]]:
+        """Return what :func:`_followed` does of some keypoints of the left view, each found once.
+
+        ``chosen`` are their indices, (n,).
+        """
+        points = self._seen("left", t).points
+        if t not in self._moved:
+            self._moved[t] = np.full(len(points), np.nan), np.zeros(len(points), np.bool_)
+        down, followed = self._moved[t]
+        new = chosen[np.isnan(down[chosen])]
+        if len(new):
+            down[new], followed[new] = _followed(self.left, t, points[new])
+        return down[chosen], followed[chosen]
 
     def _seen(self, side: str, t: int) -> Keypoints:
         if (side, t) not in self._features:

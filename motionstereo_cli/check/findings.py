@@ -67,6 +67,7 @@ class CheckReport:
         first_repeated_left, first_repeated_right: the frames of the first of these.
         ahead_frames: by how many frames the right view is ahead of the left one.
         step_frames: the same in whole frames, 0 where it is not certain.
+        step_certain: whether no other number of whole frames can be meant.
         drift: how that changes; None where it does not.
     """
 
@@ -96,6 +97,7 @@ class CheckReport:
     first_repeated_right: int | None = None
     ahead_frames: float | None = None
     step_frames: int = 0
+    step_certain: bool = False
     drift: Drift | None = None
 
     @property
@@ -216,7 +218,7 @@ _MISFIT = (
 
 def _perhaps_step(report: CheckReport) -> str:
     """Return what else may be wrong with the rows, where the step is not known."""
-    if report.ahead_frames is not None or not report.moving:
+    if report.step_certain or not report.moving:
         return ""
     return (
         "if both cameras were not started together, give --sync-offset auto, which measures it; "
@@ -345,11 +347,8 @@ RULES = (
             f"rows do not agree: objects are {r.misaligned_px:.1f} px higher or lower on the "
             f"right (90th percentile {r.misaligned_p90_px:.1f}; shifted by {r.shifted_px:+.1f} px, "
             f"turned by {r.turned_deg:+.2f} degrees): "
-            + (
-                _perhaps_step(r) + _MISFIT
-                if r.calibrated
-                else "rectify, by giving the calibration to --rig"
-            )
+            + _perhaps_step(r)
+            + (_MISFIT if r.calibrated else "rectify, by giving the calibration to --rig")
         ),
         ("misaligned_px", "misaligned_p90_px", "shifted_px", "turned_deg"),
     ),
@@ -380,6 +379,7 @@ RULES = (
         lambda r: (
             f"{r.negative:.0%} of the matches have disparities below 0 (down to "
             f"{r.disparity_low_px:.0f} px), which are not looked for: "
+            + _perhaps_step(r)
             + (
                 _MISFIT
                 if r.calibrated

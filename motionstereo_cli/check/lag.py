@@ -22,8 +22,9 @@ if TYPE_CHECKING:
     #: How much each band of rows changes up to an image, (bands,) float32 grey levels.
     Profile = NDArray[np.float32]
 
-#: Images are looked at in this size, and rows in as many bands.
-_WIDTH, _HEIGHT = 80, 60
+#: Images are looked at in this size, in which fine texture still tells neighbouring lags apart,
+#: and rows in as many bands.
+_WIDTH, _HEIGHT = 160, 120
 BANDS = 30
 
 #: Bands by which rows may be off: an eighth of the height.
@@ -38,6 +39,9 @@ _MIN_OVERLAP = 24
 #: Lags next to the best agree nearly as well; others must do so clearly worse, and the best well.
 _NEXT = 2
 _CLEARLY, _WELL = 1.25, 0.55
+
+#: Lags that are tried one after the other are so many images apart: a step is told up to that.
+_APART = 4
 
 #: Where quick changes agree by more than this, and by half of it at no other lag, they tell the
 #: place; and next to it they count by this share.
@@ -86,24 +90,39 @@ def lag_of(
 ) -> Lag | None:
     """Return the lag at which two recordings agree best, None where too little tells it.
 
+    Arguments as those of :func:`lags_of`.
+    """
+    return next(iter(lags_of(left, right, reach, min_overlap)), None)
+
+
+def lags_of(
+    left: NDArray[np.float32],
+    right: NDArray[np.float32],
+    reach: int,
+    min_overlap: int = _MIN_OVERLAP,
+    most: int = 1,
+) -> list[Lag]:
+    """Return the lags at which two recordings agree best, none where too little tells them.
+
     Rows may be off by a few bands, the same all over the image: the best such shift counts.
 
     Args:
         left, right: (n, bands) and (m, bands) profiles.
         reach: largest lag either way.
         min_overlap: images that have to overlap.
+        most: how many lags, well apart, to return; only the first can be certain.
     """
     n, m = len(left), len(right)
     if (
         min(n, m) < min_overlap
         or min(float(side.std(axis=0).max(initial=0)) for side in (left, right)) < _LEAST_GREY
     ):
-        return None
+        return []
     lags = np.arange(-reach, reach + 1)
     begin, end = np.maximum(0, -lags), np.minimum(n, m - lags)  # of the overlap, on the left
     lags, begin, end = (each[end - begin >= min_overlap] for each in (lags, begin, end))
     if not len(lags):
-        return None
+        return []
     slow = _agreements(left, right, begin, end, lags)
     quick = _agreements(np.diff(left, axis=0), np.diff(right, axis=0), begin, end - 1, lags)
     places = [_peak(lags, each) for each in (quick, slow)]
@@ -112,9 +131,14 @@ def lag_of(
     if not certain:
         best, peak, rival = places[1]
         certain = peak > _WELL and 1 - rival > _CLEARLY * (1 - peak)
+    both = slow + _QUICK_SHARE * quick
     near = np.abs(lags - best) <= _NEXT
-    exact = int(lags[near][(slow + _QUICK_SHARE * quick)[near].argmax()])
-    return Lag(exact, float(slow[lags == exact][0]), certain)
+    found: list[Lag] = []
+    while near.any() and len(found) < most:
+        exact = int(lags[near][both[near].argmax()])
+        found.append(Lag(exact, float(slow[lags == exact][0]), certain and not found))
+        near = np.all([np.abs(lags - each.images) > _APART for each in found], axis=0)
+    return found
 
 
 def _peak(lags: NDArray[np.intp], agreement: NDArray[np.float64]) -> tuple[int, float, float]:

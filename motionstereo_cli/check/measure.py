@@ -36,6 +36,7 @@ if TYPE_CHECKING:
 #: Frames in a window, those of them in which features are matched, and windows in a recording.
 WINDOW_FRAMES = 16
 MAX_WINDOWS = 5
+_STEP_WINDOWS = 3
 _MOMENTS = (3, 5, 7, 9, 11)
 _FEW_MOMENTS = (4, 8, 12)
 
@@ -127,6 +128,19 @@ def advised_range(sample: Iterable[StereoFrame]) -> CheckReport:
     return checker.report(MAX_DISPARITY, None)
 
 
+def step_of(frames: Iterable[StereoFrame], expected_frames: int | None) -> PairingStep | None:
+    """Return how far the views are out of step, up to a few frames; None where rows do not tell it.
+
+    Args:
+        frames: stereo frames of one size.
+        expected_frames: how many there are, None if unknown.
+    """
+    checker = _Checker(starts(expected_frames, _STEP_WINDOWS), _MOMENTS, quick=True)
+    for frame in frames:
+        checker.see(frame)
+    return checker.step()
+
+
 def _new_watch() -> _Checker:
     return _Checker([0], _FEW_MOMENTS, quick=True)
 
@@ -141,15 +155,15 @@ def _opening(checker: _Checker, max_disparity: int, rig: Rig | None) -> list[Fin
     return [finding for finding in found if finding.name != "few-matches"]
 
 
-def starts(expected_frames: int | None) -> Sequence[int]:
-    """Return the frames at which windows begin.
+def starts(expected_frames: int | None, most: int = MAX_WINDOWS) -> Sequence[int]:
+    """Return the frames at which windows begin, at most so many.
 
     They are evenly spread, or ever farther apart where no end is known.
     """
     if expected_frames is None:
-        return [0, *(100 * 4**i for i in range(MAX_WINDOWS - 1))]
+        return [0, *(100 * 4**i for i in range(most - 1))]
     room = max(expected_frames - WINDOW_FRAMES, 0)
-    count = max(1, min(MAX_WINDOWS, expected_frames // WINDOW_FRAMES))
+    count = max(1, min(most, expected_frames // WINDOW_FRAMES))
     return [room * i // max(count - 1, 1) for i in range(count)]
 
 
@@ -220,6 +234,7 @@ class _Checker:
             report,
             ahead_frames=None if step is None else step.frames,
             step_frames=0 if step is None else step.whole,
+            step_certain=step is not None and step.is_certain,
             drift=drift,
             matches=len(seen),
             mounted=self._mounted(),
@@ -227,6 +242,12 @@ class _Checker:
             **_alignment(rows, seen, self._windows[0].shape, self._scale),
             **_disparities(agreed, self._scale, max_disparity, rig.doffs if rig else 0.0),
         )
+
+    def step(self) -> PairingStep | None:
+        """Return how far the views are out of step by their rows; None where these do not tell."""
+        if not self._windows:
+            return None
+        return step_or_drift(self._windows, [window.matches(0) for window in self._windows])[0]
 
     def _step_by_motion(self) -> PairingStep | None:
         """Return the step at which the motion of whole rows agrees, where that is certain."""

@@ -2,26 +2,28 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from motionstereo_cli.check.lag import BANDS, lag_of, profile, profiles, small
+from motionstereo_cli.check.lag import BANDS, lag_of, lags_of, profile, profiles, small
+from motionstereo_cli.check.measure import step_of
 from motionstereo_cli.check.sound import LISTENED_S, sound_shift_s
 from motionstereo_cli.errors import InputError, SettingsError
 from motionstereo_cli.sources import StereoSource, open_stereo
-from motionstereo_cli.sources.settings import AUTO_OFFSET, InputSettings
+from motionstereo_cli.sources.settings import InputSettings
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from motionstereo_cli.check.lag import Lag
 
 Say = Callable[[str, str], object]
+Prepare = Callable[[StereoSource], object]
 
 #: Images of each side that are looked at: a few, and more where these do not tell.
 _STAGES = (360, 2400)
@@ -32,8 +34,11 @@ _END_FRAMES, _END_REACH = 240, 60
 #: Overlap that a lag needs: at least so many images, and one of this many parts of all.
 _MIN_OVERLAP, _LEAST_PART = 24, 4
 
-#: A lag that is not certain is taken where the views agree by more than this.
-_LIKELY = 0.6
+#: Lags by motion that are looked at closely, and how often one is followed to the next.
+_CANDIDATES, _ROUNDS = 3, 3
+
+#: Where rows do not tell, motion is believed to the image where this many images overlap.
+_ALONE = 120
 
 #: Drift over a recording that is worth a word, in s.
 _DRIFT_S = 0.01
@@ -47,32 +52,51 @@ class _Sighted(NamedTuple):
 
 
 def with_offset(
-    left: str | Path, right: str | Path | None, settings: InputSettings, say: Say
+    left: str | Path,
+    right: str | Path | None,
+    settings: InputSettings,
+    say: Say,
+    prepare: Prepare = lambda _: None,
 ) -> InputSettings:
     """Return the settings with what was measured in the place of ``--sync-offset auto``.
 
     By the sound in both files, where they have it, ``sync_shift`` in s; otherwise by motion,
-    ``sync_offset`` in images.
+    ``sync_offset`` in images: how much whole rows change tells it to a few images, and the rows of
+    features that move up or down tell it exactly.
 
     Args:
-        left, right: the recordings; they are read twice.
+        left, right: the recordings; they are read several times.
         settings: how to read them.
         say: called with a kind, ``note`` or ``warning``, and a line.
+        prepare: called with each source that is opened, to have it rectify its images.
 
     Raises:
         InputError: neither tells it.
         SettingsError: the recordings can be read only once.
     """
-    if settings.sync_offset != AUTO_OFFSET:
+    if not settings.measures_offset:
         return settings
-    unsettled = dataclasses.replace(settings, sync_offset=0)
-    return _by_sound(left, right, unsettled, say) or _by_motion(left, right, unsettled, say)
+    recordings = _Recordings(left, right, prepare)
+    unsettled = dataclasses.replace(settings, sync_offset="")
+    return _by_sound(recordings, unsettled, say) or _by_motion(recordings, unsettled, say)
 
 
-def _by_sound(
-    left: str | Path, right: str | Path | None, settings: InputSettings, say: Say
-) -> InputSettings | None:
-    with open_stereo(left, right, settings) as source:
+class _Recordings(NamedTuple):
+    """What is measured, and what is called with each source of it that is opened."""
+
+    left: str | Path
+    right: str | Path | None
+    prepare: Prepare
+
+    @contextlib.contextmanager
+    def opened(self, settings: InputSettings) -> Iterator[StereoSource]:
+        with open_stereo(self.left, self.right, settings) as source:
+            self.prepare(source)
+            yield source
+
+
+def _by_sound(recordings: _Recordings, settings: InputSettings, say: Say) -> InputSettings | None:
+    with open_stereo(recordings.left, recordings.right, settings) as source:
         if not source.rereadable:
             raise SettingsError("--sync-offset auto reads the recordings twice: give files")
         files, length_s = source.first_files, source.length_s
@@ -93,40 +117,65 @@ def _by_sound(
                 f"the clocks drift apart: by {1000 * (again_s - shift_s):+.0f} ms in "
                 f"{late_s:.0f} s: give parts with --start and --end, each with its own offset",
             )
-    return dataclasses.replace(settings, sync_shift=shift_s)
+    return dataclasses.replace(settings, sync_shift=f"{shift_s:g}")
 
 
-def _by_motion(
-    left: str | Path, right: str | Path | None, settings: InputSettings, say: Say
-) -> InputSettings:
-    found: Lag | None = None
+def _by_motion(recordings: _Recordings, settings: InputSettings, say: Say) -> InputSettings:
+    likeliest = ""
     for most in _STAGES:
         sides = []
         for view in (0, 1):  # opened for each: one recording may hold both
-            with open_stereo(left, right, settings) as source:
+            with recordings.opened(settings) as source:
                 sides.append(_seen(source, view, most))
         lengths = [len(side.profiles) for side in sides]
-        found = lag_of(
-            *(sides[0].profiles, sides[1].profiles),
-            max(lengths),
-            max(_MIN_OVERLAP, min(lengths) // _LEAST_PART),
+        overlap = max(_MIN_OVERLAP, min(lengths) // _LEAST_PART)
+        found = lags_of(
+            sides[0].profiles, sides[1].profiles, max(lengths), overlap, most=_CANDIDATES
         )
-        if (found and found.is_certain) or max(lengths) < most - 1:
+        for lag in found:
+            settled = _settled(recordings, _with(settings, _in_numbers(lag.images, *sides)))
+            if settled is not None:
+                return _said(recordings, settled, min(lengths) + 1, say)
+        if found:
+            likely = _with(settings, _in_numbers(found[0].images, *sides))
+            common = min(lengths[0], lengths[1] - found[0].images) - max(0, -found[0].images)
+            if found[0].is_certain and common >= _ALONE:
+                return _said(recordings, likely, min(lengths) + 1, say)
+            likeliest = f" ({likely.sync_offset} seems likeliest, but is not certain)"
+        if max(lengths) < most - 1:
             break
-    if found is None or not (found.is_certain or found.agreement > _LIKELY):
-        raise InputError(
-            "--sync-offset auto: the motion in both recordings does not tell how far they are "
-            "apart: give --sync-offset N, or recordings in which something moves"
-        )
-    offset = _in_numbers(found.images, *sides)
-    say(
-        "note" if found.is_certain else "warning",
-        f"--sync-offset {offset}: measured by the motion in {min(lengths) + 1} images"
-        + ("" if found.is_certain else ", which other offsets explain nearly as well: check it"),
+    raise InputError(
+        "--sync-offset auto: the motion in both recordings does not tell how far they are apart: "
+        f"give --sync-offset N{likeliest}, or longer recordings, in which something moves up or "
+        "down, nearer or farther"
     )
-    settled = dataclasses.replace(settings, sync_offset=offset)
-    _say_drift(left, right, settled, say)
-    return settled
+
+
+def _with(settings: InputSettings, offset: int) -> InputSettings:
+    return dataclasses.replace(settings, sync_offset=str(offset))
+
+
+def _settled(recordings: _Recordings, settings: InputSettings) -> InputSettings | None:
+    """Return settings at which the rows of both views agree, from nearly such; None if unknown."""
+    for _ in range(_ROUNDS):
+        with recordings.opened(settings) as source:
+            expected = min(source.expected_frames or _STAGES[0], _STAGES[0])
+            step = step_of(itertools.islice(source, expected), expected)
+        if step is None:
+            return None
+        if not step.whole:
+            return settings if step.is_certain else None
+        settings = _with(settings, (settings.offset or 0) - step.whole)
+    return None
+
+
+def _said(recordings: _Recordings, settings: InputSettings, images: int, say: Say) -> InputSettings:
+    say(
+        "note",
+        f"--sync-offset {settings.sync_offset}: measured by the motion in {images} images",
+    )
+    _say_drift(recordings, settings, say)
+    return settings
 
 
 def _seen(source: StereoSource, view: int, most: int) -> _Sighted:
@@ -149,11 +198,9 @@ def _in_numbers(lag: int, left: _Sighted, right: _Sighted) -> int:
     return int(np.median(apart))
 
 
-def _say_drift(
-    left: str | Path, right: str | Path | None, settings: InputSettings, say: Say
-) -> None:
+def _say_drift(recordings: _Recordings, settings: InputSettings, say: Say) -> None:
     """Warn where the step at the end of long recordings is another one."""
-    with open_stereo(left, right, settings) as source:
+    with recordings.opened(settings) as source:
         begin = (source.expected_frames or 0) - _END_FRAMES
         if begin < _END_FRAMES or not source.begin_at(begin):
             return

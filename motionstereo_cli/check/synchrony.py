@@ -42,6 +42,9 @@ _MIN_REST = 0.3
 _CERTAIN_SIGMAS = 5.0
 
 
+_CERTAIN_FRAMES = 0.14  # standard error of a step beside which none of the next ones is likely
+
+
 # Where a step leads, rows agree by this factor better than without; more so for one of many tried.
 _BETTER_ROWS, _MUCH_BETTER_ROWS = 0.85, 0.5
 
@@ -134,10 +137,22 @@ def _roughly(lower: Column, down: Column) -> float:
 
 
 class PairingStep(NamedTuple):
-    """By how many frames the right view is ahead: as a whole number, and measured."""
+    """By how many frames the right view is ahead.
+
+    Attributes:
+        whole: as a whole number.
+        frames: as it was measured.
+        sigma: standard error of that.
+    """
 
     whole: int
     frames: float
+    sigma: float = math.inf
+
+    @property
+    def is_certain(self) -> bool:
+        """Whether no other whole number can be meant."""
+        return abs(self.frames - self.whole) < _MIN_REST and self.sigma < _CERTAIN_FRAMES
 
 
 def _walk(windows: Sequence[FrameWindow], matches: Matches) -> PairingStep | None:
@@ -182,8 +197,10 @@ def _walk(windows: Sequence[FrameWindow], matches: Matches) -> PairingStep | Non
         and abs(best + tried[best].step) > _CERTAIN_SIGMAS * tried[best].sigma
     )
     if best and certain:
-        return PairingStep(best, best + tried[best].step)
-    return PairingStep(0, tried[0].step) if abs(tried[0].step) < _MIN_REST else None
+        return PairingStep(best, best + tried[best].step, tried[best].sigma)
+    if abs(tried[0].step) < _MIN_REST:
+        return PairingStep(0, tried[0].step, tried[0].sigma)
+    return None
 
 
 def step_or_drift(

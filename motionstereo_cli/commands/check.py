@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -72,7 +73,8 @@ def check(
     from motionstereo_cli.sources import open_stereo
     from motionstereo_cli.sources.settings import adapted_rig
 
-    input_settings = with_offset(left, right, input_settings, say)
+    prepare = partial(rectify_source, paths=rig, settings=rig_settings)
+    input_settings = with_offset(left, right, input_settings, say, prepare)
     with (
         open_stereo(left, right, input_settings) as source,
         tqdm(total=source.expected_frames, unit="frame", disable=None) as bar,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -44,7 +45,8 @@ def info(
     from motionstereo_cli.sources.opening import LoneRecordingError
 
     try:
-        input_settings = with_offset(left, right, input_settings, say)
+        prepare = partial(rectify_source, paths=rig, settings=rig_settings)
+        input_settings = with_offset(left, right, input_settings, say, prepare)
         with open_stereo(left, right, input_settings) as source:
             source.count()
             facts = _facts(source)

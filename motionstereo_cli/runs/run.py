@@ -107,7 +107,8 @@ def run(plan: RunPlan, watcher: Watcher | None = None, stdout: BinaryIO | None =
     check_memory()
     warned = Warned(watcher.say)
     say = partial(warned.say, "sync-offset")
-    measured = with_offset(plan.left, plan.right, plan.input_settings, say)
+    prepare = partial(rectify_source, paths=plan.rig, settings=plan.rig_settings)
+    measured = with_offset(plan.left, plan.right, plan.input_settings, say, prepare)
     plan = dataclasses.replace(plan, input_settings=measured)
     with open_stereo(plan.left, plan.right, plan.input_settings) as source:
         job = job_of(plan, source, warned)

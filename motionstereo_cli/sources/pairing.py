@@ -11,7 +11,6 @@ import numpy as np
 
 from motionstereo_cli.errors import SettingsError
 from motionstereo_cli.sources.names import joint_marks, natural_key
-from motionstereo_cli.sources.settings import AUTO_OFFSET
 
 if TYPE_CHECKING:
     from motionstereo_cli.sources.recording import Recording
@@ -64,33 +63,38 @@ def pairing(left: Recording, right: Recording, settings: InputSettings) -> Pairi
     Raises:
         SettingsError: the settings need times that a recording does not have.
     """
-    if settings.sync_offset == AUTO_OFFSET:
+    if settings.measures_offset:
         raise SettingsError("--sync-offset auto is to be measured first: give the number")
-    how = _by_time(left, right, settings) if not settings.sync_offset else None
-    return how or _by_names(left, right, settings.sync_offset)
+    how = _by_time(left, right, settings) if settings.offset is None else None
+    return how or _by_names(left, right, settings.offset)
 
 
 def _by_time(left: Recording, right: Recording, settings: InputSettings) -> Pairing | None:
     """Return the pairing by times, requested by the settings or given by cameras or containers."""
     tolerance = Fraction(str(settings.sync_tolerance))
-    shift = Fraction(str(settings.sync_shift))
-    for flag, given in (("--sync-tolerance", tolerance), ("--sync-shift", shift)):
+    for flag, given in (
+        ("--sync-tolerance", settings.sync_tolerance),
+        ("--sync-shift", settings.sync_shift),
+    ):
         if given:
             need_time(flag, left)
             need_time(flag, right)
     half_period = _half_period(left, right)
     stamped = left.stamped and right.stamped
-    reach = tolerance or (half_period if stamped or shift else None)
-    if reach and stamped and not shift and (ahead_s := _clocks_apart_s(left, right)):
+    shift_s = settings.shift_s
+    reach = tolerance or (half_period if stamped or shift_s is not None else None)
+    if reach and stamped and shift_s is None and (ahead_s := _clocks_apart_s(left, right)):
         said = (
-            f"the time stamps of {right.name} are of a clock {float(ahead_s):+.6f} s ahead of that "
-            f"of {left.name}, by the times at which both were recorded: images are paired with "
-            "that --sync-shift; give it yourself if you know it better"
+            f"the clock of {right.name} is {abs(float(ahead_s)):.3f} s "
+            f"{'ahead of' if ahead_s > 0 else 'behind'} that of {left.name}, by the times at which "
+            f"both were recorded: images are paired by that, as with --sync-shift "
+            f"{float(ahead_s):.6f}; give another one if you know it better"
         )
         return Pairing(
             lambda one, other: _time_lead(one, other) - ahead_s, reach, True, warning=said
         )
     if reach:
+        shift = shift_s or Fraction(0)
         apart = _apart(left, right, shift, reach) if stamped and not tolerance else ""
         return Pairing(
             lambda one, other: _time_lead(one, other) - shift, reach, True, warning=apart
@@ -109,16 +113,17 @@ def _clocks_apart_s(left: Recording, right: Recording) -> Fraction | None:
     return ahead_s if abs(ahead_s) >= _CLOCKS_APART_S else None
 
 
-def _by_names(left: Recording, right: Recording, offset: int) -> Pairing:
-    """Return the pairing by numbers in names, by names, or by positions."""
+def _by_names(left: Recording, right: Recording, given: int | None) -> Pairing:
+    """Return the pairing by numbers in names, by names, or by positions; an offset is of numbers."""
+    offset = given or 0
     if left.numbered and right.numbered:
         return Pairing(
             lambda one, other: Fraction(other.pts - offset - one.pts),
             warning=_strangers(left, right, offset),
         )
-    if not offset and _share_names(left.names, right.names):
+    if given is None and _share_names(left.names, right.names):
         return Pairing(_NameLead(left.names, right.names))
-    if not offset and (marks := joint_marks(left.names, right.names)):
+    if given is None and (marks := joint_marks(left.names, right.names)):
         return _by_marks(*marks)
     return Pairing(lambda one, other: Fraction(other.number - offset - one.number))
 

@@ -17,15 +17,13 @@ from motionstereo_cli.types import Rig
 #: A place in the stream: an int is the number of a frame, a Fraction a time in s.
 Place = int | Fraction
 
-#: The offset that stands for ``auto``.
-AUTO_OFFSET = -1_000_000_000
-
 #: One image in a quarter of an hour, in frames per second.
 _MIN_RATE = 0.001
 
-#: What stands for a disparity offset that is measured, and the largest.
+#: What stands for an offset that is measured; the largest of disparity, and of time.
 MEASURED = "auto"
 _MAX_OFFSET_PX = 100
+_MAX_IMAGES, _MAX_SHIFT_S = 10**9, 10**10
 
 _TIME = re.compile(r"(?:(?:(\d+):)?(\d+):)?(\d+(?:\.\d*)?)(s?)", re.ASCII)
 
@@ -90,14 +88,12 @@ class InputSettings:
         False, "Exchange left and right in the left view, before it is turned."
     )
     mirror_right: bool = param(False, "Exchange left and right in the right view likewise.")
-    sync_offset: int = param(
-        0,
+    sync_offset: str = param(
+        "",
         "Pair left image n with right image n + N. N > 0 if the right recording began N images "
-        "earlier. auto: measured by the sound in both, or else by motion.",
+        "earlier. auto: measured by the sound in both, or else by motion (none given: as the "
+        "recordings' times, names and numbers say).",
         unit="images",
-        low=AUTO_OFFSET,
-        high=1_000_000_000,
-        words={"auto": AUTO_OFFSET},
     )
     sync_tolerance: float = param(
         0.0,
@@ -107,13 +103,11 @@ class InputSettings:
         low=0,
         high=3600,
     )
-    sync_shift: float = param(
-        0.0,
+    sync_shift: str = param(
+        "",
         "How much later the clock of the right recording is than that of the left one. Images are "
-        "then paired by time.",
+        "then paired by time (0: both have one clock).",
         unit="s",
-        low=-1e10,
-        high=1e10,
     )
     frame_rate: float = param(
         0.0,
@@ -195,7 +189,7 @@ class InputSettings:
 
     def __post_init__(self) -> None:
         checked(self)
-        _ = self.crop_box, self.rate, self.tracks, self.disparity_offset_px
+        _ = self.crop_box, self.rate, self.tracks, self.disparity_offset_px, self.shift_s
         first, stop = self.first, self.stop
         comparable = type(stop) is type(first) or not self.start
         if stop is not None and comparable and stop <= first:
@@ -206,11 +200,12 @@ class InputSettings:
         ):
             if degrees % 90:
                 raise SettingsError(f"{flag} cannot be {degrees}: give 90, 180 or 270 degrees")
+        by_number = self.offset is not None or self.measures_offset
         for flag, given in (
             ("--sync-tolerance", self.sync_tolerance),
             ("--sync-shift", self.sync_shift),
         ):
-            if self.sync_offset and given:
+            if by_number and given:
                 raise SettingsError(
                     f"--sync-offset pairs by number and {flag} by time: give one of them"
                 )
@@ -228,6 +223,36 @@ class InputSettings:
             f"--disparity-offset cannot be {self.disparity_offset!r}: give {MEASURED}, or "
             f"-{_MAX_OFFSET_PX} to {_MAX_OFFSET_PX} px"
         )
+
+    @property
+    def measures_offset(self) -> bool:
+        """Whether the offset between the recordings is to be measured."""
+        return self.sync_offset == MEASURED
+
+    @property
+    def offset(self) -> int | None:
+        """What is added to a left image's number; None where none is given, or not yet known."""
+        if not self.sync_offset or self.measures_offset:
+            return None
+        with contextlib.suppress(ValueError):
+            offset = int(self.sync_offset)
+            if abs(offset) <= _MAX_IMAGES:
+                return offset
+        raise SettingsError(
+            f"--sync-offset cannot be {self.sync_offset!r}: give {MEASURED}, or a whole number of "
+            "images"
+        )
+
+    @property
+    def shift_s(self) -> Fraction | None:
+        """By how much the right clock is later, None where that is not given."""
+        if not self.sync_shift:
+            return None
+        with contextlib.suppress(ValueError):
+            shift_s = float(self.sync_shift)
+            if abs(shift_s) <= _MAX_SHIFT_S:
+                return Fraction(str(shift_s))
+        raise SettingsError(f"--sync-shift cannot be {self.sync_shift!r}: give a number of s")
 
     @property
     def rate(self) -> Fraction | None:

@@ -229,7 +229,7 @@ class StereoSource:
         right, s = self._sides[1].stream, self.settings
         first = place_near(s.first, right.frame_rate)
         if not (self._pairing.by_time or right.numbered):
-            first += max(s.sync_offset, 0)
+            first += max(s.offset or 0, 0)
         expected = self.expected_frames
         return first, first + (expected - 1) * s.every if expected else None
 
@@ -279,7 +279,7 @@ class StereoSource:
         """Losses so far, one line each; complete after the iteration."""
         shown = self._sides[: len(self._streams)]
         lines = [line for side in shown for line in side.loss.damage]
-        offset = 0 if self._pairing.by_time else self.settings.sync_offset
+        offset = 0 if self._pairing.by_time else self.settings.offset or 0
         left, right = self._sides
         # Images without partners because of an offset, or of a later start, are not damage.
         for side, over_first, over_last in ((left, -offset, offset), (right, offset, -offset)):
@@ -516,9 +516,10 @@ class StereoSource:
     def _expected(self) -> int | None:
         left, right = (side.stream for side in self._sides)
         s, rate = self.settings, right.frame_rate
+        offset = s.offset or 0
         ends = [
             stream.expected_images - max(over, 0)
-            for stream, over in ((left, -s.sync_offset), (right, s.sync_offset))
+            for stream, over in ((left, -offset), (right, offset))
             if stream.expected_images is not None
         ]
         if s.stop is not None:
