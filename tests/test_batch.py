@@ -17,7 +17,7 @@ from recordings import encode, remux
 from bench.preloads import killer_of
 from motionstereo_cli.__main__ import main
 from motionstereo_cli.batch.manifest import matched, plans, read_manifest
-from motionstereo_cli.batch.own_folder import read_status, write_status
+from motionstereo_cli.batch.own_folder import log_path, read_status, status_path, write_status
 from motionstereo_cli.batch.pieces import behind_damage, join_pieces, pieces_of, run_piece
 from motionstereo_cli.batch.status import COLUMNS, Status, format_statuses
 from motionstereo_cli.batch.task import work
@@ -162,7 +162,7 @@ def test_a_status_is_read_as_it_was_written_and_a_broken_one_is_waiting(tmp_path
     rows = list(csv.DictReader(format_statuses([status]).decode().splitlines()))
     assert list(rows[0]) == list(COLUMNS)
     assert rows[0]["reason"] == status.reason
-    (tmp_path / ".batch/status/day/a.json").write_text("{")
+    status_path(tmp_path, "day/a").write_text("{")
     assert read_status(tmp_path, "day/a").status == "waiting"
 
 
@@ -201,7 +201,7 @@ def test_good_recordings_are_done_as_run_does_them_and_bad_ones_named(archive, t
     for file in alone.rglob("*"):
         if file.is_file() and file.name != "run.json":
             assert file.read_bytes() == (out / "day/a" / file.relative_to(alone)).read_bytes()
-    assert "failed" in (out / ".batch/logs/day/bad.log").read_text()
+    assert "failed" in log_path(out, "day/bad").read_text()
 
     # The same again does nothing; what failed is only tried again where that is asked for.
     before = {path: path.stat().st_mtime_ns for path in (out / ".batch/status").rglob("*.json")}
@@ -309,7 +309,7 @@ def test_a_piece_says_what_became_of_it_only_if_it_failed(long_clip, tmp_path):
     plan = plan_of([*options_of(long_clip), "--save", "steering", "-o", str(tmp_path / "a")])
     task = {
         **{"plan": plan.as_json(), "out": str(tmp_path), "name": "a", "hash": "h", "seek": True},
-        **{"stop": str(tmp_path / ".stop"), "piece": (0, 10), "pieces": None},
+        **{"piece": (0, 10), "pieces": None},
     }
     work(task)
     assert read_status(tmp_path, "a").status == "waiting"

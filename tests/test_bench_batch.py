@@ -24,6 +24,6 @@ def test_folders_are_the_same_but_for_the_record(tmp_path):
 def test_joining_is_timed(tmp_path):
     settings = SimulateSettings(width=64, height=48, frames="250:256")
     clip = rendered(tmp_path / "clip", settings)
-    size = Size(0, 0, 0, 0, 0, (), clip.count)
+    size = Size(0, 0, 0, 0, 0, (), clip.count, 0, 0)
     ((_, found, _),) = joining(clip, size, tmp_path)
     assert re.fullmatch(r"[\d.]+ ms, [\d.]+ ms in a piece: the limit at \d+ workers", found)

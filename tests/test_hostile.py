@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 import motionstereo_cli.runs.run as run_module
 from motionstereo_cli.__main__ import main
+from motionstereo_cli.batch.own_folder import log_path
 from motionstereo_cli.errors import BusyError, OutputError, SettingsError
 from motionstereo_cli.files import bounded, targets
 from motionstereo_cli.files.atomic import is_left_over, write_whole
@@ -301,10 +302,11 @@ def test_a_batch_writes_to_no_manifest_and_through_no_link(batch, recording, cap
     assert main(batch) == 1
     assert "o/a is a link to elsewhere" in capsys.readouterr().err
     Path("o/a").unlink()
-    Path("o/.batch/logs/a.log").unlink()
-    os.mkfifo("o/.batch/logs/a.log")
+    log = log_path(Path("o"), "a")
+    log.unlink()
+    os.mkfifo(log)
     assert main([*batch, "--retry-failed"]) == 1
-    assert "o/.batch/logs/a.log" in capsys.readouterr().err
+    assert str(log) in capsys.readouterr().err
     assert not list(Path("else").iterdir())
 
 

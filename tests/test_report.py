@@ -241,8 +241,8 @@ def batch(run, tmp_path):
     (out / "good" / "report.html").write_text("<p>")
     (out / "torn").mkdir()
     (out / "batch.csv").write_text(BATCH)
-    (out / ".batch/logs").mkdir(parents=True)
-    (out / ".batch/logs/torn.log").write_text("warning: 3 images lost\n")
+    (out / ".batch/logs/00").mkdir(parents=True)
+    (out / ".batch/logs/00/torn.log").write_text("warning: 3 images lost\n")
     return out
 
 
@@ -255,7 +255,7 @@ def test_a_batch_has_a_row_for_each_recording_failures_first(batch):
     assert "left.mp4: cannot be read" in failed
     assert "<a" not in failed + lost + outside
     assert 'href="torn"' in torn
-    assert 'left.mp4: 3 images lost <a href=".batch/logs/torn.log">log</a>' in torn
+    assert 'left.mp4: 3 images lost <a href=".batch/logs/00/torn.log">log</a>' in torn
     assert '<td class="reason">rows do not agree</td>' in good
     assert '<td class="reason"></td>' in outside + lost
     assert 'href="good/report.html"' in good

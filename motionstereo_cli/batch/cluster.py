@@ -8,6 +8,7 @@ import dataclasses
 import importlib.util
 import json
 import signal
+import subprocess
 import sys
 import warnings
 from collections.abc import Callable, Iterator, Mapping
@@ -18,7 +19,6 @@ from typing import TYPE_CHECKING, Any
 from motionstereo_cli.errors import InputError
 from motionstereo_cli.files.reading import read_bytes
 from motionstereo_cli.runs.cores import usable_cores
-from motionstereo_cli.runs.record import builds
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -78,8 +78,10 @@ def threads_of(client: Client) -> int:
 
 
 @contextlib.contextmanager
-def client_of(cluster: Cluster, tasks: int, say: Callable[[str, str], object]) -> Iterator[Client]:
-    """Yield a client of a cluster whose builds are those of this process.
+def client_of(
+    cluster: Cluster, tasks: int, say: Callable[[str, str], object]
+) -> Iterator[tuple[Client, dict[str, str]]]:
+    """Yield a client of a cluster, and the builds that this process and all workers have.
 
     Args:
         cluster: the cluster; processes on this machine are started, and ended with the block.
@@ -100,8 +102,7 @@ def client_of(cluster: Cluster, tasks: int, say: Callable[[str, str], object]) -
         with opened as client:
             if where := _words_of(client, local=cluster.local):
                 say("note", where)
-            _check_versions(client)
-            yield client
+            yield client, _common_builds(client, local=cluster.local)
 
 
 def _words_of(client: Client, *, local: bool) -> str:
@@ -209,29 +210,50 @@ def _deaf_children() -> Iterator[None]:
         signal.signal(signal.SIGINT, former)
 
 
-def _check_versions(client: Client) -> None:
-    """Check that all workers give the same bytes.
+def _common_builds(client: Client, *, local: bool) -> dict[str, str]:
+    """Return the builds of all workers, which give the same bytes.
+
+    Processes of this machine have those of this one.
 
     Raises:
         InputError: a version differs.
     """
     try:
-        theirs = client.run(builds)
+        theirs = client.run(_builds)
     except Exception as error:
         raise InputError(
             f"the workers cannot run motionstereo: {first_line(error)}: install it there"
         ) from None
+    here: dict[str, str] = next(iter(theirs.values())) if local else _builds_here()
     for worker, found in theirs.items():
-        if difference := difference_from(found):
+        if difference := difference_from(found, here):
             raise InputError(
                 f"{difference} on {worker}: install the same versions, so that all give the same "
                 "results"
             )
+    return here
 
 
-def difference_from(theirs: Mapping[str, str]) -> str:
+def _builds() -> dict[str, str]:
+    from motionstereo_cli.runs.record import builds
+
+    return builds()
+
+
+def _builds_here() -> dict[str, str]:
+    """Return the builds of this process, found in another one: to load them all takes memory."""
+    code = f"import json; from {__name__} import _builds; print(json.dumps(_builds()))"
+    command = [sys.executable, "-c", code]
+    found = subprocess.run(command, capture_output=True, check=False)
+    if found.returncode:
+        raise InputError("this process cannot run motionstereo: install it again")
+    builds: dict[str, str] = json.loads(found.stdout)
+    return builds
+
+
+def difference_from(theirs: Mapping[str, str], here: Mapping[str, str]) -> str:
     """Return the difference between a process's builds and this one's, in words; empty if none."""
-    for name, here in builds().items():
-        if (there := theirs.get(name)) != here:
-            return f"{name} is {there}, and not {here} as here,"
+    for name, ours in here.items():
+        if (there := theirs.get(name)) != ours:
+            return f"{name} is {there}, and not {ours} as here,"
     return ""

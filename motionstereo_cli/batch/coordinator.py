@@ -9,69 +9,47 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import hashlib
 import itertools
-import json
 import math
 import os
 import time
 from collections import Counter, deque
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from msgspec import structs
 
-from motionstereo_cli.batch.cluster import Cluster, client_of, difference_from, threads_of
-from motionstereo_cli.batch.own_folder import (
-    TABLE,
-    claim,
-    pieces_path,
-    read_status,
-    stop_path,
-    write_status,
+from motionstereo_cli.batch.cluster import (
+    Cluster,
+    client_of,
+    difference_from,
+    threads_of,
 )
-from motionstereo_cli.batch.pieces import Piece, behind_damage, pieces_of
-from motionstereo_cli.batch.status import DONE, FAILED, format_statuses
-from motionstereo_cli.batch.task import work
+from motionstereo_cli.batch.ledger import BatchWatcher, Ledger
+from motionstereo_cli.batch.own_folder import claim, pieces_path, read_status
+from motionstereo_cli.batch.status import FAILED
 from motionstereo_cli.errors import InputError, MotionStereoError, OutputError
-from motionstereo_cli.files.atomic import remove_own, write_whole
 from motionstereo_cli.files.lock import locked
 from motionstereo_cli.runs.cores import usable_cores
-from motionstereo_cli.runs.disparity_range import Say
 from motionstereo_cli.runs.plan import RunPlan
-from motionstereo_cli.runs.record import builds
-from motionstereo_cli.runs.run import settled
-from motionstereo_cli.sinks.outputs import RECORD
 from motionstereo_cli.sinks.records import Status
 
 if TYPE_CHECKING:
     from distributed import Client, Future
 
+    from motionstereo_cli.batch.pieces import Piece
+    from motionstereo_cli.runs.disparity_range import Say
+
 #: Topic of the workers' progress.
 _PROGRESS = "motionstereo-frames"
-#: Minimum time between writing the table, in s.
-_RENEW_S = 1.0
+#: Mean number of reports of progress a second, of all workers, and minimum time between two of one.
+_TOLD_PER_S, _TELL_S = 25, 0.5
 #: Workers with other builds that are excluded before the batch fails.
 _TRIES = 20
 #: Minimum time between counting the workers, in s.
 _ASK_S = 2.0
-
-
-@dataclass(frozen=True, slots=True)
-class BatchWatcher:
-    """Callbacks during a batch.
-
-    Attributes:
-        say: called with a kind, ``note`` or ``warning``, and a line.
-        frames: called with the number of further frames that are done.
-        ended: called with the status of each recording that ended.
-    """
-
-    say: Callable[[str, str], object]
-    frames: Callable[[int], object]
-    ended: Callable[[Status], object]
 
 
 def run_batch(
@@ -83,6 +61,7 @@ def run_batch(
     inputs: Iterable[Path] = (),
     retry_failed: bool = False,
     pieces: int | None = None,
+    detach: bool = False,
 ) -> list[Status]:
     """Process recordings, and return the status of each, in order.
 
@@ -97,6 +76,7 @@ def run_batch(
         retry_failed: try failed and lost ones again.
         pieces: into how many pieces each recording is cut; None: as many as keep all workers busy
             if there are fewer recordings than workers and they can be cut.
+        detach: leave the tasks to the scheduler and return; recordings are not cut.
 
     Raises:
         SettingsError: a recording cannot be done in pieces, and pieces were asked for.
@@ -107,9 +87,10 @@ def run_batch(
     read = [Path(name) for plan in plans.values() for name in plan.inputs]
     with locked(out):
         claim(out, (*inputs, *filter(os.path.exists, read)))
-        batch = _Batch(plans, out, watcher)
-        waiting = [name for name in plans if batch.to_do(name, retry_failed=retry_failed)]
+        ledger = Ledger(plans, out, watcher, "batch")
+        waiting = [name for name in plans if ledger.to_do(name, retry_failed=retry_failed)]
         if waiting:
+            pieces = 1 if detach else pieces
             asked = pieces is not None
 
             def items(workers: int) -> list[Item]:
@@ -121,12 +102,16 @@ def run_batch(
 
             # No more processes are started than there are tasks.
             tasks = items(cluster.workers or usable_cores()) if cluster.local else []
-            with client_of(cluster, len(tasks), watcher.say) as client:
+            with client_of(cluster, len(tasks), watcher.say) as (client, builds):
                 threads = threads_of(client)
                 jobs = max(usable_cores() // threads, 1) if cluster.local else 1
-                batch.process(client, tasks or items(threads), jobs)
-        batch.renew(at_once=True)
-        return batch.statuses
+                batch = _Batch(client, ledger, jobs, builds)
+                if detach:
+                    batch.leave(tasks or items(threads))
+                else:
+                    batch.process(tasks or items(threads))
+        ledger.renew(at_once=True)
+        return ledger.statuses
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,6 +136,9 @@ class Item:
 def _items(name: str, plan: RunPlan, count: int, say: Say, *, asked: bool) -> list[Item]:
     """Return the tasks of a recording that can start at once."""
     if count > 1:
+        from motionstereo_cli.batch.pieces import pieces_of
+        from motionstereo_cli.runs.run import settled
+
         try:
             pieces = tuple(pieces_of(plan, count))
             if len(pieces) > 1:
@@ -165,50 +153,48 @@ def _items(name: str, plan: RunPlan, count: int, say: Say, *, asked: bool) -> li
 
 
 class _Batch:
-    """The recordings of a batch, and their states."""
+    """The tasks of a batch on the workers of a cluster.
 
-    def __init__(self, plans: Mapping[str, RunPlan], out: Path, watcher: BatchWatcher) -> None:
-        self._out, self._watcher, self._given = out, watcher, plans
-        self._plans = {name: plan.as_json() for name, plan in plans.items()}
-        self._hashes = {name: _hash(plan) for name, plan in self._plans.items()}
-        self._known = {name: read_status(out, name, watcher.say) for name in plans}
-        self._stop = stop_path(out)
-        self._renewed_s = 0.0
+    Args:
+        client: of the cluster.
+        ledger: the statuses.
+        jobs: frames that a task matches at a time.
+        builds: of all workers.
+    """
+
+    def __init__(self, client: Client, ledger: Ledger, jobs: int, builds: dict[str, str]) -> None:
+        self._client, self._ledger, self._jobs, self._builds = client, ledger, jobs, builds
+        self._room = _Room(client)
         self._tries = 0
 
-    @property
-    def statuses(self) -> list[Status]:
-        return list(self._known.values())
+    def leave(self, items: Iterable[Item]) -> None:
+        """Give all tasks to the scheduler, which keeps them when this client has gone."""
+        from distributed import fire_and_forget
 
-    def to_do(self, name: str, *, retry_failed: bool) -> bool:
-        known = self._known[name]
-        same = known.plan == self._hashes[name]
-        if same and known.status in DONE and (self._out / name / RECORD).is_file():
-            return False
-        return retry_failed or not (same and known.status in FAILED)
+        for item in items:
+            fire_and_forget(self._submit(item))
 
-    def process(self, client: Client, items: Iterable[Item], jobs: int) -> None:
+    def process(self, items: Iterable[Item]) -> None:
         """Keep each worker busy with one task at a time, until all have ended."""
         from distributed import as_completed
 
         waiting = deque(items)
         left = Counter(item.name for item in waiting)
-        self._known |= {name: Status(name) for name in left}
-        client.subscribe_topic(_PROGRESS, lambda event: self._watcher.frames(event[1]))
-        remove_own(self._stop)
+        known, client = self._ledger.known, self._client
+        known |= {name: Status(name) for name in left}
+        client.subscribe_topic(_PROGRESS, lambda event: self._ledger.watcher.frames(event[1]))
         ended = as_completed()
         under_way: dict[object, Item] = {}
-        room = _Room(client)
 
         def fill() -> None:
             # No more at a time than there are workers: all tasks that a worker holds are
             # suspects when it dies.
-            while waiting and len(under_way) < room.tasks:
+            while waiting and len(under_way) < self._room.tasks:
                 item = waiting.popleft()
-                if self._known[item.name].status not in FAILED:
+                if known[item.name].status not in FAILED:
                     if item.piece is not None:
-                        self._begin(item.name)
-                    future = self._submit(client, item, jobs)
+                        self._ledger.begin(item.name)
+                    future = self._submit(item)
                     under_way[future.key] = item
                     ended.add(future)
 
@@ -216,7 +202,7 @@ class _Batch:
             fill()
             for future in ended:
                 item = under_way.pop(future.key)
-                if self._left_out(client, future):
+                if self._left_out(future):
                     waiting.appendleft(item)
                     future.release()
                     fill()
@@ -231,26 +217,21 @@ class _Batch:
                 future.release()
                 fill()
         except KeyboardInterrupt:
-            write_whole(self._stop, b"")
+            client.run(_stop, str(self._ledger.out), time.time(), on_error="ignore")
             for future in ended:  # running tasks write their checkpoints
                 self._note(under_way[future.key].name, future)
             raise
         finally:
-            remove_own(self._stop)
             with contextlib.suppress(OutputError):
-                self.renew(at_once=True)
-
-    def _begin(self, name: str) -> None:
-        """Write once that a recording in pieces is running: pieces would contradict each other."""
-        if self._known[name].status != "running":
-            self._known[name] = Status(name, "running", plan=self._hashes[name])
-            self._write(self._known[name])
+                self._ledger.renew(at_once=True)
 
     def _following(self, item: Item) -> list[Item]:
         """Return the tasks once all pieces of a recording are done: repeat some, or join them."""
+        from motionstereo_cli.batch.pieces import behind_damage
+
         pieces = item.pieces or ()
-        if again := behind_damage(pieces_path(self._out, item.name), pieces):
-            self._watcher.say(
+        if again := behind_damage(pieces_path(self._ledger.out, item.name), pieces):
+            self._ledger.watcher.say(
                 "note",
                 f"{item.name}: behind damage, {len(again)} of {len(pieces)} pieces are made again "
                 "by decoding from the start",
@@ -258,7 +239,7 @@ class _Batch:
             return [dataclasses.replace(item, piece=piece, seek=False) for piece in again]
         return [dataclasses.replace(item, piece=None)]
 
-    def _left_out(self, client: Client, future: Future) -> bool:
+    def _left_out(self, future: Future) -> bool:
         """Return whether a worker that joined later has other builds; such a worker is closed.
 
         Raises:
@@ -269,48 +250,47 @@ class _Batch:
             return False
         worker, theirs = found
         self._tries += 1
-        said = f"{difference_from(theirs)} on {worker}, which joined later"
+        said = f"{difference_from(theirs, self._builds)} on {worker}, which joined later"
         if self._tries > _TRIES:
             raise InputError(
                 f"{said}: install the same versions, so that all give the same results"
             )
-        self._watcher.say("warning", f"{said}: it is left out")
-        client.retire_workers([worker])
+        self._ledger.watcher.say("warning", f"{said}: it is left out")
+        self._client.retire_workers([worker])
         return True
 
     def _went_well(self, item: Item, future: Future) -> bool:
-        return future.status == "finished" and read_status(self._out, item.name).status == "running"
+        if future.status != "finished":
+            return False
+        return read_status(self._ledger.out, item.name).status == "running"
 
-    def _submit(self, client: Client, item: Item, jobs: int) -> Future:
-        plan = self._plans[item.name]
+    def _submit(self, item: Item) -> Future:
+        plan, known_as = self._ledger.task_of(item.name)
         # Pieces have what was measured; the joined run warns of what was wrong with it.
         measured = {} if item.piece is None else item.measured
         task = {
-            "plan": {**plan, "jobs": plan["jobs"] or jobs, **measured},
-            "out": str(self._out),
+            "plan": {**plan, "jobs": plan["jobs"] or self._jobs, **measured},
+            "out": str(self._ledger.out),
             "name": item.name,
-            "hash": self._hashes[item.name],
-            "stop": str(self._stop),
+            "hash": known_as,
+            "submitted_s": time.time(),
+            "tell_s": max(_TELL_S, self._room.tasks / _TOLD_PER_S),
             "piece": item.piece,
             "pieces": item.pieces if item.piece is None else None,
             "seek": item.seek,
-            "builds": builds(),
+            "builds": self._builds,
         }
-        # Dask keeps statistics for each prefix of keys.
-        key = (
-            "motionstereo",
-            f"{item.name}-{item.piece}-{item.seek}-{os.getpid()}-{self._tries}",
-        )
-        future: Future = client.submit(_work, task, key=key, pure=False)
+        # Dask keeps statistics for each prefix of keys. What an earlier client has left on the
+        # scheduler has the same key, and is not done twice.
+        what = f"{item.name}-{item.piece}-{item.seek}-{known_as}-{self._tries}"
+        future: Future = self._client.submit(_work, task, key=("motionstereo", what), pure=False)
         return future
 
     def _note(self, name: str, future: Future) -> None:
-        status = read_status(self._out, name)
+        status = read_status(self._ledger.out, name)
         if future.status in ("error", "lost", "cancelled"):
             status = self._unended(name, status, future)
-        self._known[name] = status
-        self._watcher.ended(status)
-        self.renew()
+        self._ledger.ended(status)
 
     def _unended(self, name: str, status: Status, future: Future) -> Status:
         """Return the status of a recording whose worker did not write one."""
@@ -325,21 +305,10 @@ class _Batch:
             status,
             status="lost" if lost else "failed",
             reason=reason.splitlines()[0] if reason else type(error).__name__,
-            plan=self._hashes[name],
+            plan=self._ledger.task_of(name)[1],
         )
-        self._write(status)
+        self._ledger.write(status)
         return status
-
-    def _write(self, status: Status) -> None:
-        """Write the status of a recording; if that fails, only the table has it."""
-        with contextlib.suppress(OutputError):
-            write_status(self._out, status)
-
-    def renew(self, *, at_once: bool = False) -> None:
-        """Write the table of all recordings, if it is due."""
-        if at_once or time.monotonic() > self._renewed_s + _RENEW_S:
-            write_whole(self._out / TABLE, format_statuses(self.statuses))
-            self._renewed_s = time.monotonic()
 
 
 class _Room:
@@ -356,10 +325,13 @@ class _Room:
         return self._tasks
 
 
-def _hash(plan: Mapping[str, Any]) -> str:
-    # Speed, and replacing earlier results, do not change the results.
-    said = {key: value for key, value in plan.items() if key not in ("jobs", "resume", "overwrite")}
-    return hashlib.sha256(json.dumps(said, sort_keys=True).encode()).hexdigest()[:16]
+#: In a worker: when the tasks of a batch that were submitted before were to end, by its folder.
+_stopped: dict[str, float] = {}
+
+
+def _stop(out: str, submitted_s: float) -> None:
+    """Ask the tasks of a batch in this worker to leave a checkpoint and end."""
+    _stopped[out] = submitted_s
 
 
 def _work(task: Mapping[str, Any]) -> tuple[str, dict[str, str]] | None:
@@ -368,6 +340,9 @@ def _work(task: Mapping[str, Any]) -> tuple[str, dict[str, str]] | None:
     A worker may join at any time, so this is checked for each task.
     """
     from distributed import get_worker
+
+    from motionstereo_cli.batch.task import work
+    from motionstereo_cli.runs.record import builds
 
     worker, done = get_worker(), 0
     if builds() != task["builds"]:
@@ -378,5 +353,8 @@ def _work(task: Mapping[str, Any]) -> tuple[str, dict[str, str]] | None:
         worker.log_event(_PROGRESS, frames - done)
         done = frames
 
-    work(task, tell)
+    def stops() -> bool:
+        return bool(_stopped.get(task["out"], 0.0) >= task["submitted_s"])
+
+    work(task, tell, stops)
     return None

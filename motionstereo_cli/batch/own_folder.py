@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import TextIO
 
@@ -12,8 +13,8 @@ from msgspec import structs
 from motionstereo_cli import __version__
 from motionstereo_cli.batch.status import COLUMNS
 from motionstereo_cli.errors import InputError, OutputError
-from motionstereo_cli.files.atomic import is_left_over, open_log, reported, write_whole
-from motionstereo_cli.files.folders import check_no_links, make_folder
+from motionstereo_cli.files.atomic import Temporary, is_left_over, open_log, reported, write_whole
+from motionstereo_cli.files.folders import check_no_links, make_folder, spread
 from motionstereo_cli.files.reading import read_bytes, real
 from motionstereo_cli.files.records import Record, encode, read_json, typed
 from motionstereo_cli.files.targets import check_targets
@@ -24,8 +25,15 @@ TABLE = "batch.csv"
 #: The folder, and the file that marks it as a batch's.
 OWN = ".batch"
 _MARK, _PROGRAM = "batch.json", "motionstereo batch"
+_BUILDS = "builds.json"
 
 _MAX_TABLE_BYTES = 256_000_000
+
+
+class BuildsRecord(Record, frozen=True):
+    """``builds.json``: what the bytes of results depend on, see ``runs.record.builds``."""
+
+    builds: dict[str, str]
 
 
 class BatchMark(Record, frozen=True):
@@ -37,12 +45,12 @@ class BatchMark(Record, frozen=True):
 
 def status_path(out: Path, name: str) -> Path:
     """Return the status file of a recording of the batch into ``out``."""
-    return out / OWN / "status" / f"{name}.json"
+    return out / OWN / "status" / spread(name) / f"{name}.json"
 
 
 def log_path(out: Path, name: str) -> Path:
     """Return the log of a recording."""
-    return out / OWN / "logs" / f"{name}.log"
+    return out / OWN / "logs" / spread(name) / f"{name}.log"
 
 
 def pieces_path(out: Path, name: str) -> Path:
@@ -50,9 +58,39 @@ def pieces_path(out: Path, name: str) -> Path:
     return out / OWN / "pieces" / name
 
 
-def stop_path(out: Path) -> Path:
-    """Return the file that asks the workers of this process to end."""
-    return out / OWN / f"stop-{os.getpid()}"
+def ended_path(out: Path, name: str) -> Path:
+    """Return the file with a line of JSON for each recording that a process has seen end."""
+    return out / OWN / "ended" / f"{name}.jsonl"
+
+
+def shard_path(out: Path, name: str) -> Path:
+    """Return the folder that a running shard locks."""
+    return out / OWN / "shards" / name
+
+
+def check_builds(out: Path, builds: Mapping[str, str]) -> None:
+    """Check that all shards of a batch have the same builds; the first one records its own.
+
+    Raises:
+        InputError: another one has others.
+        OutputError: the record cannot be written.
+    """
+    path = out / OWN / _BUILDS
+    if not os.path.lexists(path):
+        with reported(path), contextlib.suppress(FileExistsError):
+            record = Temporary(path)
+            record.content.write(encode(BuildsRecord(dict(builds))))
+            try:
+                record.place_new()
+            finally:
+                record.discard()
+    theirs = typed(read_json(path, within=out), BuildsRecord, path).builds
+    for name, here in builds.items():
+        if (there := theirs.get(name)) != here:
+            raise InputError(
+                f"{name} is {here} here, and {there} where this batch began: install the same "
+                f"versions, so that all give the same results, or remove {path}"
+            )
 
 
 def write_status(out: Path, status: Status) -> None:
@@ -116,12 +154,13 @@ def claim(out: Path, inputs: Iterable[Path]) -> None:
             raise OutputError(f"{path}, an input, is in {own}: give another folder")
     check_no_links(own / _MARK, out)
     check_no_links(table, out)
+    had_table = os.path.lexists(table)  # before another shard may write it
     with reported(own):
         begun = os.path.lexists(own)
         fresh = not begun or all(is_left_over(path) for path in own.iterdir())
     if not fresh and not _is_marked(own / _MARK):
         raise OutputError(f"{own} is not from an earlier batch: move it, or give another folder")
-    if os.path.lexists(table) and (fresh or not _is_table(table)):
+    if had_table and (fresh or not _is_table(table)):
         raise OutputError(f"{table} is not from an earlier batch: move it, or give another folder")
     if fresh:
         make_folder(own)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import random
 import socket
 import time
 import traceback
@@ -22,8 +23,8 @@ from motionstereo_cli.runs.record import RunReport
 from motionstereo_cli.runs.run import Watcher, run
 from motionstereo_cli.sinks.records import Status
 
-#: Time between two checks whether to stop, and between two reports of progress, in s.
-_LOOK_S = 0.5
+#: Time between two checks whether to stop, and minimum time between two reports of progress, in s.
+LOOK_S = 0.5
 #: How long a killed process may keep its lock on a folder, in s, until its children end.
 _BUSY_S = 60.0
 
@@ -31,6 +32,7 @@ _BUSY_S = 60.0
 def work(
     task: Mapping[str, Any],
     tell: Callable[[int], object] = lambda frames: None,
+    stops: Callable[[], bool] = lambda: False,
 ) -> None:
     """Process a recording as ``run --resume`` does, or a piece of it.
 
@@ -39,16 +41,17 @@ def work(
 
     Args:
         task: ``plan`` as :meth:`~motionstereo_cli.runs.plan.RunPlan.as_json` gives it, ``out``,
-            ``name``, ``hash`` of the plan, and ``stop``: a file whose presence asks to leave a
-            checkpoint and end. ``piece``: the first frame of a piece and the one after its last;
-            ``pieces``: all of them, to be joined; None for a whole recording. ``seek``: whether
-            a piece may begin at a seek.
+            ``name``, and ``hash`` of the plan. ``piece``: the first frame of a piece and the one
+            after its last; ``pieces``: all of them, to be joined; None for a whole recording.
+            ``seek``: whether a piece may begin at a seek. ``tell_s``: minimum time between two
+            reports of progress.
         tell: called at intervals with the number of frames done.
+        stops: called at intervals; whether to leave a checkpoint and end.
     """
-    out, stop = Path(task["out"]), Path(task["stop"])
+    out = Path(task["out"])
     worker = f"{socket.gethostname()}:{os.getpid()}"
     status = Status(task["name"], "running", worker=worker, plan=task["hash"])
-    if stop.exists():
+    if stops():
         return
     prepare()
     piece, pieces = task["piece"], task["pieces"]
@@ -66,7 +69,8 @@ def work(
             for path in (out / task["name"], home):
                 check_no_links(path, out)
             # The frames were counted when the pieces were made.
-            pulse = _Pulse(stop, tell if pieces is None else lambda _: None)
+            tells = tell if pieces is None else lambda _: None
+            pulse = Pulse(stops, tells, task.get("tell_s", LOOK_S))
             watcher = Watcher(say, progress=pulse)
             if piece is not None:
                 run_piece(plan, Piece(*piece), home, watcher, seek=task["seek"])
@@ -100,7 +104,7 @@ def _run(plan: RunPlan, pieces: Sequence[Piece] | None, home: Path, watcher: Wat
         except BusyError:
             if time.monotonic() > until_s:
                 raise
-            time.sleep(_LOOK_S)
+            time.sleep(LOOK_S)
 
 
 def _ended(status: Status, report: RunReport) -> Status:
@@ -118,19 +122,36 @@ def _ended(status: Status, report: RunReport) -> Status:
     )
 
 
-class _Pulse:
-    """Called after each frame: reports progress, and ends the run when asked to."""
+class Pulse:
+    """Called after each frame: reports progress, and ends the run when asked to.
 
-    def __init__(self, stop: Path, tell: Callable[[int], object]) -> None:
-        self._stop, self._tell = stop, tell
-        self._frames, self._next_s = 0, 0.0
+    Args:
+        stops: whether to end.
+        tell: called with the number of frames done.
+        tell_s: minimum time between two calls of it, in s.
+    """
+
+    def __init__(
+        self, stops: Callable[[], bool], tell: Callable[[int], object], tell_s: float
+    ) -> None:
+        self._stops, self._tell, self._tell_s = stops, tell, tell_s
+        self._frames, self._look_at_s = 0, 0.0
+        # Workers that begin together do not report together.
+        self._tell_at_s = time.monotonic() + random.uniform(0, tell_s)
 
     def __call__(self) -> None:
+        """Count a frame.
+
+        Raises:
+            KeyboardInterrupt: the run is to end.
+        """
         self._frames += 1
         now_s = time.monotonic()
-        if now_s < self._next_s:
+        if now_s < self._look_at_s:
             return
-        self._next_s = now_s + _LOOK_S
-        self._tell(self._frames)
-        if self._stop.exists():
+        self._look_at_s = now_s + LOOK_S
+        if now_s >= self._tell_at_s:
+            self._tell_at_s = now_s + self._tell_s
+            self._tell(self._frames)
+        if self._stops():
             raise KeyboardInterrupt

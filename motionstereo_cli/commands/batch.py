@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,6 +19,7 @@ from motionstereo_cli.errors import DAMAGED_EXIT_CODE, INTERRUPTED_EXIT_CODE, Se
 from motionstereo_cli.runs.plan import RunPlan
 
 if TYPE_CHECKING:
+    from motionstereo_cli.batch.ledger import BatchWatcher
     from motionstereo_cli.batch.manifest import ManifestRow
     from motionstereo_cli.sinks.records import Status
 
@@ -78,6 +79,24 @@ def plan_of(arguments: Sequence[str]) -> RunPlan:
     "[default: enough to keep all workers busy]",
 )
 @click.option(
+    "--shard",
+    metavar="I/N",
+    help="Process only share I of N (I from 0 to N-1, or 1 to N), without a scheduler, as a job of "
+    "an array does. Shares depend on the recordings' names alone.",
+)
+@click.option(
+    "--detach",
+    is_flag=True,
+    help="Leave the work to the scheduler and end. The same command comes back to it, --status "
+    "shows how far it is.",
+)
+@click.option(
+    "--status",
+    "only_status",
+    is_flag=True,
+    help="Process nothing: write the table batch.csv, and print how many recordings are done.",
+)
+@click.option(
     "--retry-failed", is_flag=True, help="Also process recordings that failed or were lost."
 )
 @click.option(
@@ -94,6 +113,9 @@ def batch(
     retry_failed: bool,
     pieces: int | None,
     as_json: bool,
+    shard: str | None,
+    detach: bool,
+    only_status: bool,
     **cluster: Any,
 ) -> int:
     """Process many recordings in parallel, on this machine or on a cluster.
@@ -104,13 +126,10 @@ def batch(
     the command line apply to all recordings, those in a row to its recording. Run the same command
     again to process what is not done yet.
     """
-    from motionstereo_cli.batch.cluster import Cluster
-    from motionstereo_cli.batch.coordinator import BatchWatcher, run_batch
+    from motionstereo_cli.batch.ledger import BatchWatcher, statuses_of
     from motionstereo_cli.batch.manifest import plans
 
     shared, inputs = _apart(given)
-    tls = {key: cluster.pop(f"tls_{key}") for key in ("ca", "cert", "key")}
-    where = Cluster(**cluster, tls={key: value for key, value in tls.items() if value})
     found = plans(_entries(inputs, shared), out, plan_of)
     with _bar(len(found)) as bar:
 
@@ -119,18 +138,64 @@ def batch(
             _say_ended(status, as_json=as_json, quiet=not bar.disable)
 
         watcher = BatchWatcher(say, lambda frames: bar.set_postfix_str(bar.more(frames)), ended)
+        if only_status:
+            return _summarise(statuses_of(found, out, watcher), out)
+        more = {
+            "inputs": [Path(name) for name in inputs if Path(name).is_file()],
+            "retry_failed": retry_failed,
+        }
         try:
-            statuses = run_batch(
-                *(found, out, where, watcher),
-                inputs=[Path(name) for name in inputs if Path(name).is_file()],
-                retry_failed=retry_failed,
-                pieces=pieces,
-            )
+            if shard is not None:
+                statuses = _share(shard, found, out, watcher, detach, pieces, cluster, more)
+            else:
+                more |= {"pieces": pieces, "detach": detach}
+                statuses = _whole(found, out, watcher, cluster, more)
         except KeyboardInterrupt:
             again = "run the same command again to continue"
             say("error", f"interrupted: {again}; see {out / 'batch.csv'}")
             return INTERRUPTED_EXIT_CODE
+    if detach:
+        say("note", f"the scheduler has the work; --status shows it; see {out / 'batch.csv'}")
+        return 0
     return _summarise(statuses, out)
+
+
+def _whole(
+    found: Mapping[str, RunPlan],
+    out: Path,
+    watcher: BatchWatcher,
+    given: dict[str, Any],
+    more: Mapping[str, Any],
+) -> list[Status]:
+    from motionstereo_cli.batch.cluster import Cluster
+    from motionstereo_cli.batch.coordinator import run_batch
+
+    tls = {key: given.pop(f"tls_{key}") for key in ("ca", "cert", "key")}
+    cluster = Cluster(**given, tls={key: value for key, value in tls.items() if value})
+    if more["detach"] and cluster.local:
+        raise click.UsageError("--detach needs --scheduler: workers of this command end with it")
+    return run_batch(found, out, cluster, watcher, **more)
+
+
+def _share(
+    shard: str,
+    found: Mapping[str, RunPlan],
+    out: Path,
+    watcher: BatchWatcher,
+    detach: bool,
+    pieces: int | None,
+    given: Mapping[str, Any],
+    more: Mapping[str, Any],
+) -> list[Status]:
+    from motionstereo_cli.batch.shard import Shard, run_shard
+
+    scheduled = [name for name, value in given.items() if value and name != "workers"]
+    scheduled += ["detach"] * detach + ["pieces"] * (pieces is not None)
+    if scheduled:
+        flag = scheduled[0].replace("_", "-")
+        raise click.UsageError(f"--shard works without a scheduler: leave --{flag} out")
+    workers = given["workers"]
+    return run_shard(found, out, Shard.parse(shard), watcher, workers=workers, **more)
 
 
 def _apart(given: Sequence[str]) -> tuple[list[str], list[str]]:

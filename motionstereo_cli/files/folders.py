@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import os
 from collections.abc import Iterable
 from itertools import groupby
@@ -51,6 +52,11 @@ def check_no_links(path: Path, root: Path) -> None:
                 raise OutputError(
                     f"{above} is a link to elsewhere: remove it, or give another folder"
                 )
+
+
+def spread(name: str) -> str:
+    """Return the name of one of 256 folders for what belongs to a name, so that none has many."""
+    return hashlib.sha256(name.encode("utf-8", "surrogateescape")).hexdigest()[:2]
 
 
 def remove(root: Path, paths: Iterable[Path]) -> None:

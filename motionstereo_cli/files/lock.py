@@ -21,8 +21,10 @@ LOCK = "run.lock"
 
 
 @contextlib.contextmanager
-def locked(folder: Path) -> Iterator[None]:
+def locked(folder: Path, *, shared: bool = False) -> Iterator[None]:
     """Create a folder, and keep other processes out of it until the block ends.
+
+    With ``shared``, only those are kept out that do not share.
 
     The lock ends with its process, even if that is killed. Disks without locks get none.
 
@@ -32,8 +34,14 @@ def locked(folder: Path) -> Iterator[None]:
     """
     with reported(folder):
         folder.mkdir(parents=True, exist_ok=True)
-    with _folder_lock(folder) if fcntl else _file_lock(folder):
+    if fcntl:
+        with _folder_lock(folder, shared=shared):
+            yield
+    elif shared:
         yield
+    else:
+        with _file_lock(folder):
+            yield
 
 
 def _busy(folder: Path) -> BusyError:
@@ -43,12 +51,12 @@ def _busy(folder: Path) -> BusyError:
 
 
 @contextlib.contextmanager
-def _folder_lock(folder: Path) -> Iterator[None]:
+def _folder_lock(folder: Path, *, shared: bool) -> Iterator[None]:
     with reported(folder):
         handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
     try:
         try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            fcntl.flock(handle, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
         except BlockingIOError:
             raise _busy(folder) from None
         except OSError:

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from motionstereo_cli.errors import InputError
+from motionstereo_cli.files.folders import spread
 from motionstereo_cli.files.reading import read_text, real
 from motionstereo_cli.files.records import typed
 from motionstereo_cli.report import PAGE
@@ -122,7 +123,7 @@ def _recording(out: Path, row: Status, page: Path, *, with_picture: bool) -> Rec
         if with_picture:
             with contextlib.suppress(InputError):  # a run that failed early has no results
                 picture, plot = _shown(read_results(folder))
-    log = out / LOGS / f"{row.name}.log"
+    log = out / LOGS / spread(row.name) / f"{row.name}.log"
     shown = address_of(log, page) if _lies_in(out, log) else None
     wrong = "; ".join(filter(None, (row.reason, row.said)))
     return RecordingRow(row, _rank(row.status), wrong, address, shown, picture, plot)

@@ -48,6 +48,7 @@ class Size:
         long_frames: frames of the recording that is cut.
         pieces: into how many pieces.
         join_frames: frames of the recording whose joining is timed.
+        rows, sleepers: recordings that nobody processes, and workers that sleep instead.
     """
 
     clips: int
@@ -57,10 +58,12 @@ class Size:
     long_frames: int
     pieces: tuple[int, ...]
     join_frames: int
+    rows: int
+    sleepers: int
 
 
-FULL = Size(24, 50, 1000, 17, 2000, (2, 4, 8), 500)
-QUICK = Size(4, 20, 30, 5, 200, (4,), 100)
+FULL = Size(24, 50, 1000, 17, 2000, (2, 4, 8), 500, 10_000, 200)
+QUICK = Size(4, 20, 30, 5, 200, (4,), 100, 200, 20)
 
 Row = tuple[str, str, str]
 
@@ -100,8 +103,8 @@ class Started:
         self.pid = self._process.pid
         self._rss: list[float] = []
 
-    def watch(self) -> Cost:
-        """Wait for its end, and look at its memory meanwhile."""
+    def watch(self, *, orphans: bool = True) -> Cost:
+        """Wait for its end, and look at its memory meanwhile; ``orphans``: with its children."""
         while True:
             pid, status, usage = os.wait4(self.pid, os.WNOHANG)
             if pid:
@@ -112,7 +115,8 @@ class Started:
             time.sleep(0.02)
         self._process.returncode = os.waitstatus_to_exitcode(status)
         wall_s = time.perf_counter() - self._begin_s
-        return Cost(wall_s, usage.ru_utime + usage.ru_stime + _orphans_s(), tuple(self._rss))
+        own_s = usage.ru_utime + usage.ru_stime
+        return Cost(wall_s, own_s + (_orphans_s() if orphans else 0.0), tuple(self._rss))
 
     def kill(self) -> None:
         """End it as ``kill -9`` does, and it only."""
@@ -147,7 +151,7 @@ def _manifest(path: Path, rows: Sequence[tuple[Path, Path, Path, str]]) -> Path:
 
 
 def _statuses(out: Path) -> Iterator[dict[str, str]]:
-    for path in sorted((out / ".batch/status").glob("*.json")):
+    for path in sorted((out / ".batch/status").rglob("*.json")):
         with contextlib.suppress(ValueError, OSError):
             yield json.loads(path.read_text())
 
@@ -191,6 +195,43 @@ def many(clip: Clip, size: Size, folder: Path) -> Iterator[Row]:
     parts = [cost.rss_mb[round(share * (len(cost.rss_mb) - 1))] for share in (0.2, 0.5, 0.95)]
     shown = ", ".join(f"{each:.0f}" for each in parts)
     yield f"{what}: client and scheduler, after 20, 50, 95 %", f"{shown} MB", "flat"
+
+
+def sleepers(clip: Clip, size: Size, folder: Path) -> Iterator[Row]:
+    """Measure the client and the scheduler of many workers, which sleep."""
+    for count, seconds, what in (
+        (size.rows, 1.0, "client"),
+        (2 * size.sleepers, 10.0, "messages"),
+    ):
+        rows = [(*clip.paths, clip.rig_file, f"{n % 100:02d}/{n:05d}") for n in range(count)]
+        manifest = _manifest(folder / f"{what}.csv", rows)
+        file = folder / f"{what}.json"
+        words = (sys.executable, "-m", "bench.sleepers", file, "--workers", size.sleepers)
+        cluster = subprocess.Popen(
+            [*map(str, words), "--seconds", str(seconds)],
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
+        until_s = time.monotonic() + _PATIENCE_S
+        while not file.exists() and time.monotonic() < until_s:
+            time.sleep(0.1)
+        out, options = folder / what, ("--save", "steering", "--scheduler-file", file)
+        client = Started([*_COMMAND, "batch", manifest, "-o", out, *options])
+        cost = client.watch(orphans=False)
+        cluster.terminate()
+        cluster.wait()
+        found = json.loads(file.read_text())
+        whole = f"{count} rows, {size.sleepers} workers that sleep {seconds:g} s"
+        if what == "client":
+            each_ms, rss_mb = 1000 * cost.cpu_s / count, max(cost.rss_mb)
+            share = cost.cpu_s / cost.wall_s
+            yield f"{whole}: client, a recording", f"{each_ms:.2f} ms ({share:.2f} core)", "1 ms"
+            yield f"{whole}: memory of the client", f"{rss_mb:.0f} MB", "100 MB"
+            done = sum(status["status"] == "done" for status in _statuses(out))
+            yield f"{whole}: done", str(done), str(count)
+        else:
+            most = found["most a second"]
+            yield f"{whole}: messages a second", f"{most} at most", "50"
 
 
 def hard(clip: Clip, size: Size, folder: Path) -> Iterator[Row]:
@@ -319,7 +360,9 @@ def main(args: list[str]) -> int:
     """Print the table."""
     parser = argparse.ArgumentParser(prog="bench batch", description=__doc__)
     parser.add_argument("--quick", action="store_true", help="small sizes, in about a minute")
-    parser.add_argument("--trials", default="clips,tiny,hard,pieces,join", help="which, by name")
+    parser.add_argument(
+        "--trials", default="clips,tiny,sleepers,hard,pieces,join", help="which, by name"
+    )
     given = parser.parse_args(args)
     size = QUICK if given.quick else FULL
     _adopt()
@@ -330,6 +373,7 @@ def main(args: list[str]) -> int:
             "clips": lambda: side_by_side(_clip(folder / "c", size.clip_frames), size, folder),
             "tiny": lambda: many(_clip(folder / "t", 5, 64, 48), size, folder),
             "hard": lambda: hard(_clip(folder / "h", size.clip_frames), size, folder),
+            "sleepers": lambda: sleepers(_clip(folder / "s", 5, 64, 48), size, folder),
             "pieces": lambda: cut(_long(folder / "p", size.long_frames), size, folder),
             "join": lambda: joining(_long(folder / "j", size.join_frames), size, folder),
         }

@@ -28,6 +28,7 @@ from bench.children import Ended, fork
 from bench.clips import Clip
 from bench.damage import flipped
 from motionstereo_cli.__main__ import main
+from motionstereo_cli.files.folders import spread
 
 _PATIENCE_S = 60.0
 _MAX_BYTES = 1 << 30
@@ -36,11 +37,13 @@ _SAVE = "steering,objects,charge,charge-png,disparity"
 _PAIR = "left.mp4 right.mp4 --rig rig.yaml"
 _CLIP = f"{_PAIR} --end 9 --no-check --checkpoint-frames 3"
 
+#: Where a batch keeps what is of the recording a.
+_A = spread("a")
 #: What a batch needs names for, beside those of its recordings.
 _BATCH_NAMES = (
     *("many2", "many2/batch.csv", "many2/.batch", "many2/.batch/batch.json", "many2/a"),
-    *("many2/.batch/status", "many2/.batch/logs", "many2/.batch/logs/a.log", "many2/a.log"),
-    *("many2/.batch/status/a.json", "many2/a/run.json", "many2/a/depth", "m.csv", "left.mp4"),
+    *("many2/.batch/status", "many2/.batch/logs", f"many2/.batch/logs/{_A}/a.log", "many2/a.log"),
+    *(f"many2/.batch/status/{_A}/a.json", "many2/a/run.json", "many2/a/depth", "m.csv", "left.mp4"),
 )
 #: Folders of results that a command may change, whatever lies there under the names of its files.
 _RESULTS = {
@@ -117,7 +120,12 @@ _VALUES: tuple[Any, ...] = (
 )
 _RECORDS = (
     *("golden/run.json", "golden/steering.csv", "golden2/run.json", "begun/run.json.part"),
-    *("many/batch.csv", "many/.batch/status/a.json", "many/.batch/batch.json", "many/a/run.json"),
+    *(
+        "many/batch.csv",
+        f"many/.batch/status/{_A}/a.json",
+        "many/.batch/batch.json",
+        "many/a/run.json",
+    ),
     *("old/poses.txt", "golden/objects.csv", "begun/run.checkpoint"),
 )
 

@@ -1,0 +1,259 @@
+"""A share of a batch without a scheduler, as array jobs take it.
+
+Each shard takes the recordings whose names hash to it. Shards of one batch need not know of one
+another: they may run at the same time on several machines that share the output folder, or one
+after the other, and any of them writes the table of all.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import multiprocessing
+import os
+import signal
+import threading
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from msgspec import structs
+
+from motionstereo_cli.batch.ledger import BatchWatcher, Ledger
+from motionstereo_cli.batch.own_folder import check_builds, claim, read_status, shard_path
+from motionstereo_cli.errors import SettingsError
+from motionstereo_cli.files.lock import locked
+from motionstereo_cli.runs.cores import usable_cores
+from motionstereo_cli.runs.plan import RunPlan
+from motionstereo_cli.sinks.records import Status
+
+if TYPE_CHECKING:
+    from multiprocessing.synchronize import Event
+
+#: A task that ends its process is started this often.
+_STARTS = 2
+
+#: In a worker: set when it is to leave a checkpoint and end; and held while it has a task.
+_stop: Event | None = None
+_busy = threading.Lock()
+
+
+@dataclass(frozen=True, slots=True)
+class Shard:
+    """One of so many shares.
+
+    Attributes:
+        index: which one, counted from 0 or from 1: ``count`` is the same as 0.
+        count: how many there are.
+    """
+
+    index: int
+    count: int
+
+    @classmethod
+    def parse(cls, text: str) -> Shard:
+        """Return the shard that ``i/N`` names.
+
+        Raises:
+            SettingsError: it names none.
+        """
+        index, _, count = text.partition("/")
+        if text.isascii() and index.isdecimal() and count.isdecimal() and len(text) < 16:
+            shard = cls(int(index), int(count))
+            if 0 <= shard.index <= shard.count and shard.count > 0:
+                return shard
+        raise SettingsError(f"--shard cannot be {text!r}: give i/N, with i from 0 to N-1 or 1 to N")
+
+    @property
+    def name(self) -> str:
+        """Its name for files."""
+        return f"{self.index % self.count}-of-{self.count}"
+
+    def has(self, recording: str) -> bool:
+        """Return whether a recording belongs to the shard."""
+        digest = hashlib.sha256(recording.encode("utf-8", "surrogateescape")).digest()
+        return int.from_bytes(digest[:8]) % self.count == self.index % self.count
+
+
+def run_shard(
+    plans: Mapping[str, RunPlan],
+    out: Path,
+    shard: Shard,
+    watcher: BatchWatcher,
+    *,
+    inputs: Iterable[Path] = (),
+    retry_failed: bool = False,
+    workers: int | None = None,
+) -> list[Status]:
+    """Process the recordings of a shard, return their statuses, and write the table of all.
+
+    Args:
+        plans: what to do for each recording of the whole batch, by name.
+        out: folder of the batch.
+        shard: which share.
+        watcher: receives the progress.
+        inputs: further files that are read, and must not be written to.
+        retry_failed: also process recordings that failed or were lost.
+        workers: processes; None: as many as cores.
+
+    Raises:
+        InputError: another shard ran with other versions.
+        OutputError: the folder of the batch cannot be written, or this shard is running.
+        KeyboardInterrupt: it was interrupted; the recordings under way have left checkpoints.
+    """
+    read = [Path(name) for plan in plans.values() for name in plan.inputs]
+    with locked(out, shared=True):
+        claim(out, (*inputs, *(path for path in read if path.exists())))
+        with locked(shard_path(out, shard.name)):
+            ledger = Ledger(plans, out, watcher, f"shard-{shard.name}")
+            waiting = [
+                name
+                for name in plans
+                if shard.has(name) and ledger.to_do(name, retry_failed=retry_failed)
+            ]
+            try:
+                if waiting:
+                    _process(ledger, waiting, min(workers or usable_cores(), len(waiting)))
+            finally:
+                ledger.reread()
+                ledger.renew(at_once=True)
+            return [status for name, status in ledger.known.items() if shard.has(name)]
+
+
+def _process(ledger: Ledger, names: Iterable[str], workers: int) -> None:
+    """Keep worker processes busy with one recording each, until all were tried."""
+    waiting = deque(names)
+    jobs = max(usable_cores() // workers, 1)
+    with contextlib.ExitStack() as stack:
+        context: Any = multiprocessing.get_context()
+        if "forkserver" in multiprocessing.get_all_start_methods():
+            context = multiprocessing.get_context("forkserver")
+            context.set_forkserver_preload(["motionstereo_cli.batch.task"])
+        stop = context.Event()
+        idle = [stack.enter_context(_Worker(context, stop)) for _ in range(workers)]
+        check_builds(ledger.out, idle[0].submit(_builds).result())
+        under_way: dict[Future[Any], tuple[_Worker, str, int]] = {}
+
+        def start(worker: _Worker, name: str, trial: int) -> None:
+            plan, known_as = ledger.task_of(name)
+            task = {
+                "plan": {**plan, "jobs": plan["jobs"] or jobs},
+                "out": str(ledger.out),
+                "name": name,
+                "hash": known_as,
+                **{"piece": None, "pieces": None, "seek": True},
+            }
+            under_way[worker.submit(_work, task)] = worker, name, trial
+
+        try:
+            while waiting or under_way:
+                while waiting and idle:
+                    start(idle.pop(), waiting.popleft(), 1)
+                for future in wait(under_way, return_when=FIRST_COMPLETED).done:
+                    worker, name, trial = under_way.pop(future)
+                    if isinstance(future.exception(), BrokenProcessPool):
+                        worker.restart()
+                        if trial < _STARTS:
+                            start(worker, name, trial + 1)
+                            continue
+                    idle.append(worker)
+                    ledger.ended(_status_of(ledger, name, future.exception()))
+        except KeyboardInterrupt:
+            stop.set()
+            for future, (_, name, _) in under_way.items():
+                ledger.ended(_status_of(ledger, name, future.exception()))
+            raise
+
+
+def _status_of(ledger: Ledger, name: str, error: BaseException | None) -> Status:
+    """Return what a recording's process has written, or why it could not."""
+    status = read_status(ledger.out, name)
+    if error is not None:
+        lost = isinstance(error, BrokenProcessPool)
+        reason = "its process ended while it was processed, twice" if lost else str(error)
+        status = structs.replace(
+            status,
+            status="lost" if lost else "failed",
+            reason=(reason.splitlines() or [type(error).__name__])[0],
+            plan=ledger.task_of(name)[1],
+        )
+        ledger.write(status)
+    return status
+
+
+class _Worker:
+    """A process that does one task at a time, and is started again after it has died."""
+
+    def __init__(self, context: Any, stop: Event) -> None:
+        self._context, self._stop = context, stop
+        self._pool = self._started()
+
+    def __enter__(self) -> _Worker:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._pool.shutdown(cancel_futures=True)
+
+    def _started(self) -> ProcessPoolExecutor:
+        pool = ProcessPoolExecutor(
+            1, mp_context=self._context, initializer=_prepared, initargs=(self._stop,)
+        )
+        with _deaf():
+            pool.submit(int)  # the first task starts the process
+        return pool
+
+    def restart(self) -> None:
+        """Start a new process in the place of one that has died."""
+        self._pool.shutdown(cancel_futures=True)
+        self._pool = self._started()
+
+    def submit(self, function: Callable[..., Any], *given: Any) -> Future[Any]:
+        """Have the process call a function."""
+        return self._pool.submit(function, *given)
+
+
+@contextlib.contextmanager
+def _deaf() -> Iterator[None]:
+    """Have processes that are started ignore Ctrl-C, which a terminal sends to all of them."""
+    former = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, former)
+
+
+def _prepared(stop: Event) -> None:
+    global _stop  # noqa: PLW0603  # an event goes to a process at its start only
+    _stop = stop
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    """End this process after its parent has, with a checkpoint of what it has begun."""
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+    assert _stop is not None
+    parent.join()
+    _stop.set()
+    with _busy:
+        os._exit(1)
+
+
+def _work(task: Mapping[str, Any]) -> None:
+    from motionstereo_cli.batch.task import work
+
+    assert _stop is not None
+    with _busy:
+        work(task, stops=_stop.is_set)
+
+
+def _builds() -> dict[str, str]:
+    from motionstereo_cli.runs.record import builds
+
+    return builds()
