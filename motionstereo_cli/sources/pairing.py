@@ -114,7 +114,7 @@ def _clocks_apart_s(left: Recording, right: Recording) -> Fraction | None:
 
 
 def _by_names(left: Recording, right: Recording, given: int | None) -> Pairing:
-    """Return the pairing by numbers in names, by names, or by positions; an offset is of numbers."""
+    """Return the pairing by numbers in names (which an offset is of), names, or positions."""
     offset = given or 0
     if left.numbered and right.numbered:
         return Pairing(
