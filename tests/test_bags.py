@@ -425,3 +425,42 @@ def test_deep_images_of_a_bag_are_scaled_as_those_of_folders(tmp_path, white, le
     with open_stereo(tmp_path / "deep.bag", settings=InputSettings(white=white)) as source:
         assert next(iter(source)).left.max() == level
         assert len([line for line in source.warnings if "--white 4095" in line]) == 2 * warned
+
+
+@pytest.mark.parametrize("kind", [".bag", ".db3", ".mcap"])
+@pytest.mark.parametrize("harm", ["cut", "middle", "first", "renamed"])
+def test_parts_that_are_damaged_or_missing_are_named(tmp_path, kind, harm):
+    parts = tmp_path / "parts"
+    parts.mkdir()
+    for part in range(4):
+        path = tmp_path / f"{part}" if kind != ".bag" else parts / f"a_{part}.bag"
+        with Bag(path, kind) as bag:
+            for n, pair in list(enumerate(greys() * 2))[3 * part : 3 * part + 3]:
+                for side, grey in zip(("left", "right"), pair, strict=True):
+                    bag.image(f"/{side}/image_raw", grey, n * 10**9)
+        if kind != ".bag":
+            (file,) = path.glob(f"*{kind}")
+            file.rename(parts / f"a_{part}{kind}")
+    files = [parts / f"a_{part}{kind}" for part in range(4)]
+    if harm == "cut":
+        content = files[2].read_bytes()
+        files[2].write_bytes(content[: len(content) // 2])
+    else:
+        files[0 if harm == "first" else 1].unlink()
+        files[2].unlink() if harm == "renamed" else None
+        files[3].rename(parts / f"b{kind}") if harm == "renamed" else None
+    with open_stereo(parts) as source:
+        frames = list(source)
+        if harm == "cut":
+            assert 9 <= len(frames) < 12
+            assert frames[-1].time_s == 11
+            assert any("a_2" in line or "could not be read" in line for line in source.damage)
+            return
+        said = {
+            "middle": f"1 parts before a_2{kind} are not there",
+            "first": f"the parts before a_1{kind} are not there",
+            "renamed": f"7.0 s are missing before b{kind}",
+        }[harm]
+        assert source.warnings == [f"{parts}: {said}"]
+        assert source.damage == []
+        assert len(frames) == (6 if harm == "renamed" else 9)

@@ -237,6 +237,21 @@ def test_kalibr_with_an_imu(tmp_path: Path) -> None:
     np.testing.assert_allclose(with_imu.body_from_left, np.eye(4), atol=1e-12)
 
 
+@pytest.mark.parametrize(("factor", "agrees"), [(1, True), (1.05, True), (2, False), (-1, False)])
+def test_kalibr_that_contradicts_itself_is_refused(
+    tmp_path: Path, factor: float, agrees: bool
+) -> None:
+    path = kalibr(tmp_path, imu=True)
+    stated = RIGHT_FROM_LEFT.copy()
+    stated[:3, 3] *= factor
+    path.write_text(path.read_text() + f"  T_cn_cnm1:{block(stated)}\n")
+    if agrees:
+        assert read_calibration([path]).rig.baseline_m > 0
+        return
+    with pytest.raises(InputError, match="contradicts itself: T_cn_cnm1 places the cameras"):
+        read_calibration([path])
+
+
 def test_zed_by_size(tmp_path: Path) -> None:
     path = zed(tmp_path)
     calibration = read_calibration([path], (1280, 720))

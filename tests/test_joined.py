@@ -199,3 +199,15 @@ def test_one_chapter_alone_names_the_next(tmp_path: Path) -> None:
         assert "G???0042.MP4" in source.warnings[0]
     with open_stereo(path / GOPRO[1], images) as source:
         assert source.warnings == []
+
+
+@pytest.mark.parametrize("names", [GOPRO, ("GOPR0042.MP4", "GP010042.MP4", "GP020042.MP4")])
+def test_chapters_that_are_not_there_are_named(tmp_path: Path, names: tuple[str, ...]) -> None:
+    images = folder(tmp_path / "images", scene(count=8), ".png")
+    whole = split(tmp_path / "v", scene(count=12), names, (4, 4, 4))
+    with open_stereo(whole, images) as source:
+        assert not any("chapters" in line for line in source.warnings)
+    (whole / names[0]).unlink()
+    with open_stereo(whole, images) as source:
+        said = f"{whole}: begins with {names[1]}: the chapters before it are not there"
+        assert said in source.warnings

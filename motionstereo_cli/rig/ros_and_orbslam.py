@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import cv2
 import numpy as np
 
 from motionstereo_cli.errors import InputError
@@ -21,6 +23,9 @@ if TYPE_CHECKING:
 
 #: Names of distortion coefficients in ROS and related programs.
 _D = ("distortioncoefficients", "distortioncoeffs", "d")
+
+#: Share of the baseline and angle by which a transform may differ from the same one stated twice.
+_MAX_APART_SHARE, _MAX_APART_DEG = 0.1, 1.0
 
 
 def read_ros(files: Files) -> Pair:
@@ -101,10 +106,15 @@ def read_kalibr(path: Path, values: Values) -> Pair:
         left_from_body, right_from_body = (
             inverse(source.transform(("timucam",), "T_imu_cam")) for source in parts
         )
-    if right_from_body is None or left_from_body is None or parts[1].find(("tcncnm1",)):
+    placed = None
+    if right_from_body is not None and left_from_body is not None:
+        placed = right_from_body @ inverse(left_from_body)
+    if placed is None or parts[1].find(("tcncnm1",)):
         right_from_left = parts[1].transform(("tcncnm1",), "T_cn_cnm1")
+        if placed is not None:
+            _check_agree(path, right_from_left, placed)
     else:
-        right_from_left = right_from_body @ inverse(left_from_body)
+        right_from_left = placed
     return _by_transform(
         "kalibr camchain",
         (cameras[0], cameras[1]),
@@ -113,6 +123,24 @@ def read_kalibr(path: Path, values: Values) -> Pair:
         notes=tuple(notes),
         body_from_left=None if left_from_body is None else inverse(left_from_body),
     )
+
+
+def _check_agree(path: Path, chained: Matrix, placed: Matrix) -> None:
+    """Make sure that both transforms from the left to the right camera are nearly the same.
+
+    Raises:
+        InputError: they are not.
+    """
+    one_m, other_m = (float(np.linalg.norm(each[:3, 3])) for each in (chained, placed))
+    apart_m = float(np.linalg.norm(chained[:3, 3] - placed[:3, 3]))
+    turn, _ = cv2.Rodrigues(chained[:3, :3] @ placed[:3, :3].T)
+    apart_deg = math.degrees(float(np.linalg.norm(turn)))
+    if apart_m > _MAX_APART_SHARE * max(one_m, other_m) or apart_deg > _MAX_APART_DEG:
+        raise InputError(
+            f"{path} contradicts itself: T_cn_cnm1 places the cameras {one_m:.4g} m apart, and the "
+            f"poses in the frame of the IMU {other_m:.4g} m, turned by {apart_deg:.3g} degrees "
+            "against that: delete T_cn_cnm1 of cam1, or those poses, whichever is wrong"
+        )
 
 
 def read_stella(path: Path, values: Values) -> Pair:

@@ -23,8 +23,10 @@ from motionstereo_cli.errors import InputError, is_damage
 from motionstereo_cli.files.reading import MAX_PIXELS, open_regular
 from motionstereo_cli.files.stills import DamagedImageError, colours_of, decode, grey_of
 from motionstereo_cli.sources.bag_topics import (
+    by_part,
     camera_info_of,
     image_topics,
+    missing_parts,
     name_of,
     opened_bag,
     words_of,
@@ -143,8 +145,9 @@ class BagRecording(Recording):
         self._white, self._judged = white, bool(white)
         self._lost, self._ended = 0, ""
         self._going_back = 0
+        self._left_out: list[str] = []
         with contextlib.ExitStack() as opened:
-            self._reader = opened.enter_context(opened_bag(self._files))
+            self._reader = opened.enter_context(opened_bag(self._files, self._left_out))
             found = {each.name: each for each in image_topics(self._reader)}
             if topic not in found:
                 raise InputError(f"{name_of(self._files)} has no images on {topic}")
@@ -158,6 +161,9 @@ class BagRecording(Recording):
             self._start(self._images_of(), self._name)
             size = (self.width, self.height)
             self.camera_info = camera_info_of(self._reader, topic, size)
+            for line in missing_parts(self._files, self._reader):
+                self.holes = f"{self._files[0].parent}: {line}"
+                self.warnings += (self.holes,)
             self._opened = opened.pop_all()
 
     def close(self) -> None:
@@ -177,7 +183,7 @@ class BagRecording(Recording):
     @property
     def damage(self) -> list[str]:
         """One line for each kind of damage."""
-        lines = []
+        lines = list(self._left_out)
         if self._lost:
             why = f" ({self._ended})" if self._ended else ""
             lines.append(f"{self.name}: {images(self._lost)} could not be read{why}")
@@ -261,16 +267,17 @@ class BagRecording(Recording):
     def _messages(self) -> Generator[tuple[int, Any]]:
         """Yield the time at which each message was recorded, and the message or None."""
         wanted = [each for each in self._reader.connections if each.topic == self._topic]
-        count = 0
-        try:
-            for connection, recorded_ns, raw in self._reader.messages(connections=wanted):
-                count += 1
-                yield recorded_ns, self._deserialized(raw, connection.msgtype)
-        except Exception as error:
-            if not is_damage(error):
-                raise
-            self._ended = words_of(error)
-            self._lost += max(self._about.messages - count, 1)
+        for part in by_part(self._reader, wanted):
+            count = 0
+            try:
+                for connection, recorded_ns, raw in self._reader.messages(connections=part):
+                    count += 1
+                    yield recorded_ns, self._deserialized(raw, connection.msgtype)
+            except Exception as error:
+                if not is_damage(error):
+                    raise
+                self._ended = words_of(error)
+                self._lost += max(sum(each.msgcount for each in part) - count, 1)
 
     def _deserialized(self, raw: bytes, kind: str) -> Any:
         """Return a message, None if it is damaged."""

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import glob
+import itertools
 import json
 import re
 from collections.abc import Iterator, Sequence
@@ -30,6 +31,10 @@ _CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
 
 #: Names of the left camera in topics, and the matching names of the right one.
 _SIDES = (("left", "right"), ("infra1", "infra2"), ("cam0", "cam1"), ("camera0", "camera1"))
+
+
+#: Parts of a bag go on after one another within this time.
+_MAX_BETWEEN_PARTS_NS = 2 * 10**9
 
 
 class Topic(NamedTuple):
@@ -147,12 +152,40 @@ def _right_of(name: str) -> str | None:
 
 
 @contextlib.contextmanager
-def opened_bag(files: Sequence[Path]) -> Iterator[AnyReader]:
+def opened_bag(files: Sequence[Path], damage: list[str] | None = None) -> Iterator[AnyReader]:
     """Open a bag, or the parts of one, for reading as one.
 
+    Args:
+        files: the bag, or its parts; of these, those that cannot be read are left out.
+        damage: takes a line for each part that is left out.
+
     Raises:
-        InputError: it cannot be read, or rosbags is not installed.
+        InputError: nothing can be read, or rosbags is not installed.
     """
+    reader: AnyReader | None = None
+    try:
+        reader = _open(files)
+    except InputError:
+        if len(files) == 1:
+            raise
+        readable = []
+        for file in files:
+            try:
+                _open([file]).close()
+                readable.append(file)
+            except InputError as error:
+                if damage is not None:
+                    damage.append(f"{file} is left out: {error}")
+        if not readable or len(readable) == len(files):
+            raise
+        reader = _open(readable)
+    try:
+        yield reader
+    finally:
+        reader.close()
+
+
+def _open(files: Sequence[Path]) -> AnyReader:
     path = name_of(files)
     try:
         from rosbags.highlevel import AnyReader
@@ -170,10 +203,52 @@ def opened_bag(files: Sequence[Path]) -> Iterator[AnyReader]:
             raise
         advice = "rosbag reindex makes an index" if "index" in str(error) else "is it whole?"
         raise InputError(f"cannot read the bag {path}: {words_of(error)}: {advice}") from None
-    try:
-        yield reader
-    finally:
-        reader.close()
+    return reader
+
+
+def missing_parts(files: Sequence[Path], reader: AnyReader) -> list[str]:
+    """Return a line for each place at which parts of a bag seem to be missing.
+
+    Their names tell it, which end in _0, _1, ...; or else a gap in the times of their messages.
+    """
+    if len(files) < 2:
+        return []
+    found = [re.fullmatch(r"(.*)_(\d+)", file.stem) for file in files]
+    if all(found) and len({each[1] for each in found if each}) == 1:
+        numbers = [int(each[2]) for each in found if each]
+        lines = []
+        if numbers[0] > 0:
+            lines.append(f"the parts before {files[0].name} are not there")
+        for file, before, after in zip(files[1:], numbers, numbers[1:], strict=False):
+            if after > before + 1:
+                lines.append(f"{after - before - 1} parts before {file.name} are not there")
+        return lines
+    parts: list[tuple[Any, Any]] = list(zip(reader.readers, reader.paths, strict=True))
+    spans = sorted(
+        (part.start_time, part.end_time, path.name) for part, path in parts if part.message_count
+    )
+    return [
+        f"{(begin - end) / 1e9:.1f} s are missing before {name}"
+        for (_, end, _), (begin, _, name) in itertools.pairwise(spans)
+        if begin - end > _MAX_BETWEEN_PARTS_NS
+    ]
+
+
+def by_part(reader: AnyReader, connections: Sequence[Connection]) -> list[list[Connection]]:
+    """Return connections by the part of a bag that has them, where parts follow one another.
+
+    So what is damaged in one does not end the others. All are together where parts overlap.
+    """
+    found = []
+    readers: list[Any] = list(reader.readers)
+    for part in readers:
+        owners = {id(each.owner) for each in part.connections}
+        if own := [each for each in connections if id(each.owner) in owners]:
+            found.append((part.start_time, part.end_time, own))
+    found.sort(key=lambda part: part[:2])
+    if any(begin < end for (_, end, _), (begin, _, _) in itertools.pairwise(found)):
+        return [list(connections)]
+    return [own for _, _, own in found]
 
 
 def words_of(error: Exception) -> str:
@@ -209,12 +284,13 @@ def image_topics(reader: AnyReader) -> list[Topic]:
 
 def _first(reader: AnyReader, connections: Sequence[Connection]) -> Any:
     """Return the first message of some connections, None if none can be read."""
-    try:
-        for connection, _, raw in reader.messages(connections=connections):
-            return reader.deserialize(raw, connection.msgtype)
-    except Exception as error:
-        if not is_damage(error):
-            raise
+    for part in by_part(reader, connections):
+        try:
+            for connection, _, raw in reader.messages(connections=part):
+                return reader.deserialize(raw, connection.msgtype)
+        except Exception as error:
+            if not is_damage(error):
+                raise
     return None
 
 

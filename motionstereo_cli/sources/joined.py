@@ -84,7 +84,11 @@ def _missing(files: Sequence[Path]) -> list[str]:
     if all(found):
         chapters = [int(each["chapter"] or 0) for each in found if each]
         # With one before them: two files alone do not show that numbers count by 1.
-        return gaps([chapters[0] - 1, *chapters])
+        lines = gaps([chapters[0] - 1, *chapters])
+        begin = 0 if files[0].stem.upper().startswith("GP") else 1
+        if chapters[0] > begin:
+            lines.insert(0, f"begins with {files[0].name}: the chapters before it are not there")
+        return lines
     return gaps(file_numbers([file.stem for file in files]) or [0])
 
 
