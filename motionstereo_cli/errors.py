@@ -14,7 +14,7 @@ DAMAGED_EXIT_CODE = 3
 DIFFERENT_EXIT_CODE = 4
 INTERRUPTED_EXIT_CODE = 130
 
-#: What an :class:`InputError` says where left and right have no pair of images.
+#: Message of an :class:`InputError` if left and right have no pair of images.
 NO_FRAMES = "the recordings have no frame in common: check that they are whole"
 
 
@@ -43,21 +43,22 @@ class BusyError(OutputError):
 
 
 def is_damage(error: BaseException) -> bool:
-    """Return whether an error that a reader of others raised is for damage in what it read.
+    """Return whether an error of another library's reader means damaged input.
 
-    They raise of every kind; a lack of memory is none, and what is known already is not again.
+    Such readers raise errors of every kind; lack of memory is not damage, nor are this program's
+    own errors.
     """
     return isinstance(error, Exception) and not (
         isinstance(error, MotionStereoError) or shortage(error)
     )
 
 
-#: How libraries say that the system gives no more memory.
+#: Messages of libraries when the system has no more memory.
 _NO_MEMORY = re.compile("failed to map segment|cannot allocate memory|insufficient memory", re.I)
 
 
 def shortage(error: BaseException) -> str | None:
-    """Return what the machine has too little of and what to do, None if an error is another."""
+    """Return what the machine lacks and what to do, None for other errors."""
     if "start new thread" in str(error):
         return (
             "the system starts no more threads, as its memory or the number of processes is "

@@ -31,7 +31,7 @@ class Param:
         group: its heading in the help, empty = that of its dataclass.
         common: whether the short help shows it.
         old: former name, still accepted on the command line and in the configuration file.
-        words: words that stand for values, such as ``auto`` for 0.
+        words: words for values, such as ``auto`` for 0.
     """
 
     name: str
@@ -112,7 +112,7 @@ def param(
 ) -> Any:
     """Declare a dataclass field that :func:`params` describes and :func:`checked` verifies.
 
-    ``choices`` is a function where they can become more.
+    ``choices`` may be a function, if choices can be added.
     """
     meta: dict[str, Any] = {
         "help": help,

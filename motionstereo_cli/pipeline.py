@@ -1,9 +1,9 @@
 """The stream: stereo frames in, results out.
 
-Three steps, each apart from the others. The memories see the images one after the other, which
-is cheap. What one moment of the memories decides by itself is then found side by side, in threads
-or in pieces of a recording (:func:`analyse`). What follows from frame to frame, heading and
-objects, is done in order, on the few numbers that each analysis has left (:func:`follow`).
+Three separate steps. The memories take the images in order, which is cheap. What depends only on
+the memories at one moment is then computed in parallel, in threads or in pieces of a recording
+(:func:`analyse`). Heading and objects are sequential; they are computed in order from the few
+numbers that each analysis leaves (:func:`follow`).
 
 In permanency mode the memories forget ceil((Chmax - Chmin) / D) frames later.
 """
@@ -54,21 +54,21 @@ from motionstereo_cli.types import (
 if TYPE_CHECKING:
     from motionstereo_cli.types import Real
 
-#: What of a result takes time and is not always asked for.
+#: Parts of a result that take time and are computed on request.
 EXTRAS = frozenset({"age_frames", "confidence", "depth_m", "occlusion", "sigma_px"})
 
-#: A disparity shows where a moving object is now if it moved there at most this many frames ago.
+#: A disparity locates a moving object if it moved there at most this many frames ago.
 FRESH_FRAMES = 3
 
 
 @dataclass(frozen=True, slots=True)
 class TrackingState:
-    """What follows from frame to frame, besides the memories.
+    """The sequential state, besides the memories.
 
     Attributes:
-        guided: what the guide knows.
+        guided: the guide's state.
         tracks: the moving objects.
-        path: where the rig has come to by its own motion; None where that is not followed.
+        path: the path of the rig by its own motion; None if that is not followed.
     """
 
     guided: Any = None
@@ -82,11 +82,11 @@ class State:
 
     Attributes:
         right, left: the permanency memories; None before the first frame.
-        odometry: what own motion is found from; None where it is not asked for.
-        movers: what things that move by themselves are found from; None likewise.
-        own_charge: permanency memory of what moves by itself; None likewise.
+        odometry: state of the odometry; None if not requested.
+        movers: state of finding movers; None if not requested.
+        own_charge: permanency memory of movers; None if not requested.
         tracking: heading, objects and path.
-        recent: what the last frames showed, the oldest first.
+        recent: results of the last frames, the oldest first.
     """
 
     right: Memory | None = None
@@ -105,8 +105,8 @@ class FrameSummary:
     Attributes:
         time: which frame it is.
         profile: what the guide takes from it.
-        regions: what may be an object.
-        motion: the rig's own since the frame before; None where it is unknown or not asked for.
+        regions: candidates for objects.
+        motion: the rig's own since the frame before; None if unknown or not requested.
         charged, matched, at_limit, points: as :class:`~motionstereo_cli.types.Step` has them.
     """
 
@@ -121,22 +121,22 @@ class FrameSummary:
 
 
 class FrameAnalysis(NamedTuple):
-    """What a frame shows: images, and what later frames need."""
+    """The result of one frame: images, and what later frames need."""
 
     images: FrameImages
     summary: FrameSummary
 
 
 class StreamContext(NamedTuple):
-    """What is the same for all frames of a stream.
+    """The constants of a stream.
 
     Attributes:
         settings: parameters of the processing.
         rig: the camera; None if unknown.
-        guide: makes the headings.
-        tracker: follows moving objects; None where nobody asks for them.
-        odometer: finds the rig's own motion; None where nobody asks for it.
-        mover_finder: finds what moves by itself; None likewise.
+        guide: computes the headings.
+        tracker: follows moving objects; None if not requested.
+        odometer: finds the rig's own motion; None if not requested.
+        mover_finder: finds movers; None if not requested.
         extras: which of :data:`EXTRAS` the images have.
         with_points: whether steps have points.
     """
@@ -164,7 +164,7 @@ class StreamContext(NamedTuple):
         extras: Collection[str] = EXTRAS,
         with_points: bool = False,
     ) -> StreamContext:
-        """Return what a stream needs.
+        """Return the context of a stream.
 
         With movers, own motion is found too; ``motion_offset_px`` is added to disparity for that.
 
@@ -205,14 +205,13 @@ def process(
         frames: rectified stereo frames of one size, that of the rig.
         settings: parameters; the defaults if None.
         rig: the camera, for depth in m and steering angles; without one they are None.
-        pose_of: tells where the rig was; asked once a frame, in order. With it and a rig, the
-            guidance remembers what it has seen around it. ``auto``: poses are found from the
-            frames, in the robot frame of the first one.
+        pose_of: returns the pose of the rig; called once per frame, in order. With it and a rig,
+            the guidance keeps a map of its surroundings. ``auto``: poses are found from the frames,
+            in the robot frame of the first one.
         with_objects: find moving objects; with poses, the guidance keeps clear of them.
         extras: which of :data:`EXTRAS` the results have; the others are None, and take no time.
-        jobs: frames matched at a time; all but one of them are taken before a result is given.
-        state: what is known before the first frame, as the ``state`` of an earlier result; nothing
-            if None.
+        jobs: frames matched at a time; up to so many are read ahead of a result.
+        state: the state before the first frame, from an earlier result; None: the initial one.
 
     Raises:
         InputError: a frame is not two (height, width) uint8 images, or of another size than the
@@ -275,7 +274,7 @@ def steps(
 
     Args:
         frames, pose_of, jobs, state: see :func:`process`.
-        context: what is the same for all frames.
+        context: the constants of the stream.
     """
     state = state or State()
     tracking = state.tracking
@@ -292,14 +291,14 @@ def follow(
     context: StreamContext,
     images: FrameImages | None = None,
 ) -> tuple[TrackingState, Step]:
-    """Return what is known after a frame, and the frame's step.
+    """Return the sequential state after a frame, and the frame's step.
 
     Args:
-        tracking: what was known before.
-        summary: what the frame shows.
-        pose: where the rig was; None where that is not known, or to be found.
-        context: what is the same for all frames.
-        images: what the step is to have for images.
+        tracking: the state before.
+        summary: the summary of the frame.
+        pose: the pose of the rig; None if unknown, or to be found.
+        context: the constants of the stream.
+        images: the images of the step.
     """
     tracks, objects = tracking.tracks, tuple[MovingObject, ...]()
     path, fix = tracking.path, None
@@ -327,7 +326,7 @@ def follow(
 def analysed(
     frames: Iterable[StereoFrame], context: StreamContext, state: State, jobs: int
 ) -> Iterator[tuple[StereoFrame, State, FrameAnalysis]]:
-    """Yield each frame, what is known after it except the tracking, and what it shows."""
+    """Yield each frame, the state after it except the tracking, and its analysis."""
     for frame, after, found in side_by_side(frames, context, state, jobs):
         state, found = with_movers(state, after, found, context)  # noqa: PLW2901
         yield frame, state, found
@@ -336,7 +335,7 @@ def analysed(
 def side_by_side(
     frames: Iterable[StereoFrame], context: StreamContext, state: State, jobs: int
 ) -> Iterator[tuple[StereoFrame, State, FrameAnalysis]]:
-    """Yield each frame, the memories after it, and what it shows by itself."""
+    """Yield each frame, the memories after it, and its own analysis."""
     recent = deque[Future[Sighting]](maxlen=recent_frames(context.settings))
     for sighting in state.recent:
         recent.append(Future())
@@ -356,7 +355,7 @@ def side_by_side(
 
 
 class _Waiting(NamedTuple):
-    """A frame that is being analysed, the memories after it, and what is recent then."""
+    """A frame that is being analysed, the memories after it, and the recent results."""
 
     frame: StereoFrame
     state: State
@@ -364,14 +363,14 @@ class _Waiting(NamedTuple):
     found: Future[FrameAnalysis]
 
     def result(self) -> tuple[StereoFrame, State, FrameAnalysis]:
-        """Wait for what was found."""
+        """Wait for the result."""
         found = self.found.result()
         recent = tuple(sighting.result() for sighting in self.recent)
         return self.frame, replace(self.state, recent=recent), found
 
 
 def recent_frames(settings: Settings) -> int:
-    """Return how many frames before a frame its disparity is averaged with, at most."""
+    """Return the maximum number of earlier frames with which a disparity is averaged."""
     matcher = MATCHERS.get(settings.matcher)
     return settings.average_frames - 1 if matcher is not None and matcher.is_averaged else 0
 
@@ -379,7 +378,7 @@ def recent_frames(settings: Settings) -> int:
 def remembered(
     state: State, frame: StereoFrame, context: StreamContext
 ) -> tuple[State, Motion | None]:
-    """Return the memories after a frame, and the rig's own motion if that is asked for.
+    """Return the memories after a frame, and the rig's own motion if requested.
 
     Raises:
         InputError: the views cannot be used.
@@ -404,9 +403,9 @@ def remembered(
 def with_movers(
     before: State, after: State, found: FrameAnalysis, context: StreamContext
 ) -> tuple[State, FrameAnalysis]:
-    """Return what is known after a frame, and its analysis, with what moves by itself.
+    """Return the state after a frame, and its analysis, with movers.
 
-    While the rig moves, only that may be an object.
+    While the rig moves, only movers may be objects.
     """
     images, summary = found
     if context.mover_finder is None or after.right is None or after.left is None:
@@ -431,15 +430,15 @@ def analyse(
     now: Future[Sighting],
     before: Sequence[Future[Sighting]],
 ) -> FrameAnalysis:
-    """Return what a frame shows, in the reference view.
+    """Return the analysis of a frame, in the reference view.
 
     Args:
         frame: the frame.
         state: the memories after it.
         motion: the rig's own.
-        context: what is the same for all frames.
-        now: gets what was found in this frame alone, as soon as it is known.
-        before: the same of the frames before, whose analysis began earlier.
+        context: the constants of the stream.
+        now: receives the result of this frame alone, as soon as it is known.
+        before: the same of earlier frames, whose analysis began before.
     """
     s, (right, left) = context.settings, (state.right, state.left)
     assert right is not None
@@ -472,14 +471,14 @@ def described(
     motion: Motion | None,
     context: StreamContext,
 ) -> tuple[FrameImages, FrameSummary]:
-    """Return all that follows from one frame's disparity.
+    """Return all results that depend on one frame's disparity.
 
     Args:
         frame: the frame.
         shown: the memory of the reference camera after it.
-        found: its disparity, and what is known of it.
+        found: its disparity, and further results of the matcher.
         motion: the rig's own.
-        context: what is the same for all frames.
+        context: the constants of the stream.
     """
     s, rig, disparity_px = context.settings, context.rig, found.disparity_px
     regions: tuple[Region, ...] = ()
@@ -520,7 +519,7 @@ def described(
 def depth_of(disparity_px: Real, rig: Rig | None) -> Real | None:
     """Return depth in m, (height, width) float32, NaN = unknown; None without a rig.
 
-    Where nearness is not positive the point would lie at or beyond infinity: unknown.
+    Where disparity plus doffs is not positive, the point would be at or beyond infinity: unknown.
 
     Args:
         disparity_px: x in the left image minus x in the right one, float32, NaN = unknown.

@@ -29,8 +29,7 @@ class Rig:
         cx, cy: principal point of the left camera in px; the right one's is (cx + doffs, cy).
         doffs: x of the right principal point minus x of the left one in px, so that
             depth = focal_px * baseline_m / (disparity + doffs), as Middlebury has it.
-        focal_y_px: focal length along y, where it is another (pixels that are not square); None
-            where it is not.
+        focal_y_px: focal length along y, if different (pixels that are not square); None if equal.
     """
 
     width: int
@@ -71,7 +70,7 @@ class Rig:
         return float(self.focal_baseline) / depth_m - float(self.doffs)
 
     def left_of_middle_m(self, camera: str) -> float:
-        """Return how far left of the rig's middle the ``left`` or ``right`` camera sits, in m."""
+        """Return how far left of the rig's middle the ``left`` or ``right`` camera is, in m."""
         return self.baseline_m / (-2 if camera == "right" else 2)
 
     def camera_on_floor(self, pose: Pose, camera: str) -> tuple[float, float]:
@@ -89,13 +88,13 @@ class Rig:
 
 @dataclass(frozen=True, slots=True)
 class Pose:
-    """Where the rig is in the world, and how it is turned.
+    """Position and orientation of the rig in the world.
 
-    The rig is its robot frame: origin halfway between the cameras, x forward, y left, z up.
+    The rig stands for its robot frame: origin halfway between the cameras, x forward, y left, z up.
 
     Attributes:
-        x_m, y_m, z_m: its place in m.
-        qx, qy, qz, qw: unit quaternion that turns directions of the robot frame into the world's.
+        x_m, y_m, z_m: its position in m.
+        qx, qy, qz, qw: unit quaternion that rotates directions of the robot frame to the world's.
     """
 
     x_m: float
@@ -116,10 +115,10 @@ class Pose:
 
 @dataclass(frozen=True, slots=True)
 class FrameTime:
-    """Which frame of a recording, and when it was taken.
+    """Number and time of a frame.
 
     Attributes:
-        index, pts, time_s, number: as :class:`StereoFrame` has them.
+        index, pts, time_s, number: as in :class:`StereoFrame`.
     """
 
     index: int
@@ -135,11 +134,11 @@ class StereoFrame:
     Attributes:
         index: number of the pair in the stream, from 0.
         pts: presentation time stamp of the right frame in units of the source's time base; the
-            index where the source has no time.
-        time_s: the same in seconds, None where the source has no time.
+            index if the source has no times.
+        time_s: the same in seconds, None if the source has no times.
         left, right: (height, width) uint8 grey levels 0..255; not to be written to.
-        number: place of the right image in its recording, from 0; None if unknown.
-        colours: (height, width, 3) uint8 RGB of the view that was asked for; None without colour.
+        number: number of the right image in its recording, from 0; None if unknown.
+        colours: (height, width, 3) uint8 RGB of the requested view; None without colour.
         disparity_px: what another program found in the view that results are of, (height, width)
             float32 px, NaN = unknown; None where it is to be matched.
     """
@@ -161,11 +160,11 @@ class StereoFrame:
 
 @dataclass(frozen=True, slots=True)
 class Steering:
-    """Where to go, and what is known of the free distance.
+    """The heading, and the free distance.
 
     Attributes:
-        status: ``ok``; ``held`` (nothing new to see, last heading kept); ``blind`` (never
-            seen anything).
+        status: ``ok``; ``held`` (nothing new is seen, last heading kept); ``blind`` (nothing
+            was seen yet).
         steer: heading as a share of half the image width, -1..1, positive = left.
         steer_rad: the same as an angle, positive = left (counter-clockwise, REP 103); None
             without a rig.
@@ -187,25 +186,23 @@ class Steering:
 
 @dataclass(frozen=True, slots=True)
 class MovingObject:
-    """Something that moves, or that a moving camera passes, followed from frame to frame.
+    """An object that moves, or that a moving camera passes, followed from frame to frame.
 
     Attributes:
-        id: its number as long as it is followed, from 1.
+        id: its number while it is followed, from 1.
         x, y, width, height: its box in px of the reference camera's view, upper left corner first.
         depth_m: median depth; None without a rig.
-        closing_mps: how fast its depth shrinks in m/s, positive = it comes closer; with poses, a
-            turn of the camera does not count. None without a rig, where the source has no time,
-            and as long as it is unknown.
-        time_to_contact_s: depth_m / closing_mps, which needs no rig; None where the source has no
-            time, where it does not come closer or would need over a minute, and as long as it is
-            unknown.
-        confidence: how far to believe in it, 0..1.
-        place_m: where it is in the world, x and y in m; None without a rig and poses.
-        velocity_mps: how fast it moves over ground, x and y in m/s; None likewise, where the
-            source has no time, and as long as it is unknown.
-        sigma_mps: standard deviation of that; None likewise.
-        by_itself: whether it moves over ground, beyond what its standard deviation may be; None
-            where that is unknown.
+        closing_mps: rate at which its depth decreases in m/s, positive = approaching; with poses,
+            turns of the camera do not count. None without a rig, without times, or while unknown.
+        time_to_contact_s: depth_m / closing_mps, which needs no rig; None without times, if it
+            does not approach or would need over a minute, or while unknown.
+        confidence: of the object and its speed, 0..1.
+        place_m: position in the world, x and y in m; None without a rig and poses.
+        velocity_mps: velocity over ground, x and y in m/s; None without a rig and poses, without
+            times, or while unknown.
+        sigma_mps: standard deviation of the velocity; None without one.
+        by_itself: whether it moves over ground, by more than its standard deviation explains;
+            None if unknown.
     """
 
     id: int
@@ -237,14 +234,14 @@ class MovingObject:
 
 @dataclass(frozen=True, slots=True)
 class Fix:
-    """How far to believe in a pose that was found from the videos themselves.
+    """Quality of a pose that was found from the videos.
 
     Attributes:
-        lost: the motion of this frame is unknown; the last one that is known is taken to go on.
-        sigma_m, sigma_rad: standard deviation of place and turn, by errors that frames do not
-            share.
-        disparity_offset_px: constant by which disparities are too small, 0 where none can be told.
-        agreeing: share of the points whose grey agrees with the motion, 0..1; 0 where unknown.
+        lost: the motion of this frame is unknown; the last known one is assumed to continue.
+        sigma_m, sigma_rad: standard deviation of position and orientation, of errors that frames
+            do not share.
+        disparity_offset_px: constant error of disparity, positive = too small; 0 if unknown.
+        agreeing: share of the points whose grey agrees with the motion, 0..1; 0 if unknown.
     """
 
     lost: bool
@@ -256,16 +253,16 @@ class Fix:
 
 @dataclass(frozen=True, slots=True)
 class FrameImages:
-    """The images of one frame in the reference camera's view; they are not to be written to.
+    """The images of one frame in the reference view; not to be written to.
 
     Attributes:
         time: which frame it is.
         view: (height, width) uint8, the reference camera's image.
-        colours: the same in colour, (height, width, 3) uint8 RGB; None where it has none or no
-            output asks for it.
-        charge, disparity_px: as :class:`FrameResult` has them.
-        bands, motion, age_frames, confidence, sigma_px, depth_m, occlusion, own_charge: likewise;
-            None where no output asks for it.
+        colours: the same in colour, (height, width, 3) uint8 RGB; None if it has none or no output
+            needs it.
+        charge, disparity_px: as in :class:`FrameResult`.
+        bands, motion, age_frames, confidence, sigma_px, depth_m, occlusion, own_charge: as there;
+            None if no output needs it.
     """
 
     time: FrameTime
@@ -284,26 +281,26 @@ class FrameImages:
 
     @property
     def look(self) -> NDArray[np.uint8]:
-        """The reference camera's image for people: in colour where it has colours, else grey."""
+        """The reference camera's image to look at: in colour if it has colours, else grey."""
         return self.view if self.colours is None else self.colours
 
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """The few numbers of one frame that follow from the frames up to it.
+    """The sequential results of one frame.
 
     Attributes:
         time: which frame it is.
         steering: its heading.
-        objects: what moves, as far as it has been followed for a few frames.
-        pose: where the rig was; None where it is not known.
-        fix: how far to believe in the pose, where it was found from the videos.
+        objects: what moves, once it was followed for a few frames.
+        pose: pose of the rig; None if unknown.
+        fix: quality of the pose, if it was found from the videos.
         charged, matched: shares of the image, 0..1, that carry charge and have a disparity.
-        at_limit: share of the image, 0..1, whose best match was the last one of the range: that is
-            unknown, and may be nearer.
+        at_limit: share of the image, 0..1, whose best match was the last one of the range: unknown,
+            and perhaps nearer.
         points: what moved, (n, 3) float64 m in the reference camera's optical frame, and its
-            grey, (n,) uint8; None where no output asks for it.
-        images: the frame's images; None where no output asks for them together with these numbers.
+            grey, (n,) uint8; None if no output needs it.
+        images: the frame's images; None if no output needs them together with these numbers.
     """
 
     time: FrameTime
@@ -320,33 +317,32 @@ class Step:
 
 @dataclass(frozen=True, slots=True)
 class FrameResult:
-    """All that the processing found out about one stereo frame, in the reference camera's view.
+    """All results of one stereo frame, in the reference camera's view.
 
     Attributes:
         frame: the input.
         bands: (height, width) uint8 (uint16 for 256 bands) grey-level bands 1..n.
         motion: (height, width) bool, where the band has just changed.
         charge: (height, width) uint8 permanency memory.
-        age_frames: (height, width) uint8 frames since something moved there, 255 = forgotten; all
-            0 where charged in general mode, which does not know; None if not asked for.
+        age_frames: (height, width) uint8 frames since something moved there, 255 = forgotten; 0
+            in the general mode, which does not know; None if not requested.
         disparity_px: (height, width) float32, NaN = unknown.
         confidence: (height, width) float32 chance 0..1 that the disparity is right within 1 px,
-            NaN = unknown; all NaN for the regions matcher, which does not know; None if not asked
-            for.
+            NaN = unknown; all NaN for the regions matcher, which has none; None if not requested.
         sigma_px: (height, width) float32 standard deviation of the disparity, NaN = unknown; None
-            if not asked for.
+            if not requested.
         occlusion: (height, width) uint8, why the disparity is unknown, by the codes of
             :data:`~motionstereo_cli.method.settings.OCCLUSION`; None if not asked for.
-        depth_m: (height, width) float32, NaN = unknown; None without a rig or if not asked for.
+        depth_m: (height, width) float32, NaN = unknown; None without a rig or if not requested.
         steering: heading for this frame.
         charged, matched: shares of the image, 0..1, that carry charge and have a disparity.
-        state: what is known after this frame; :func:`~motionstereo_cli.pipeline.process` goes on
-            from it.
-        pose: where the rig was; None where it is not known.
-        fix: how far to believe in the pose, where it was found from the videos.
-        own_charge: (height, width) uint8 permanency memory of what moves by itself, whatever the
-            rig does; None where own motion is not asked for.
-        objects: what moves, as far as it has been followed for a few frames.
+        state: the state after this frame, from which :func:`~motionstereo_cli.pipeline.process`
+            continues.
+        pose: pose of the rig; None if unknown.
+        fix: quality of the pose, if it was found from the videos.
+        own_charge: (height, width) uint8 permanency memory of what moves by itself, while the rig
+            moves; None if own motion is not requested.
+        objects: what moves, once it was followed for a few frames.
     """
 
     frame: StereoFrame

@@ -1,1 +1,1 @@
-"""The paper and what it grew into: bands, motion, memory, matching; pure functions of arrays."""
+"""The method: bands, motion, memory and matching, as pure functions of arrays."""

@@ -1,6 +1,6 @@
-"""Where objects end: a window of pixels makes them larger than they are, and hides what is behind.
+"""Borders of objects: matching windows enlarge near objects and cover what is behind them.
 
-In the right view, the left camera does not see what lies just to the right of a near object.
+In the right view, the left camera does not see what is just to the right of a near object.
 """
 
 from __future__ import annotations
@@ -13,25 +13,25 @@ from motionstereo_cli.compiled import checked_array
 
 Reals = NDArray[np.float32]
 
-#: Where disparity changes by more than this from pixel to pixel, in px, an object ends.
+#: A step of disparity between pixels by more than this, in px, is an object's border.
 _LEAP = 1.5
 
-#: So many pixels of a border may belong to what is behind.
+#: Maximum width of a border that may belong to what is behind, in px.
 _REACH_PX = 4
 
-#: A pixel that is hidden from the left camera shows a difference of grey of this much, on average;
-#: more than the second does not count. In sixteenths of a grey level.
+#: Mean difference of grey of a pixel that is hidden from the left camera, and the limit of
+#: differences, in sixteenths of a grey level.
 _HIDDEN, _MAX_GREY = 6 * 16, 20 * 16
 
-#: Grey changes where an object ends: what a level of that is worth. And what has to be gained. In
-#: sixteenths of a grey level.
+#: Borders of objects are borders of grey: the gain per level of a grey step, and the minimum gain,
+#: in sixteenths of a grey level.
 _PER_GREY_LEVEL, _MIN_GAIN = 6, 8
 
-#: What is hidden is as wide as the leap of disparity, and by this much more, in px.
+#: A hidden area is as wide as the step of disparity plus this, in px.
 _MORE_PX = 4
 
-#: Behind an object the disparity is the least of so many pixels, if that is not farther still by
-#: the second: the first ones are matched together with what is hidden.
+#: The disparity behind an object is the smallest of so many pixels, if it is not smaller by more
+#: than the second: the first pixels are matched together with the hidden ones.
 _BEHIND_PX, _MAX_LEAP = 8, 4.0
 
 
@@ -43,11 +43,11 @@ _LIMITS = loops.Limits(  # type: ignore[call-arg]  # mypy does not know its data
 def trimmed(
     disparity_px: Reals, right: NDArray[np.uint8], left: NDArray[np.uint8]
 ) -> NDArray[np.float32]:
-    """Return disparity with the borders of objects where grey says that they are.
+    """Return disparity with the borders of objects moved to where grey places them.
 
-    From each border inward, pixels go to what lies behind as long as that fits their grey better;
-    a border where grey changes is preferred. On the right side of an object that is hidden from
-    the left camera, and becomes unknown.
+    From each border inward, pixels are assigned to what is behind as long as that fits their grey
+    better; borders at steps of grey are preferred. On the right side of an object these pixels are
+    hidden from the left camera, and become unknown.
 
     Args:
         disparity_px: (height, width) float32, NaN = unknown.
@@ -64,7 +64,7 @@ def trimmed(
 
 
 def hidden_filled(disparity_px: Reals, where: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """Return disparity with what the left camera does not see as far as what is behind.
+    """Return disparity with areas hidden from the left camera filled from what is behind.
 
     Args:
         disparity_px: (height, width) float32, NaN = unknown.

@@ -35,13 +35,13 @@ def permanency(
 def age(
     charge: NDArray[np.uint8], *, charge_max: int = 255, charge_min: int = 0, leak: int = 16
 ) -> NDArray[np.uint8]:
-    """Return how many frames ago something moved, (height, width) uint8; 255 = forgotten.
+    """Return the frames since something moved, (height, width) uint8; 255 = forgotten.
 
-    The permanency memory read backwards: (Chmax - Ch) / D.
+    The inverse of the permanency memory: (Chmax - Ch) / D.
 
     Args:
         charge: permanency memory, (height, width) uint8.
-        charge_max, charge_min, leak: Chmax, Chmin and D, as the memory was made with.
+        charge_max, charge_min, leak: Chmax, Chmin and D of the memory.
     """
     frames = np.clip((charge_max - _LEVELS) // leak, 0, 254)
     table = np.where(charge_min < _LEVELS, frames, 255).astype(np.uint8)
@@ -60,7 +60,7 @@ def accumulate(
     """Return the charge of the general model one frame later, (height, width) uint8.
 
     Equation (1): Ch = min(Ch + C, Chmax) where the property (motion) holds, else
-    max(Ch - D, Chmin). Unlike the permanency memory it never forgets for certain.
+    max(Ch - D, Chmin). Unlike the permanency memory it may never forget.
 
     Args:
         charge: charge of the frame before, (height, width) uint8, Chmin..Chmax.

@@ -1,4 +1,4 @@
-"""Cleaning a disparity image: what has no company goes, short gaps close."""
+"""Cleaning of disparity images: speckles are removed, short gaps filled."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def without_speckles(
     Args:
         disparity_px: (height, width) float32, NaN = unknown.
         where: pixels that count, (height, width) bool; all others become unknown.
-        min_px: pixels of the largest patch that goes.
+        min_px: size of the largest patch that is removed.
     """
     disparity_px = checked_array(disparity_px, np.float32)
     where = checked_array(where, np.bool_, disparity_px.shape)
@@ -31,8 +31,8 @@ def filled(
 ) -> NDArray[np.float32]:
     """Return a disparity image with gaps in its rows filled linearly from side to side.
 
-    Trails of a pixel or two often find no partner, because noise splits them in one view only. A
-    gap is filled where it is short and the disparities on its two sides agree within 2 px.
+    Trails of a pixel or two often have no match, because noise splits them in one view only. A gap
+    is filled if it is short and the disparities on both sides agree within 2 px.
 
     Args:
         disparity_px: (height, width) float32, NaN = unknown.

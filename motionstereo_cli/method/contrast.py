@@ -1,4 +1,4 @@
-"""A grey that does not depend on brightness: how much a pixel differs from what is around it."""
+"""Local contrast: grey independent of brightness."""
 
 from __future__ import annotations
 
@@ -6,21 +6,21 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-#: Grey levels of the result in which a texture's standard deviation is shown; the middle is 128.
+#: Grey levels of the result per standard deviation of the texture; the middle is 128.
 _SPREAD = 48
 
-#: Mean and deviation are smooth: they are taken from an image of a quarter of the size.
+#: Mean and deviation are smooth, so they are computed at a quarter of the size.
 _SMALLER = 4
 
-#: A deviation of this many times the noise is weak: contrast rises no further below it.
+#: Deviations below this many times the noise are weak, and are not amplified further.
 _PER_NOISE = 8
 
-#: Answers to noise and nothing else: not to ramps, hardly to edges (Immerkaer, "Fast Noise
+#: A filter that responds to noise only: not to ramps, hardly to edges (Immerkaer, "Fast Noise
 #: Variance Estimation", 1996). Its answer to noise of sigma 1 has a mean of 6 * sqrt(2 / pi).
 _LAPLACIANS = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], np.float32)
 _ANSWER = 6 * np.sqrt(2 / np.pi)
 
-#: Noise is looked for in blocks of this size, in the share of them that has the least of it.
+#: Noise is measured in blocks of this size, in the share of them with the least of it.
 _BLOCK_PX, _QUIET_SHARE = 16, 0.2
 
 
@@ -57,7 +57,7 @@ def contrast(grey: NDArray[np.uint8], sigma_px: float, min_deviation: float) -> 
 def noise_of(grey: NDArray[np.uint8]) -> float:
     """Return the standard deviation of the noise of an image (height, width) uint8, grey levels.
 
-    That of its quietest parts, so fine texture all over the image is taken for noise.
+    It is that of its smoothest blocks, so fine texture all over the image counts as noise.
     """
     height, width = (max(size // _BLOCK_PX, 1) for size in grey.shape)
     answer = cv2.absdiff(cv2.filter2D(grey, cv2.CV_16S, _LAPLACIANS), np.zeros(1))

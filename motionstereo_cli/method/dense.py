@@ -1,4 +1,4 @@
-"""Disparity by what both views show now: semi-global matching, with trails as proposals.
+"""The dense matcher: semi-global matching of the current views, with trails as proposals.
 
 After Hirschmueller, "Stereo Processing by Semiglobal Matching and Mutual Information" (2008), with
 four paths (from the left, the right, above and below). A cost is the difference of grey,
@@ -17,35 +17,35 @@ from motionstereo_cli.compiled import dense as loops
 
 try:
     from motionstereo_cli.compiled import vectors
-except ImportError:  # in plain Python, and where the compiler has no vector types
+except ImportError:  # in plain Python, and without a compiler's vector types
     vectors = None  # type: ignore[assignment]
 
-#: Largest difference of grey, and of its slope in quarters of a level per px, that counts.
+#: Limits of differences of grey, and of its slope in quarters of a level per px.
 _MAX_GREY, _MAX_SLOPE = 20, 20
 
 #: Larger slopes are taken for this one, in eighths of a level per px.
 _LARGEST_SLOPE = 80
 
-#: Costs are those of windows of 3 x 3 pixels. Penalties of a step by 1 px and by more between
-#: neighbours; the latter falls by a share of the step of grey there: that is where things end.
+#: Costs are summed over 3 x 3 pixels. Penalties of a step by 1 px and by more between neighbours;
+#: the latter falls by a share of the step of grey there, because objects end at steps of grey.
 _STEP, _LEAP, _MIN_LEAP, _PER_GREY_LEVEL = 100, 300, 120, 3
 
-#: What speaks against all other disparities where one is proposed, in this very frame or before.
+#: Cost of all other disparities where one is proposed, in this frame or before.
 _FRESH, _OLD = 15, 5
 
-#: A trail proposes within so many px of its ends: what lies between them is interpolated.
+#: A trail proposes within so many px of its ends: between them its disparity is interpolated.
 _END_PX = 6
 
-#: Nothing is known where the second best disparity costs less than this more than the best, or
-#: less than this share more.
+#: Minimum margin of the second best disparity over the best, and as a share of the best; below it
+#: the disparity is unknown.
 _MIN_MARGIN, _MIN_SHARE = 80, 0.05
 
-#: Pixels so many rows above and below, and px to the sides, of those wanted are matched as well:
-#: they tell what lies around.
+#: Pixels so many rows above and below, and px to the sides, of those wanted are matched as well, as
+#: context.
 _AROUND_ROWS, _AROUND_COLUMNS = 8, 32
 
-#: From this range and width in px on, each tile of an image has a set of disparities of its own. It
-#: is found in views of a quarter of the width, or of an eighth from the third on.
+#: From this range and width in px on, each tile of an image has its own set of disparities, found
+#: in views of a quarter of the width, or of an eighth from the third on.
 _TILED_PX, _TILED_WIDTH, _WIDE = 48, 320, 1000
 
 #: Size of a tile, in rows of half height and in columns; disparities in a chunk, of which it has a
@@ -55,7 +55,7 @@ _TILE, _CHUNK, _REACH_PX = (8, 16), 16, 6
 #: Margin and share where a tile has a set: fewer rivals are seen than there are.
 _TILED_MARGIN, _TILED_SHARE = 86, 0.055
 
-#: What the costs of a frame and those of its paths may take, in each thread.
+#: Memory for the costs of a frame and of its paths, in each thread.
 _STRIP_BYTES = 24 << 20
 
 #: The same for the loops.
@@ -76,12 +76,12 @@ def smoothed(view: NDArray[np.uint8]) -> NDArray[np.uint8]:
 def weights_of(
     proposed_px: NDArray[np.float32], keys: NDArray[np.uint16], fresh: NDArray[np.bool_]
 ) -> NDArray[np.int16]:
-    """Return what speaks against all disparities but those proposed, 0 = nothing, of a shape.
+    """Return the costs of all disparities other than the proposed ones, 0 = none proposed.
 
     Args:
         proposed_px: disparities of trails, (rows, width) float32, NaN = none.
-        keys: what they were matched by, equal within a trail, (rows, width) uint16.
-        fresh: where they are of this very frame, (rows, width) bool.
+        keys: match keys, equal within a trail, (rows, width) uint16.
+        fresh: where they are of this frame, (rows, width) bool.
     """
     keys = checked_array(keys, np.uint16)
     weights = np.empty(keys.shape, np.int16)
@@ -104,14 +104,14 @@ def match_dense(
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Return disparity and its margin, (rows, width) float32 each, NaN = unknown.
 
-    Some pixels around those wanted have one as well. The margin is by how much the cost of the
-    second best disparity exceeds that of the best.
+    Some pixels around those wanted have one as well. The margin is the cost of the second best
+    disparity minus that of the best.
 
     Args:
         right, left: views of equal brightness and of half the rows, (rows, width) uint8.
         where: right pixels wanted, (rows, width) bool.
-        proposed_px: disparities to prefer where grey does not decide, (rows, width) float32.
-        weights: how much to prefer them, see :func:`weights_of`, (rows, width).
+        proposed_px: preferred disparities where grey does not decide, (rows, width) float32.
+        weights: of these, see :func:`weights_of`, (rows, width).
         max_disparity: largest x in the left view minus x in the right one, px.
     """
     sets = _sets(right, left, where, max_disparity)
@@ -131,7 +131,7 @@ def match_dense(
 
 
 def slopes_of(grey: NDArray[np.uint8]) -> NDArray[np.int8]:
-    """Return slopes of grey, which do not mind a difference in brightness between the views."""
+    """Return slopes of grey, which do not depend on a difference in brightness of the views."""
     grey = checked_array(grey, np.uint8)
     result = np.empty(grey.shape, np.int8)
     slopes.fill_slopes(grey, _LARGEST_SLOPE, reused(slopes.Workspace, grey.shape[1]), result)
@@ -207,17 +207,17 @@ def semi_global(
     Args:
         right, left, right_slope, left_slope: grey and its slope in both views, (rows, width).
         where: right pixels to match, (rows, width) bool.
-        proposed_px: disparities to prefer, (rows, width) float32.
-        weight: what speaks against all others, 0 where none is proposed, (rows, width).
+        proposed_px: preferred disparities, (rows, width) float32.
+        weight: cost of all others, 0 where none is proposed, (rows, width).
         max_disparity: px.
         sets: chunks of 16 disparities to look at in each tile of 8 x 16 pixels, a bit for each,
             (tiles down, tiles across) uint64; None = all.
-        margins: nothing is known where the second best disparity costs less than this more than
-            the best, or less than this share more.
+        margins: minimum margin of the second best disparity, and as a share of the best; below it
+            the disparity is unknown.
         with_rivals: return a third image: the second best disparity where it costs hardly more.
-        with_vectors: by vectors of the processor, where the range lets them; the loops know
+        with_vectors: use vectors of the processor if the range allows it; the plain loops have
             neither sets nor rivals, take longer, and give the same bytes.
-        strip_bytes: memory that the vectors may take.
+        strip_bytes: memory for the vectors.
     """
     right = checked_array(right, np.uint8)
     shape = right.shape

@@ -1,4 +1,4 @@
-"""Match keys: what has to be equal for a pixel of one view to correspond to one of the other."""
+"""Match keys: pixels of both views correspond only if their keys are equal."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ def match_keys(
 ) -> NDArray[np.uint16]:
     """Return the match key of each pixel, (height, width) uint16; 0 = at rest, never matches.
 
-    Pixels of equal key may correspond. The key is only the charge, as in the paper, or with
-    ``bands`` the charge and the grey-level band: on finely textured objects everything is fully
-    charged, and the charge says little by itself.
+    Pixels of equal key may correspond. The key is the charge, as in the paper, or with ``bands``
+    the charge and the grey-level band: on finely textured objects everything is fully charged, so
+    the charge alone is ambiguous.
 
     Args:
         charge: charge of each pixel, (height, width) uint8.

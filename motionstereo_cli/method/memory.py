@@ -1,4 +1,4 @@
-"""What one camera remembers, and how the next image changes it: equations (2) to (4)."""
+"""The memory of one camera, and its update by the next image: equations (2) to (4)."""
 
 from __future__ import annotations
 
@@ -30,17 +30,17 @@ _band_table = cache(band_table)
 
 @dataclass(frozen=True, slots=True)
 class Memory:
-    """What one camera knows after an image.
+    """The memory of one camera after an image.
 
     Attributes:
         grey: the image, (height, width) uint8.
-        contrast: what bands are taken from: the image or its local contrast, blurred.
+        contrast: input of the bands: the image or its local contrast, blurred.
         bands: its grey-level bands 1..n, (height, width) uint8, or uint16 for 256 bands.
         moved: where the band has just changed, (height, width) bool.
         charge: charge of each pixel, (height, width) uint8.
     """
 
-    # What checkpoints keep has annotations that are there when the program runs.
+    # Annotations of what checkpoints keep have to exist at run time.
     grey: NDArray[np.uint8]
     contrast: NDArray[np.uint8]
     bands: NDArray[np.uint8 | np.uint16]
@@ -50,10 +50,10 @@ class Memory:
 
 @dataclass(frozen=True, slots=True)
 class Sighting:
-    """What later frames need of what a frame shows.
+    """What later frames need of a frame.
 
     Attributes:
-        disparity_px: found in this frame alone, (height, width) float32, NaN = unknown.
+        disparity_px: of this frame alone, (height, width) float32, NaN = unknown.
         grey: mean of 3 x 3 pixels of the reference view, (height, width) uint8.
     """
 
@@ -62,7 +62,7 @@ class Sighting:
 
     @classmethod
     def of(cls, disparity_px: Real, view: Grey) -> Sighting:
-        """Return that of a disparity and the view that it is of."""
+        """Return the sighting of a disparity and its view."""
         return cls(disparity_px, np.asarray(cv2.blur(view, (3, 3)), np.uint8))
 
 
@@ -70,12 +70,12 @@ def checked_views(frame: StereoFrame, before: Memory | None, rig: Rig | None) ->
     """Return the right and the left view of a frame, contiguous in memory.
 
     Args:
-        frame: what was given.
-        before: the right memory before it, which is of the same size; None at the first frame.
-        rig: its camera; None where it is not known.
+        frame: the frame.
+        before: the right memory before it, of the same size; None at the first frame.
+        rig: its camera; None if unknown.
 
     Raises:
-        InputError: they are no grey images of one size, that of the memory and of the rig.
+        InputError: they are not grey images of one size, that of the memory and of the rig.
     """
     size = None if rig is None else (rig.height, rig.width)
     if before is not None:
@@ -90,10 +90,10 @@ def checked_views(frame: StereoFrame, before: Memory | None, rig: Rig | None) ->
 def see(memory: Memory | None, image: Grey, settings: Settings) -> Memory:
     """Return the memory after the next image; at the first, nothing has moved and all is at rest.
 
-    In permanency mode, what was before is forgotten ceil((Chmax - Chmin) / D) frames later.
+    In permanency mode, everything is forgotten ceil((Chmax - Chmin) / D) frames later.
 
     Args:
-        memory: what was known before; None at the first image.
+        memory: the memory before; None at the first image.
         image: (height, width) uint8.
         settings: parameters of bands, motion and charge.
     """
@@ -151,7 +151,7 @@ def charged(charge: Grey | None, moved: NDArray[np.bool_], settings: Settings) -
 def age_of(memory: Memory, settings: Settings) -> Grey:
     """Return the frames since something moved, (height, width) uint8, 255 = forgotten.
 
-    All 0 where there is charge of the general mode, which does not know.
+    0 in the general mode, which does not know.
     """
     s = settings
     if s.charge_mode == "general":
@@ -161,7 +161,7 @@ def age_of(memory: Memory, settings: Settings) -> Grey:
 
 
 def keys_of(memory: Memory, settings: Settings) -> MatchKeys:
-    """Return what has to be equal for pixels to correspond, (height, width) uint16; 0 = rest."""
+    """Return the match keys, (height, width) uint16; 0 = at rest."""
     by_band = settings.match_on == "charge-band"
     return match_keys(memory.charge, settings.charge_min, memory.bands if by_band else None)
 
@@ -174,7 +174,7 @@ def blurred(memory: Memory, settings: Settings) -> Grey:
 
 
 def in_mirror(memory: Memory) -> Memory:
-    """Return what a camera would remember that saw the same in a mirror."""
+    """Return the memory mirrored left to right."""
     return Memory(
         mirrored(memory.grey),
         mirrored(memory.contrast),

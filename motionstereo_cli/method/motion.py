@@ -16,9 +16,9 @@ def motion(
 ) -> NDArray[np.bool_]:
     """Return where something moved between two frames, (height, width) bool.
 
-    Equation (3): Mov = 1 where GLB(t) != GLB(t-1). With ``min_jump`` the grey level must have
-    changed by at least as much too: near the edge of a band a flicker of one grey level is enough
-    to change the band, and noise does that too.
+    Equation (3): Mov = 1 where GLB(t) != GLB(t-1). With ``min_jump`` the grey level must
+    also have changed by at least as much: near the edge of a band noise of one grey level is enough
+    to change the band.
 
     Args:
         bands, bands_before: bands at t and t-1, (height, width).

@@ -12,7 +12,7 @@ def match_regions(
 ) -> NDArray[np.float32]:
     """Return the disparity of each right pixel, (height, width) float32 px, NaN = unknown.
 
-    The right memory stands still, the left one is displaced over it pixel by pixel. At each
+    The left memory is displaced over the right one pixel by pixel. At each
     displacement the pixels of equal key form connected regions (4-neighbours). Each pixel keeps
     the displacement at which its region was largest, the smaller one if two are equal. A pixel
     counts if the left pixel it points at kept the same displacement: one partner per pixel.

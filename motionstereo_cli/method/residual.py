@@ -1,4 +1,4 @@
-"""How well the two views agree on grey where they are said to see the same point."""
+"""The difference of grey between corresponding pixels."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ def residual(
     """Return how much the grey of corresponding pixels differs, (height, width) float32.
 
     The mean, over a pixel and its eight neighbours, of the absolute difference of grey levels,
-    less the median difference of all: two cameras rarely agree on brightness. A wrong disparity
-    shows wherever there is texture; so does one that was right when the trail was left there and
-    no longer is. NaN where the disparity is unknown.
+    less the median difference of all: two cameras rarely agree on brightness. It reveals
+    wrong disparities on texture, including those that were right when the trail was made and no
+    longer are. NaN where the disparity is unknown.
 
     Args:
         disparity_px: x in the left view minus x in the right one, float32, NaN = unknown.

@@ -1,8 +1,8 @@
 """Disparity by pairing the trails of the right memory with those of the left one.
 
-A *trail* is a maximal run of equal match keys on one row. Its two ends are where a moving edge was
-at two successive instants, so each end of a pair of corresponding trails has the disparity of that
-edge.
+A *trail* is a maximal run of equal match keys in one row. Its two ends are the positions of a
+moving edge at two successive instants, so each end of a pair of corresponding trails has the
+disparity of that edge.
 
 The loops are in :mod:`motionstereo_cli.compiled.trails`.
 """
@@ -30,7 +30,7 @@ def match_trails(
 
     Trails of equal key are paired; each pair votes at both its ends for the disparity there, and
     neighbouring rows agree on the true ones. A pair's support is the votes at its two ends. A
-    pair wins if it is the best for both its trails and stands out from the second best. Then the
+    pair wins if it is the best for both its trails and stands out from the second best. Then
     only the winners vote again, and each end takes the centroid of the votes around it, which makes
     it sub-pixel. Between the ends disparity runs linearly. Trails without a partner, often split
     by noise or cut by an occlusion, take the disparity that their block elected, pixel by pixel,

@@ -8,18 +8,18 @@ from numpy.typing import NDArray
 #: Codes of reasons; 0 = known.
 _NOT_MOVED, _HIDDEN, _OUTSIDE, _AMBIGUOUS, _AT_LIMIT = (np.uint8(code) for code in range(1, 6))
 
-#: An object ends where disparity leaps by more than this; what it hides is as wide as the leap, and
-#: by so many px wider.
+#: A step of disparity by more than this is an object's border; the hidden area is as wide as the
+#: step plus so many px.
 _LEAP_PX, _MORE_PX = 1.5, 4
 
 
 def reasons(
     disparity_px: NDArray[np.float32], wanted: NDArray[np.bool_], at_limit: NDArray[np.bool_]
 ) -> NDArray[np.uint8]:
-    """Return for each pixel why it is unknown, (height, width) uint8, 0 = known.
+    """Return why each pixel is unknown, (height, width) uint8, 0 = known.
 
-    In the right view, the left camera does not see what lies just to the right of a near object,
-    nor what lies so far right that its partner is beyond the border. Both are told by the known
+    In the right view, the left camera does not see what is just to the right of a near object, nor
+    what is so far right that its partner is beyond the border. Both follow from the known
     disparities to the left and to the right in the row, of which the smaller is the background's.
 
     Args:
@@ -32,7 +32,7 @@ def reasons(
     columns = np.arange(width)
     before = np.maximum.accumulate(np.where(known, columns, -1), axis=1)
     after = np.minimum.accumulate(np.where(known, columns, width)[:, ::-1], axis=1)[:, ::-1]
-    # Where nothing is known on a side, the other side stands for both.
+    # If nothing is known on one side, the other side counts for both.
     left = np.where(before >= 0, before, np.minimum(after, width - 1))
     right = np.where(after < width, after, left)
     nearer, behind = (np.take_along_axis(disparity_px, at, axis=1) for at in (left, right))
