@@ -4,6 +4,7 @@ import json
 import sys
 import time
 
+import av
 import cv2
 import pytest
 
@@ -81,7 +82,7 @@ def test_one_core_holds_for_children_too():
 
 def test_the_script_writes_what_a_run_writes(clip, tmp_path):
     rig = clip.rig
-    for matcher in ([], ["--sgbm"]):
+    for matcher in ([], ["--sgbm", "--videos"]):
         given = *clip.paths, tmp_path, str(rig.focal_px), str(rig.baseline_m), *matcher
         python(speed.script.__file__, *given, "--disparities", "16")
         for index in range(clip.count):
@@ -90,6 +91,9 @@ def test_the_script_writes_what_a_run_writes(clip, tmp_path):
             assert (depth_mm.dtype, depth_mm.shape) == ("uint16", (48, 64))
             path.unlink()
         assert len((tmp_path / "steering.csv").read_text().splitlines()) == 1 + clip.count
+    for name in ("view", "depth"):
+        with av.open(str(tmp_path / f"{name}.mp4")) as video:
+            assert sum(1 for _ in video.decode(video=0)) == clip.count
 
 
 SIZES = ((100, 100), (200, 200), (400, 400))

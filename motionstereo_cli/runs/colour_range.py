@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 _STEP_FRAMES, _STEP_PX = 8, 2
 
 #: A recording that cannot be read from the middle is decoded up to here.
-_DECODED_FRAMES = 100
+_DECODED_FRAMES = 300
 
 
 def with_colour_range(job: Job) -> Job:

@@ -6,7 +6,7 @@ import dataclasses
 import itertools
 from collections.abc import Callable, Iterable, Iterator
 
-from motionstereo_cli.check.measure import MAX_WINDOWS, WINDOW_FRAMES, advised_range, starts
+from motionstereo_cli.check.measure import WINDOW_FRAMES, advised_range, starts
 from motionstereo_cli.errors import InputError
 from motionstereo_cli.files.atomic import part_of
 from motionstereo_cli.method.settings import AUTO, Settings
@@ -19,6 +19,9 @@ from motionstereo_cli.types import StereoFrame
 
 #: Frames that are decoded of a recording that cannot be read from the middle.
 _MAX_DECODED_FRAMES = 1000
+
+#: Windows at most so many frames apart are read one after the other.
+_NEAR = 300
 
 #: Code of the warning that the range could not be measured.
 RANGE = "range"
@@ -56,16 +59,22 @@ def sample_of(
 
     A recording that cannot be read from the middle is decoded up to frame ``decoded``.
     """
-    for number in range(MAX_WINDOWS):
+    number, places = 0, [0]
+    while number < len(places):
         with open_stereo(plan.left, plan.right, plan.input_settings) as source:
             rectify_source(source, plan.rig, plan.rig_settings)
-            places = starts(source.expected_frames) if source.expected_frames else [0]
-            if number >= len(places):
-                return
+            if source.expected_frames:
+                places = list(starts(source.expected_frames))
             begin = places[number]
             if begin and not source.begin_at(begin) and begin > decoded:
                 return
-            yield from itertools.islice(source, window)
+            # What follows soon is decoded on the way: from the key frame before it takes longer.
+            last = min(begin + _NEAR, decoded)
+            windows = [begin, *(each for each in places[number + 1 :] if each <= last)]
+            for place, frame in zip(range(begin, windows[-1] + window), source, strict=False):
+                if any(first <= place < first + window for first in windows):
+                    yield frame
+            number += len(windows)
 
 
 def with_range_of_opening(

@@ -92,7 +92,7 @@ def _of_accuracy(_: Sequence[Goal], quick: bool) -> dict[str, float]:
 
 
 def _of_speed(rows: Sequence[Goal], quick: bool) -> dict[str, float]:
-    """Processor time in s and peak memory, by part, case where there are several, contestant."""
+    """Times in s, peak memory and share of the cores, by part, case where several, contestant."""
     named = dict.fromkeys(row.key.partition(" | ")[0] for row in rows)
     parts = [name for name in named if name in speed.PARTS] or ["startup"]
     with tempfile.TemporaryDirectory() as folder:
@@ -103,11 +103,13 @@ def _of_speed(rows: Sequence[Goal], quick: bool) -> dict[str, float]:
         report = json.loads(path.read_text())
     figures = {"installed MB": float(sum(report["installed_mb"].values()))}
     for row in report["rows"]:
-        case = [row["case"]] if row["part"] in ("matching", "growth") else []
+        case = [] if row["part"] == "startup" else [row["case"]]
         name = " | ".join([row["part"], *case, row["contestant"]])
         figures[f"{name} | s"] = row["seconds"]
         figures[f"{name} | cpu s"] = row["cpu_s"] or math.nan
         figures[f"{name} | peak MB"] = row["peak_mb"] or math.nan
+        busy = (row["cpu_s"] or math.nan) / (row["cores"] * row["seconds"])
+        figures[f"{name} | cores busy"] = busy
     return figures
 
 

@@ -53,6 +53,9 @@ BASELINE_M = 0.12  # at the width of the plan
 #: Frames used where frames are timed by themselves: the run-in is not timed.
 FRAMES = RUN_IN + 6
 
+#: What a run is called that nobody has set anything for.
+DEFAULT = "motionstereo, default outputs"
+
 
 @dataclass(frozen=True, slots=True)
 class Plan:
@@ -65,7 +68,7 @@ class Plan:
         sizes: widths and heights in px of the growth.
         ranges: disparities in px, of the matching and of the growth.
         lengths: numbers of frames of the growth.
-        large: widths, heights and ranges in px of whole runs with the default matcher.
+        large: scenes, widths, heights and ranges in px of whole runs with the default matcher.
     """
 
     width: int = 640
@@ -81,10 +84,10 @@ class Plan:
     )
     ranges: tuple[tuple[int, ...], tuple[int, ...]] = (64, 128, 256), (32, 64, 128, 256, 512)
     lengths: tuple[int, ...] = (100, 500, 10_000)
-    large: tuple[tuple[int, int, int], ...] = (
-        (640, 480, 256),
-        (1920, 1080, 256),
-        (3840, 2160, 512),
+    large: tuple[tuple[str, int, int, int], ...] = (
+        ("corridor", 1920, 1080, 256),
+        ("street", 1920, 1080, 256),
+        ("corridor", 3840, 2160, 512),
     )
 
 
@@ -96,7 +99,7 @@ QUICK = Plan(
     sizes=((80, 60), (160, 120)),
     ranges=((64, 96), (16, 32)),
     lengths=(20, 40),
-    large=((160, 120, 32),),
+    large=(("corridor", 160, 120, 32),),
 )
 
 
@@ -143,7 +146,13 @@ class Bench:
     @property
     def cards(self) -> Clip:
         """Fine texture, all of it in motion."""
-        return self.clip("cards", scene="cards", pan=True, frames=str(FRAMES))
+        return self.clip("cards", scene="cards", pan=True, frames=str(FRAMES), back=True)
+
+    @functools.cached_property
+    def long_cards(self) -> Clip:
+        """Cards over and over, about as long as the corridor."""
+        times = -(-self.long.count // self.cards.count)
+        return repeated(self.cards, self.folder / "long_cards", times)
 
     def turns(self) -> Iterator[int]:
         """Yield the number of cores to use: one, then all, in each round."""
@@ -268,7 +277,11 @@ def matching_costs(seen: Sequence[Look], max_disparity: int) -> dict[str, Cost]:
     disparities back and turning them into px are not, nor does cv2 clean its result: all in its
     favour.
     """
-    peers = {"StereoBM": bm_matcher, "StereoSGBM": sgbm_matcher}
+    peers = {
+        "StereoBM": bm_matcher,
+        "StereoSGBM": sgbm_matcher,
+        "StereoSGBM, 3-way": _three_way_matcher,
+    }
     calls: dict[str, Callable[[Look], object]] = {}
     for name, make in peers.items():
         calls[name] = functools.partial(_compute, make(max_disparity))
@@ -284,6 +297,12 @@ def matching_costs(seen: Sequence[Look], max_disparity: int) -> dict[str, Cost]:
         cost_s = time.perf_counter() - started_s, time.process_time() - cpu_s
         found[name] = Cost(cost_s[0] / len(seen), cpu_s=cost_s[1] / len(seen))
     return found
+
+
+def _three_way_matcher(max_disparity: int) -> cv2.StereoMatcher:
+    matcher: Any = sgbm_matcher(max_disparity)
+    matcher.setMode(cv2.STEREO_SGBM_MODE_SGBM_3WAY)
+    return matcher  # type: ignore[no-any-return]
 
 
 def _compute(matcher: cv2.StereoMatcher, look: Look) -> None:
@@ -323,23 +342,37 @@ def run_command(clip: Clip, out: Path, *options: str | Path) -> list[str | Path]
 def bench_run(bench: Bench) -> None:
     """Time the whole run, from two files to the results, start-up and all."""
     clip, out = bench.long, bench.folder / "run_out"
-    rig = [str(clip.rig.focal_px), str(clip.rig.baseline_m)]
-    plain: list[str | Path] = [script.__file__, *clip.paths, bench.folder / "script_out", *rig]
+    plain = _script(bench, clip)
     fast = "--preset", "fast"
-    contestants: dict[str, list[str | Path]] = {
-        "script, StereoBM": plain,
-        "decoding alone": [decode.__file__, *clip.paths],
-        "--preset fast, default outputs": run_command(clip, out, *fast),
-        "--preset fast, the script's": run_command(clip, out, *fast, "--save", "steering,depth"),
-        "--preset fast, steering": run_command(clip, out, *fast, "--save", "steering"),
-        "script, StereoSGBM": [*plain, "--sgbm"],
-        "motionstereo, default outputs": run_command(clip, out),
+    contestants: dict[tuple[str, str], list[str | Path]] = {
+        ("corridor", "script, StereoBM"): plain,
+        ("corridor", "script, StereoBM, two videos"): [*plain, "--videos"],
+        ("corridor", "decoding alone"): [decode.__file__, *clip.paths],
+        ("corridor", "--preset fast, default outputs"): run_command(clip, out, *fast),
+        ("corridor", "--preset fast, the script's"): run_command(
+            clip, out, *fast, "--save", "steering,depth"
+        ),
+        ("corridor", "--preset fast, steering"): run_command(
+            clip, out, *fast, "--save", "steering"
+        ),
+        ("corridor", "script, StereoSGBM"): [*plain, "--sgbm"],
+        ("corridor", DEFAULT): run_command(clip, out),
+        ("corridor", "motionstereo, wide range"): run_command(
+            clip, out, "--max-disparity", str(bench.plan.ranges[0][-1])
+        ),
+        ("corridor", "motionstereo, poses found"): run_command(clip, out, "--poses", "auto"),
+        ("cards panning", "script, StereoSGBM"): [*_script(bench, bench.long_cards), "--sgbm"],
+        ("cards panning", DEFAULT): run_command(bench.long_cards, out),
     }
-    python(*contestants["motionstereo, default outputs"])  # warm-up
+    python(*contestants["corridor", DEFAULT])  # warm-up
     for _ in range(bench.rounds):
-        for name, arguments in contestants.items():
-            cost = python(*arguments)
-            bench.samples.add("run", f"{clip.count} frames", name, bench.all_cores, cost)
+        for (case, name), arguments in contestants.items():
+            bench.samples.add("run", case, name, bench.all_cores, python(*arguments))
+
+
+def _script(bench: Bench, clip: Clip) -> list[str | Path]:
+    rig = str(clip.rig.focal_px), str(clip.rig.baseline_m)
+    return [script.__file__, *clip.paths, bench.folder / "script_out", *rig]
 
 
 def bench_jobs(bench: Bench) -> None:
@@ -398,17 +431,18 @@ def bench_growth(bench: Bench) -> None:
 def bench_large(bench: Bench) -> None:
     """Time whole default runs on the images of today's cameras, a frame, without the start."""
     out = bench.folder / "large_out"
-    for width, height, px in bench.plan.large:
-        case = f"{width}x{height}, {px} px"
-        clip = bench.clip(case, width=width, height=height, frames=f"250:{250 + FRAMES}")
+    for scene, width, height, px in bench.plan.large:
+        case = f"{scene}, {width}x{height}, {px} px"
+        frames = f"250:{250 + FRAMES}" if scene == "corridor" else str(FRAMES)
+        clip = bench.clip(case, scene=scene, width=width, height=height, frames=frames)
         run = run_command(clip, out, "--max-disparity", str(px), "--no-check")
         for _ in range(bench.rounds):
             few, all_ = python(*run, "--end", str(FRAMES // 2)), python(*run)
-            frames = FRAMES - FRAMES // 2
+            more = FRAMES - FRAMES // 2
             cost = Cost(
-                (all_.seconds - few.seconds) / frames,
+                (all_.seconds - few.seconds) / more,
                 all_.peak_mb,
-                ((all_.cpu_s or 0) - (few.cpu_s or 0)) / frames,
+                ((all_.cpu_s or 0) - (few.cpu_s or 0)) / more,
             )
             bench.samples.add("large", case, "motionstereo, a frame", bench.all_cores, cost)
 
