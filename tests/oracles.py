@@ -230,12 +230,12 @@ def semi_global(  # noqa: PLR0912
                 path[y, x] = dict(costs[y, x])
             else:
                 change = abs(int(right[y, x]) - int(right[y - down, x - across]))
-                leap = max(120, 300 - 3 * change)
+                leap = max(200, 330 - 3 * change)
                 path[y, x] = {
                     d: costs[y, x][d]
                     - min(before.values())
                     + min(
-                        before[e] + (0 if d == e else 100 if abs(d - e) == 1 else leap)
+                        before[e] + (0 if d == e else 200 if abs(d - e) == 1 else leap)
                         for e in before
                     )
                     for d in costs[y, x]

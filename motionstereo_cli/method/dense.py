@@ -28,7 +28,7 @@ _LARGEST_SLOPE = 80
 
 #: Costs are summed over 3 x 3 pixels. Penalties of a step by 1 px and by more between neighbours;
 #: the latter falls by a share of the step of grey there, because objects end at steps of grey.
-_STEP, _LEAP, _MIN_LEAP, _PER_GREY_LEVEL = 100, 300, 120, 3
+_STEP, _LEAP, _MIN_LEAP, _PER_GREY_LEVEL = 200, 330, 200, 3
 
 #: Cost of all other disparities where one is proposed, in this frame or before.
 _FRESH, _OLD = 15, 5
