@@ -254,6 +254,16 @@ def test_kitti_raw(tmp_path: Path) -> None:
     rig = read_calibration([path]).rig
     assert (rig.width, rig.height) == (1241, 376)
     assert rig.baseline_m == pytest.approx((45.38225 + 337.2877) / 718.856)
+    # P of images of twice the size, but for its focal length: what was measured counts.
+    turn = cv2.Rodrigues(np.array([0.01, -0.02, 0.005]))[0]
+    for measured_m, baseline_m in ((0.266, 0.266), (0.53, 0.5323)):
+        shift = turn @ [-measured_m, 0.0, 0.0]
+        placed = f"R_02: {values(np.eye(3))}\nT_02: 0 0 0\nR_03: {values(turn)}\n"
+        placed = f"{placed}T_03: {values(shift)}\n".replace(",", " ")
+        path.write_text(text + placed)
+        calibration = read_calibration([path])
+        assert calibration.rig.baseline_m == pytest.approx(baseline_m, rel=1e-3)
+        assert any("T is taken" in line for line in calibration.warnings) == (measured_m < 0.5)
 
 
 MIDDLEBURY = """cam0=[3997.684 0 1176.728; 0 3997.684 1011.728; 0 0 1]

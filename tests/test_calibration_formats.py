@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import pickle
+import re
 import sys
 import zipfile
 from collections.abc import Callable
@@ -265,6 +266,9 @@ def test_zed_by_size(tmp_path: Path) -> None:
         read_calibration([path])
     with pytest.raises(InputError, match="not for 640x480"):
         read_calibration([path], (640, 480))
+    text = path.read_text()
+    path.write_text(re.sub(r"(?s)\[\w+_CAM_VGA\].*?(?=\[|$)", "", text))
+    assert read_calibration([path]).rig == calibration.rig
 
 
 def test_depthai_at_another_size_is_scaled(tmp_path: Path) -> None:

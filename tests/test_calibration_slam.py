@@ -315,6 +315,10 @@ def test_rectified_pairs_of_datasets(tmp_path: Path, text: str, doffs_px: float)
             "RGB-D camera",
         ),
         ("{'lensmodel': 'LENSMODEL_PINHOLE'}\n", "of one camera: give both"),
+        ("K: [1, 0, 0, 0, 1, 0, 0, 0, 1]\nD: [0, 0, 0, 0]\n", "is of one camera"),
+        ("imu0:\n  update_rate: 200\n", "is of an IMU"),
+        ("up_sigma_px: 1\nup_slam_sigma_px: 1\nrelative_config_imucam: c.yaml\n", "names, c.yaml"),
+        ("camera0: 4\ncamera1: 6\nframe_width: 1280\n", "no calibration of a form that is read"),
         ('[{"x": 1}, {"x": 2}]', "no calibration of a form that is read"),
         ("tracker: {threads: 4}\n", "no calibration of a form that is read"),
         ("1403636579763555584\n1403636579813555456\n", "no calibration of a form that is read"),
@@ -327,6 +331,15 @@ def test_other_files_are_named(tmp_path: Path, text: str, said: str) -> None:
         read_calibration([path], SIZE)
     assert str(path) in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_the_cameras_of_vins_are_in_the_order_of_its_configuration(tmp_path: Path) -> None:
+    config, left, right = vins(tmp_path)
+    named = '"cam0.yaml"\ncam1_calib: "cam1.yaml"'
+    config.write_text(config.read_text().replace('"a.yaml"', named))
+    assert read_calibration([config, left, right]).rig.baseline_m > 0
+    with pytest.raises(InputError, match=r"cam0\.yaml is of the left camera .* in that order"):
+        read_calibration([config, right, left])
 
 
 def test_remap_tables_in_npz(tmp_path: Path) -> None:

@@ -129,6 +129,8 @@ def read_zed(path: Path, values: Values, size: tuple[int, int] | None) -> Pair:
         if isinstance(values.get(f"leftcam{name}"), dict)
     }
     sizes = ", ".join(f"{width}x{height}" for width, height in known.values())
+    if size is None and len(known) == 1:
+        (size,) = known.values()
     if size is None:
         raise InputError(f"{path} has a calibration for each of {sizes}: give --size")
     name = next((name for name, each in known.items() if each == size), None)

@@ -85,17 +85,31 @@ def refuse_foreign_values(path: Path, values: Values) -> None:
     Raises:
         InputError: it is such a file.
     """
-    maps = [name for name in values if re.fullmatch(_MAP, name)]
+    maps = [
+        name
+        for name, value in values.items()
+        if re.fullmatch(_MAP, name) and not isinstance(value, str | float)
+    ]
     intrinsics = values.keys() & {"m1", "k1", "cameramatrix1", "leftcameramatrix", "mtxl"}
     if len(maps) > 1 and not intrinsics:
         raise InputError(f"{path} {_BEFORE_MAPS}")
+    if "relativeconfigimucam" in values:
+        chain = str(values["relativeconfigimucam"])
+        raise InputError(
+            f"{path} is the configuration of OpenVINS: give the file of the cameras that it names, "
+            f"{chain}"
+        )
     cameras = [name for name in values if re.fullmatch(r"cam\d", name)]
+    if not cameras and values.keys() & {"imu0", "accelerometernoisedensity"}:
+        raise InputError(f"{path} is of an IMU: give the camchain, or the files, of the cameras")
     if len(cameras) == 1 and isinstance(values[cameras[0]], dict):
         raise InputError(
             f"{path} has one camera, {cameras[0]}: give the camchain of both cameras of the rig"
         )
-    if _is_matrix(values.get("cameramatrix")) and not values.keys() & {
+    lone = "cameramatrix" if "cameramatrix" in values else "k"
+    if _is_matrix(values.get(lone)) and not values.keys() & {
         *("projectionmatrix", "rectificationmatrix", "cameramatrix2", "cameramatrix1"),
+        *("p", "r", "t", "tbs"),
     }:
         raise InputError(
             f"{path} is of one camera: a stereo camera needs M1 D1 M2 D2 of both, and R and T "

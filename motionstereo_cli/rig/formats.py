@@ -155,6 +155,9 @@ def _read(path: Path, content: bytes) -> tuple[str, Values]:
 
 _RIG = re.compile(r"^(focal_px|baseline_m)\b", re.MULTILINE)
 
+#: A line of rig.yaml, where nothing else says what a file is.
+_OF_RIG = re.compile(r"^\s*(width|height|focal_px|baseline_m|cx|cy|doffs)\s*:", re.MULTILINE)
+
 #: A camera model of mrcal: literals of Python.
 _MRCAL = re.compile(r"^[{\s]*'lensmodel'\s*:", re.MULTILINE)
 
@@ -177,8 +180,9 @@ def _is_plain(text: str) -> bool:
 
 def _rig_or_rows(given: _Given) -> Rig | Pair:
     path, text = given.paths[0], given.texts[0]
-    if ":" not in text or text.lstrip()[:1] in ("[", "{", "<"):
-        if (found := plain.read_rows(path, text)) is not None:
+    rows = ":" not in text or text.lstrip()[:1] in ("[", "{", "<")
+    if rows or (text.strip() and not _OF_RIG.search(text)):
+        if rows and (found := plain.read_rows(path, text)) is not None:
             return found
         if text.strip():
             raise InputError(

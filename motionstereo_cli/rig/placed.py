@@ -233,6 +233,7 @@ def read_vins(files: Files, numbers: Numbers) -> Pair:
     config = Source(*configs[0])
     if not config.find(("bodytcam1",)):
         raise InputError(f"{config.name} is VINS' of one camera: body_T_cam1 is missing")
+    _check_order(configs[0], lenses)
     placed = []
     for number, (path, values) in enumerate((lenses * 2)[:2]):
         flat = {**values}
@@ -250,6 +251,22 @@ def read_vins(files: Files, numbers: Numbers) -> Pair:
         size = source.size("imagewidth", "imageheight")
         placed.append(Placed(lens, pose, size, notes))
     return pair_of(name, "VINS-Fusion", placed, numbers)
+
+
+def _check_order(config: tuple[Path, Values], lenses: Files) -> None:
+    """Make sure that the files of the cameras are in the order in which a configuration has them.
+
+    Raises:
+        InputError: it names them the other way round.
+    """
+    path, values = config
+    named = [Path(str(values.get(f"cam{number}calib"))).name for number in (0, 1)]
+    given = [file.name for file, _ in lenses]
+    if len(given) == 2 and given != named and given[::-1] == named:
+        raise InputError(
+            f"{path} says that {named[0]} is of the left camera (cam0) and {named[1]} of the right "
+            "one: give them in that order"
+        )
 
 
 def is_camodocal(values: Values) -> bool:

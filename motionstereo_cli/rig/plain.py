@@ -48,7 +48,32 @@ def read_kitti(path: Path, text: str, pair: tuple[int, int] | None) -> Pair:
         for label in (labels.get(n, f"P_rect_{n:02d}" if raw else f"P{n}") for n in pair)
     )
     size = source.size(labels.get(pair[0], "P").replace("P_", "S_")) if raw else None
+    measured_m = _measured_m(values, [labels[n] for n in pair]) if raw else None
+    stated_m = (left[0, 3] - right[0, 3]) / right[0, 0]
+    if measured_m and abs(stated_m - measured_m) > _MAX_BASELINES_APART * measured_m:
+        notes += (
+            f"{path}: {labels[pair[1]]} places the cameras {stated_m:.4g} m apart, and T "
+            f"{measured_m:.4g} m, as where P was made for images of another size: T is taken",
+        )
+        right[0, 3] = left[0, 3] - right[0, 0] * measured_m
     return rectified_pair("KITTI", (left, right), size, "m", notes)
+
+
+#: Share by which the baseline in P may differ from that between the cameras as they were measured.
+_MAX_BASELINES_APART = 0.05
+
+
+def _measured_m(values: dict[str, Any], labels: list[str]) -> float | None:
+    """Return how far two cameras are apart by R_xx and T_xx, None where these are not there."""
+    places = []
+    turn: Any
+    shift: Any
+    for label in labels:
+        turn, shift = (values.get(label.replace("P_rect", name)) for name in "RT")
+        if np.size(turn) != 9 or np.size(shift) != 3:
+            return None
+        places.append(np.reshape(turn, (3, 3)).T @ np.ravel(shift))
+    return float(np.linalg.norm(places[1] - places[0]))
 
 
 def read_middlebury(path: Path, text: str) -> Pair:
