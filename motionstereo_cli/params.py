@@ -32,6 +32,7 @@ class Param:
         common: whether the short help shows it.
         old: former name, still accepted on the command line and in the configuration file.
         words: words for values, such as ``auto`` for 0.
+        begun: words that begin with one of these, such as ``onnx:``, are choices as well.
     """
 
     name: str
@@ -46,6 +47,7 @@ class Param:
     common: bool
     old: str
     words: Mapping[str, Any]
+    begun: tuple[str, ...] = ()
 
     @property
     def flag(self) -> str:
@@ -56,7 +58,7 @@ class Param:
     def range(self) -> str:
         """The allowed values in words, empty = any."""
         if self.choices:
-            return " | ".join(self.choices)
+            return " | ".join((*self.choices, *(f"{each}..." for each in self.begun)))
         if self.low is None and self.high is None:
             return ""
         if self.high is None:
@@ -82,7 +84,8 @@ class Param:
             parsed = self.kind(value)
         except (TypeError, ValueError, OverflowError):
             raise self._error(value, f"give {wanted[self.kind]}") from None
-        if self.choices and parsed not in self.choices:
+        begun = self.begun and parsed.startswith(self.begun)
+        if self.choices and parsed not in self.choices and not begun:
             raise self._error(value, f"choose {self.range}")
         if self.kind in (int, float) and not (
             (self.kind is int or math.isfinite(parsed))
@@ -109,6 +112,7 @@ def param(
     common: bool = False,
     old: str = "",
     words: Mapping[str, Any] = MappingProxyType({}),
+    begun: tuple[str, ...] = (),
 ) -> Any:
     """Declare a dataclass field that :func:`params` describes and :func:`checked` verifies.
 
@@ -121,7 +125,7 @@ def param(
         "high": high,
         "choices": choices,
     }
-    meta |= {"group": group, "common": common, "old": old, "words": words}
+    meta |= {"group": group, "common": common, "old": old, "words": words, "begun": begun}
     return field(default=default, metadata=meta)
 
 

@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 
 from bench import accuracy, depth
+from motionstereo_cli import register_matcher
+from motionstereo_cli.method import matching
 from motionstereo_cli.method.block_matching import stereo_bm, stereo_sgbm
 from motionstereo_cli.simulate.scenes import render_scene
 
@@ -97,6 +99,10 @@ def test_every_kind_of_scene_can_be_rendered_and_no_seed_is_in_both_sets():
 def test_recordings_with_truth_of_either_view_are_scored_alike(tmp_path, monkeypatch):
     monkeypatch.setattr(accuracy, "OURS", {"motionstereo": accuracy.DEFAULT})
     monkeypatch.setattr(accuracy, "MATCHERS", {"motionstereo": accuracy.MATCHERS["motionstereo"]})
+    monkeypatch.setattr(matching, "MATCH", dict(matching.MATCH))
+    monkeypatch.setitem(matching.MATCHERS, "own", None)
+    register_matcher("own", lambda right, left, settings: np.where(right.moved, 8.0, np.nan))
+    accuracy.add_matcher("own")
     scene = accuracy.SimulateSettings(frames="250:256", width=160, height=96)
     plain, mirror = tmp_path / "plain", tmp_path / "mirror"
     for index, shot in enumerate(render_scene(scene)):
@@ -114,5 +120,9 @@ def test_recordings_with_truth_of_either_view_are_scored_alike(tmp_path, monkeyp
         [(cell.pixels, cell.score.both_pixels, cell.score.bad_1) for cell in each] for each in cells
     ]
     assert counts[0] == counts[1]
-    assert cells[0][1].score.truth_pixels > 500
-    assert cells[0][1].score.coverage > 0.7
+    by_name = {cell.matcher: cell for cell in cells[0] if cell.pixels == cells[0][0].pixels}
+    assert set(by_name) == {"motionstereo", "motionstereo, matcher own"}
+    score = by_name["motionstereo"].score
+    assert score.truth_pixels > 500
+    assert score.coverage > 0.7
+    assert by_name["motionstereo, matcher own"].score.truth_pixels == score.truth_pixels

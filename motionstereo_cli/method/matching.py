@@ -34,6 +34,7 @@ from motionstereo_cli.method.settings import (
     FOREVER,
     GIVEN,
     MATCHERS,
+    ONNX,
     Matcher,
     Settings,
     installed_matchers,
@@ -139,7 +140,7 @@ def _of_opencv(function: Callable[..., Real]) -> Callable[[Memory, Memory, Setti
 
     def match(right: Memory, left: Memory, settings: Settings) -> Found:
         disparity = function(right.grey, left.grey, settings.max_disparity + 1, filtered=True)
-        return _wanted(disparity, right, settings)
+        return wanted_of(disparity, right, settings)
 
     return match
 
@@ -152,7 +153,7 @@ def of_others(given_px: Real) -> Callable[[Memory, Memory, Settings], Found]:
     """
 
     def match(right: Memory, left: Memory, settings: Settings) -> Found:
-        found = _wanted(given_px, right, settings)
+        found = wanted_of(given_px, right, settings)
         differs = residual(found.disparity_px, blurred(right, settings), blurred(left, settings))
         found.disparity_px[differs > settings.max_residual] = np.nan
         return found
@@ -160,11 +161,21 @@ def of_others(given_px: Real) -> Callable[[Memory, Memory, Settings], Found]:
     return match
 
 
-def _wanted(disparity_px: Real, right: Memory, settings: Settings) -> Found:
-    """Return a disparity without what was not asked for: at rest."""
+def wanted_of(
+    disparity_px: Real, right: Memory, settings: Settings, chance: Real | None = None
+) -> Found:
+    """Return a disparity without what was not asked for: at rest.
+
+    Args:
+        disparity_px: (height, width) float32, NaN = unknown.
+        right: the memory of the view that it is of.
+        settings: what is asked for.
+        chance: its confidence, likewise; None where that is unknown.
+    """
     wanted = (right.charge > settings.charge_min) | (settings.depth_of == "all")
     found = np.where(wanted, disparity_px, np.float32(np.nan))
-    return Found(found, lambda: np.full_like(found, np.nan))
+    sure = np.full_like(found, np.nan) if chance is None else chance
+    return Found(found, lambda: np.where(np.isnan(found), np.float32(np.nan), sure))
 
 
 #: By the name that users give, as :data:`~motionstereo_cli.method.settings.MATCHERS` describes
@@ -216,7 +227,7 @@ def register_matcher(
                 f"the matcher {name} gives shape {found.shape}: give {right.charge.shape}"
             )
         found[~(found >= 0)] = np.nan
-        return _wanted(found, right, settings)
+        return wanted_of(found, right, settings)
 
     MATCH[name] = match
     MATCHERS[name] = Matcher(what or name, knows_confidence=False, knows_rest=True)
@@ -232,6 +243,8 @@ def matcher_of(settings: Settings) -> Callable[[Memory, Memory, Settings], Found
     name = settings.matcher
     if name == GIVEN:
         raise InputError(f"the matcher {name} takes the disparity of frames, which have none")
+    if name.startswith(ONNX) and name not in MATCH:
+        raise InputError(f"the model of {name} is not loaded: runs.onnx_model.load_model does it")
     if name not in MATCH:
         try:
             register_matcher(name, installed_matchers()[name].load())

@@ -26,8 +26,8 @@ FOREVER = 254
 AUTO = 0
 
 
-#: The matcher whose disparity another program found.
-GIVEN = "given"
+#: The matcher whose disparity another program found, and how the name of a model's begins.
+GIVEN, ONNX = "given", "onnx:"
 
 
 class Matcher(NamedTuple):
@@ -154,8 +154,14 @@ class Settings:
         "dense",
         "How the two memories are matched. "
         + "; ".join(f"{name}: {matcher.what}" for name, matcher in MATCHERS.items())
-        + ".",
+        + f"; {ONNX}MODEL: a stereo network in a file.",
         choices=matchers,
+        begun=(ONNX,),
+    )
+    check_both: bool = param(
+        False,
+        "Run a model on the mirrored views, too. A disparity on which both runs agree within 1 px "
+        f"has a confidence, others are unknown. Only with --matcher {ONNX}MODEL.",
     )
     match_on: str = param(
         "charge-band",
@@ -311,14 +317,19 @@ class Settings:
             )
         if self.max_age < FOREVER and self.charge_mode == "general":
             raise SettingsError("--max-age needs --charge-mode permanency: else age is not known")
-        if self.depth_of == "all" and not matchers()[self.matcher].knows_rest:
+        row = matchers().get(self.matcher) or Matcher("a model", self.check_both, knows_rest=True)
+        if self.check_both and not self.matcher.startswith(ONNX):
+            raise SettingsError(f"--check-both needs --matcher {ONNX}MODEL")
+        if self.depth_of == "all" and not row.knows_rest:
             knowing = " or ".join(name for name in MATCHERS if MATCHERS[name].knows_rest)
             raise SettingsError(f"--depth-of all needs --matcher {knowing}")
         if self.depth_of == "all" and self.max_age < FOREVER:
             raise SettingsError("--max-age needs --depth-of moved: what stands still has no age")
-        if self.min_confidence > 0 and not matchers()[self.matcher].knows_confidence:
+        if self.min_confidence > 0 and not row.knows_confidence:
             knowing = " or ".join(name for name in MATCHERS if MATCHERS[name].knows_confidence)
-            raise SettingsError(f"--min-confidence needs --matcher {knowing}")
+            raise SettingsError(
+                f"--min-confidence needs --matcher {knowing}, or a model with --check-both"
+            )
 
     @classmethod
     def preset(cls, name: str, **overrides: Any) -> Settings:

@@ -10,7 +10,7 @@ from typing import Any
 
 from motionstereo_cli.errors import SettingsError
 from motionstereo_cli.files.targets import is_stream
-from motionstereo_cli.method.settings import GIVEN, Settings
+from motionstereo_cli.method.settings import GIVEN, ONNX, Settings
 from motionstereo_cli.params import near_match
 from motionstereo_cli.rig.settings import NO_RIG, PoseSettings, RigSettings
 from motionstereo_cli.sinks.outputs import DEFAULT_OUTPUTS, OUTPUTS
@@ -168,7 +168,9 @@ class RunPlan:
         """What is read besides the plan itself, as it was given."""
         poses = self.poses_file and str(self.poses_file)
         rig = (str(path) for path in self.rig if path != NO_RIG)
-        named = (self.left, self.right, *rig, poses, self.disparity and str(self.disparity))
+        model = self.settings.matcher.partition(ONNX)[2]
+        disparity = self.disparity and str(self.disparity)
+        named = (self.left, self.right, *rig, poses, disparity, model)
         return tuple(name for name in named if name)
 
     @property

@@ -38,6 +38,7 @@ from motionstereo_cli.runs.folder import RunFolder
 from motionstereo_cli.runs.folder_files import TABLE
 from motionstereo_cli.runs.given_disparity import take_disparity
 from motionstereo_cli.runs.interrupts import finishing
+from motionstereo_cli.runs.onnx_model import files_of, load_model
 from motionstereo_cli.runs.open_outputs import Sinks, Totals
 from motionstereo_cli.runs.plan import RunPlan
 from motionstereo_cli.runs.record import (
@@ -181,6 +182,7 @@ def job_of(plan: RunPlan, source: StereoSource, warned: Warned) -> Job:
         if plan.poses_file:
             poses = _poses(plan.poses_file, plan, calibration, source, warned)
     take_disparity(plan, source, warned)
+    load_model(plan.settings)
     shows_colours = any(OUTPUTS[name].shows_colours for name in plan.outputs)
     source.keep_colours(plan.settings.reference if shows_colours else "")
     time_base = source.time_base or DEFAULT_TIME_BASE
@@ -267,6 +269,7 @@ def inputs_of(job: Job) -> list[Path]:
         *job.source.paths,
         *(path for path in plan.rig if path != NO_RIG),
         *(path for path in (plan.poses_file, plan.disparity) if path),
+        *files_of(plan.settings),
         *plan.reads,
     ]
 

@@ -26,6 +26,7 @@ from motionstereo_cli.method.block_matching import stereo_bm, stereo_sgbm
 from motionstereo_cli.method.matching import match
 from motionstereo_cli.method.memory import Memory, mirrored, see
 from motionstereo_cli.method.settings import Settings
+from motionstereo_cli.runs.onnx_model import load_model
 from motionstereo_cli.simulate.settings import SimulateSettings
 from motionstereo_cli.sinks.read_back import Maps
 from motionstereo_cli.sources import open_stereo
@@ -102,6 +103,20 @@ MATCHERS: dict[str, Callable[[Look], Real]] = {
     "StereoSGBM, filtered": _peer(stereo_sgbm, filtered=True),
     "StereoSGBM, filtered, of memories": _of_memories(stereo_sgbm),
 }
+
+
+def add_matcher(name: str) -> None:
+    """Score a further matcher of the command line with the others.
+
+    Raises:
+        SettingsError: there is none of that name.
+        InputError: it cannot be loaded.
+    """
+    settings = Settings(matcher=name)
+    load_model(settings)
+    shown = f"motionstereo, matcher {name}"
+    OURS[shown] = settings
+    MATCHERS[shown] = _ours(shown)
 
 
 class Cell(NamedTuple):
@@ -276,6 +291,13 @@ def main(args: Sequence[str] | None = None) -> None:
         help="recordings with truth in place of rendered scenes: left and right (.mp4 or a folder "
         "of images), and disparity (of the right view) or disparity_left, as simulate writes them",
     )
+    parser.add_argument(
+        "--matchers",
+        nargs="+",
+        default=[],
+        metavar="NAME",
+        help="further ones: of installed packages, or onnx:MODEL",
+    )
     parser.add_argument("--json", type=Path, help="write all scores there too")
     parser.add_argument("--quick", action="store_true", help="few small scenes: does it run?")
     parser.add_argument(
@@ -289,6 +311,8 @@ def main(args: Sequence[str] | None = None) -> None:
     given = parser.parse_args(args)
     if given.every < 1:
         parser.error("--every: give at least 1")
+    for name in given.matchers:
+        add_matcher(name)
 
     if given.hard or given.held_out:
         seeds = depth.HELD_OUT_SEEDS if given.held_out else depth.SEEDS
