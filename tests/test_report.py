@@ -349,3 +349,14 @@ def test_times_since_an_epoch_count_from_0_and_the_start_is_said_once(copy):
 )
 def test_the_time_in_a_picture_is_short(time_s, text):
     assert time_text(FrameTime(7, 0, time_s)) == text
+
+
+def test_without_a_rig_the_page_speaks_of_disparity_in_px(recording, tmp_path):
+    views = [str(recording / f"{side}.mp4") for side in ("left", "right")]
+    assert main(["run", *views, "-o", str(tmp_path / "o"), "--end", "8"]) == 0
+    page = page_of(tmp_path / "o")
+    assert "<b>Disparity, px</b>" in page
+    assert "Scale of the disparity colours: " in page
+    assert "How near things were, in px of disparity" in page
+    assert "Histogram of disparity: median " in page
+    assert "<b>Depth" not in page

@@ -85,6 +85,20 @@ def test_it_loads_without_a_word_and_draws_something(page):
         assert page.execute_script(inked, name) > 3
 
 
+def test_it_begins_with_the_frame_of_its_posters(page, run):
+    with (run / "steering.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    matched = [float(row["matched"]) for row in rows]
+    best = matched.index(max(matched))
+    assert best > 0
+    until(page, "return " + frame(page, best))
+    times = "return [...document.querySelectorAll('video')].map(video => video.currentTime)"
+    best_s = float(rows[best]["time_s"])
+    assert all(abs(time_s - best_s) < 0.03 for time_s in page.execute_script(times))
+    poster = page.find_element("css selector", ".depth video").get_attribute("aria-label")
+    assert f"of frame {best}:" in poster
+
+
 def test_a_click_on_a_plot_seeks_the_videos(page):
     over = page.find_element("css selector", "#plot-depth .u-over")
     webdriver.ActionChains(page).move_to_element(over).click().perform()

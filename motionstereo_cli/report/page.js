@@ -277,5 +277,5 @@
     plot.axes[1].grid.show = false;
     plot.redraw(false, true);
   }
-  show(0);
+  seek(run.begin);  // the frame of the posters
 })();

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 from urllib.parse import quote
 
+import av
 import cv2
 import numpy as np
 
@@ -47,14 +48,14 @@ class Picture(NamedTuple):
 
 
 def poster(
-    video: Path, within: Path, time_s: float, *, max_width: int, rows: int | None = None
+    video: Path, within: Path, time_s: float | None, *, max_width: int, rows: int | None = None
 ) -> Picture | None:
     """Return the frame of a video at a time, None if it cannot be decoded.
 
     Args:
         video: the file.
         within: a folder that it has to lie in.
-        time_s: the time; beyond the end the last frame is taken.
+        time_s: the time; beyond the end the last frame is taken. None: the middle.
         max_width: maximum width in px; wider images are scaled down.
         rows: number of pixel rows to show, from the top; None = all.
     """
@@ -96,13 +97,15 @@ def encoded(image: NDArray[np.uint8], max_width: int, suffix: str = ".jpg") -> P
     return Picture(f"data:image/{kind};base64,{text}", image.shape[1], image.shape[0])
 
 
-def _frame_at(video: Path, within: Path, time_s: float) -> NDArray[np.uint8] | None:
+def _frame_at(video: Path, within: Path, time_s: float | None) -> NDArray[np.uint8] | None:
     with opened_result(video, within) as container:
         stream = container.streams.video[0]
         if stream.width * stream.height > MAX_PIXELS:
             return None
         stream.codec_context.thread_count = 1
         base = stream.time_base or Fraction(1, 1)
+        if time_s is None:
+            time_s = (container.duration or 0) / av.time_base / 2
         wanted = round(Fraction(time_s) / base)
         container.seek(max(wanted, 0), stream=stream)
         last = None

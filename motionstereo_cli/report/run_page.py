@@ -65,7 +65,7 @@ def run_page(out: Path, page: Path, record: RunRecord | None = None) -> str:
         run=run,
         reference=run.reference,
         about=_about(said, steering),
-        panels=_panels(run, page, steering),
+        panels=_panels(run, page, steering, scale),
         scale=_drawn(scale),
         facts=facts,
         shares=shares,
@@ -95,6 +95,7 @@ def _drawn(scale: DepthScale) -> dict[str, Any]:
     places = np.linspace(0, 1, 24)
     return {
         "unit": scale.unit,
+        "quantity": scale.quantity,
         "gradient": ", ".join("rgb({},{},{})".format(*scale.colour(place)) for place in places),
         "ticks": _ticks(scale),
         "unknown": "rgb({},{},{})".format(*scale.unknown),
@@ -165,9 +166,11 @@ def _facts(steering: SteeringTable) -> list[Fact]:
     return facts
 
 
-def _panels(run: Results, page: Path, steering: SteeringTable | None) -> list[dict[str, Any]]:
-    """Return the three videos with their posters."""
-    when_s, number = 0.0, 0
+def _panels(
+    run: Results, page: Path, steering: SteeringTable | None, scale: DepthScale
+) -> list[dict[str, Any]]:
+    """Return the three videos with their posters, the frame in which most was matched."""
+    when_s, number = None, None
     if steering:
         when_s = float(steering.places[steering.best])
         number = int(steering.frames[steering.best])
@@ -176,7 +179,10 @@ def _panels(run: Results, page: Path, steering: SteeringTable | None) -> list[di
     panels: list[tuple[str, str, str, Path | None, bool]] = [
         ("view", f"{run.reference.capitalize()} view", "what the camera saw", view, plays),
         ("charge", "Charge", "white moved just now, darker longer ago", run.video("charge"), True),
-        ("depth", "Depth", "grey, the view, is unknown", run.video("depth-video"), True),
+        (
+            *("depth", scale.quantity.capitalize(), "grey, the view, is unknown"),
+            *(run.video("depth-video"), True),
+        ),
     ]
     for key, title, what, video, played in panels:
         parts = _parts(video, run.path)
@@ -190,7 +196,7 @@ def _panels(run: Results, page: Path, steering: SteeringTable | None) -> list[di
                 "src": address,
                 "poster": source
                 and poster(source, run.within, when_s, max_width=_POSTER_PX, rows=run.height),
-                "alt": f"{title} of frame {number}: {what}",
+                "alt": f"{title}{'' if number is None else f' of frame {number}'}: {what}",
             }
         )
     return shown

@@ -61,13 +61,14 @@ def plotted(steering: SteeringTable) -> dict[str, Any]:
     """Return the steering table for the plots, as JSON-able values."""
     names = list(dict.fromkeys(("ok", "held", "blind", *steering.status)))
     codes = np.array([names.index(status) for status in steering.status])
-    kept = kept_rows(steering.series.values(), codes)
+    kept = np.union1d(kept_rows(steering.series.values(), codes), [steering.best])
     return {
         "timed": steering.timed,
         "frameS": FRAME_S,
         "x": steering.places[kept].tolist(),
         "frame": None if len(kept) == len(steering) else steering.frames[kept].tolist(),
         "firstFrame": int(steering.frames[0]),
+        "begin": int(np.searchsorted(kept, steering.best)),
         "statuses": names,
         "status": codes[kept].tolist(),
         "series": {name: _known(values[kept]) for name, values in steering.series.items()},

@@ -35,7 +35,8 @@ def preview_picture(step: Step, stream: RunContext) -> NDArray[np.uint8]:
         _small(grey_picture(images.charge)),
         _small(depth_picture(images, stream)),
     ]
-    titles = (f"{stream.settings.reference.capitalize()} view, heading", "Charge", "Depth")
+    depth = depth_scale(stream).quantity.capitalize()
+    titles = (f"{stream.settings.reference.capitalize()} view, heading", "Charge", depth)
     return framed(panels, titles, step, stream)
 
 

@@ -100,6 +100,11 @@ class DepthScale:
         return "m" if self.px_m else "px"
 
     @property
+    def quantity(self) -> str:
+        """What the colours stand for: ``depth`` or, without a rig, ``disparity``."""
+        return "depth" if self.px_m else "disparity"
+
+    @property
     def ends(self) -> tuple[float, float]:
         """The nearest and the farthest value."""
         if self.px_m:
