@@ -54,7 +54,8 @@ def with_colour_range(job: Job) -> Job:
     frames = job.frames
     sample: Iterable[StereoFrame]
     if job.source.rereadable:
-        sample = sample_of(job.plan, _STEP_FRAMES, _DECODED_FRAMES)
+        plan = dataclasses.replace(job.plan, input_settings=job.source.settings)
+        sample = sample_of(plan, _STEP_FRAMES, _DECODED_FRAMES)
     else:
         rest = iter(frames)
         sample = list(itertools.islice(rest, WINDOW_FRAMES))

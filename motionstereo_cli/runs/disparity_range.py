@@ -63,6 +63,12 @@ def sample_of(
     while number < len(places):
         with open_stereo(plan.left, plan.right, plan.input_settings) as source:
             rectify_source(source, plan.rig, plan.rig_settings)
+            given = plan.input_settings
+            if plan.disparity and given.disparity_scale and given.disparity_view != "auto":
+                source.bring_disparity(
+                    *(plan.disparity, given.disparity_view, given.disparity_scale),
+                    plan.settings.reference,
+                )
             if source.expected_frames:
                 places = list(starts(source.expected_frames))
             begin = places[number]

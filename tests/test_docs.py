@@ -1,0 +1,131 @@
+"""Every command of every page works, in order, in a folder like sample_data."""
+
+from __future__ import annotations
+
+import os
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import av
+import cv2
+import numpy as np
+import pytest
+from recordings import encode, folder
+
+from motionstereo_cli.__main__ import main
+
+ROOT = Path(__file__).parent.parent
+SAMPLE = ROOT / "sample_data"
+PAGES = [ROOT / "README.md", *sorted((ROOT / "motionstereo_cli/docs").glob("*.md"))]
+
+#: What is not tried: installing, and what needs other machines or programs.
+ELSEWHERE = re.compile(
+    r"^(pip|pipx|uv|uvx|docker|dask|make|ffmpeg|eval|_MOTION\w*)\b|HOST:|complete"
+)
+
+#: The size of all recordings here, in px: a quarter of the sample's.
+WIDTH, HEIGHT = 80, 60
+SMALL = ["--width", f"{WIDTH}", "--height", f"{HEIGHT}"]
+#: What commands are given here besides, so that they are done soon.
+SHORTER = {
+    "simulate": SMALL,
+    "drive": [*SMALL, "--max-frames", "20"],
+    "batch": ["--workers", "1"],
+}
+
+
+def commands(path):
+    """Return the commands of a page's code blocks, which read like those of a shell."""
+    text = path.read_text(encoding="utf-8").replace("\\\n", " ")
+    blocks = re.findall(r"^```(\w*)\n(.*?)^```", text, re.MULTILINE | re.DOTALL)
+    codes = [code for language, code in blocks if language in ("", "sh", "bash")]
+    lines = [line for code in codes for line in code.splitlines() if "motionstereo " in line]
+    return [line for line in lines if not ELSEWHERE.search(line)]
+
+
+def images_of(path):
+    with av.open(str(path)) as video:
+        images = [frame.to_ndarray(format="gray") for frame in video.decode(video=0)]
+    return [cv2.resize(each, (WIDTH, HEIGHT), interpolation=cv2.INTER_AREA) for each in images]
+
+
+@pytest.fixture(scope="module")
+def yours(tmp_path_factory):
+    """The sample, smaller, and the files that the pages say are yours."""
+    home = tmp_path_factory.mktemp("yours")
+    views = [images_of(SAMPLE / f"{side}.mp4") for side in ("left", "right")]
+    for side, images in zip(("left", "right"), views, strict=True):
+        encode(home / f"{side}.mp4", images, "libx264", "yuv420p")
+        folder(home / side, images[:12], ".png", "{:06d}")
+    both = [np.hstack(pair) for pair in zip(*views, strict=True)]
+    encode(home / "both.mp4", both, "libx264", "yuv420p")
+    focal_px, baseline_m = 278.4 * WIDTH / 320, 0.12
+    (home / "rig.yaml").write_text(
+        f"width: {WIDTH}\nheight: {HEIGHT}\nfocal_px: {focal_px}\nbaseline_m: {baseline_m}\n"
+        f"cx: {WIDTH / 2 - 0.5}\ncy: {HEIGHT / 2 - 0.5}\n"
+    )
+    opencv(home / "stereo.yml", focal_px, (WIDTH, HEIGHT))
+    opencv(home / "calibration.yaml", 1000, (1280, 1024))
+    sequence = home / "kitti/sequences/00"
+    sequence.mkdir(parents=True)
+    for number, images in enumerate(views):
+        folder(sequence / f"image_{number}", images[:12], ".png", "{:06d}")
+    matrix = f"{focal_px} 0 {WIDTH / 2} 0 0 {focal_px} {HEIGHT / 2} 0 0 0 1 0"
+    right = matrix.split()
+    right[3] = f"{-focal_px * baseline_m}"
+    (sequence / "calib.txt").write_text(f"P0: {matrix}\nP1: {' '.join(right)}\n")
+    (sequence / "times.txt").write_text("".join(f"{0.1 * n:e}\n" for n in range(12)))
+    (home / "poses.txt").write_text(
+        "".join(f"{n / 30:.6f} {n / 60} 0 0.3 0 0 0 1\n" for n in range(len(both)))
+    )
+    for name in ("one", "two"):
+        for side in ("left", "right"):
+            (home / "archive" / name).mkdir(parents=True, exist_ok=True)
+            shutil.copy(home / f"{side}.mp4", home / "archive" / name)
+    (home / "recordings.csv").write_text("left,right,out,rig\nleft.mp4,right.mp4,a,rig.yaml\n")
+    shutil.copy(ROOT / "motionstereo_cli/simulate/worlds/office.toml", home / "my-office.toml")
+    pair = [str(home / "left.mp4"), str(home / "right.mp4"), "--rig", str(home / "rig.yaml")]
+    save = ["--save", "steering,depth,disparity", "-o", str(home / "golden")]
+    assert main(["run", *pair, *save]) == 0
+    shutil.copytree(home / "golden/disparity", home / "maps")
+    return home
+
+
+def opencv(path, focal_px, size):
+    """Write a calibration of OpenCV without distortion, 0.12 m between the cameras."""
+    camera = np.array([[focal_px, 0, size[0] / 2], [0, focal_px, size[1] / 2], [0, 0, 1]])
+    values = {"K1": camera, "D1": np.zeros(5), "K2": camera, "D2": np.zeros(5)}
+    values |= {"R": np.eye(3), "T": np.array([-0.12, 0, 0])}
+    storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
+    storage.write("image_width", size[0])
+    storage.write("image_height", size[1])
+    for name, value in values.items():
+        storage.write(name, np.asarray(value, np.float64))
+    storage.release()
+
+
+@pytest.mark.parametrize("path", filter(commands, PAGES), ids=lambda path: path.name)
+def test_the_commands_of_a_page_work_in_order(yours, tmp_path, path, monkeypatch, capfd):
+    home = shutil.copytree(yours, tmp_path / "sample_data")
+    monkeypatch.chdir(home)
+    failed = []
+    for line in commands(path):
+        words = shlex.split(line, comments=True)
+        assert words[0] == "motionstereo"
+        if "|" in words:
+            shell = {**os.environ, "PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}"}
+            done = subprocess.run(
+                ["bash", "-c", f"set -o pipefail; {line}"], env=shell, check=False
+            )
+            code = done.returncode
+        else:
+            if words[1] == "simulate" and not re.search(r"--frames \d+:", line):
+                words += ["--frames", "20"]
+            code = main([*words[1:], *SHORTER.get(words[1], [])])
+        if code:
+            failed.append(f"{line}\n{capfd.readouterr().err}")
+    assert not failed, "\n".join(failed)
