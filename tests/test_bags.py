@@ -464,3 +464,19 @@ def test_parts_that_are_damaged_or_missing_are_named(tmp_path, kind, harm):
         assert source.warnings == [f"{parts}: {said}"]
         assert source.damage == []
         assert len(frames) == (6 if harm == "renamed" else 9)
+
+
+@pytest.mark.parametrize(("encoding", "red"), [("nv12", 1), ("nv21", 0)])
+@pytest.mark.parametrize("padding", [0, 16])
+def test_chroma_below_the_luma_gives_colours(tmp_path, encoding, red, padding):
+    chroma = np.full((24, 64 + padding), 128, np.uint8)
+    chroma[:, red::2] = 240  # of V, which is red
+    luma = np.full((48, 64), 90, np.uint8)
+    path = tmp_path / "a.bag"
+    with Bag(path, ".bag") as bag:
+        bag.image("/left", luma, 10**9, encoding, padding=padding, behind=chroma.reshape(-1))
+    (image,) = BagRecording(path, "/left")
+    colours = image.colour()
+    assert colours.shape == (48, 64, 3)
+    assert (colours[..., 0] > 200).all()
+    assert (colours[..., 1:] < 120).all()

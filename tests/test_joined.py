@@ -211,3 +211,25 @@ def test_chapters_that_are_not_there_are_named(tmp_path: Path, names: tuple[str,
     with open_stereo(whole, images) as source:
         said = f"{whole}: begins with {names[1]}: the chapters before it are not there"
         assert said in source.warnings
+
+
+@pytest.mark.parametrize("kind", ["videos", "folders", "names"])
+def test_a_folder_with_a_left_and_a_right_recording_is_both(tmp_path: Path, kind: str) -> None:
+    whole = tmp_path / "whole"
+    whole.mkdir()
+    left, right = ("cam_left", "cam_right") if kind == "names" else ("left", "right")
+    for side, images in ((left, scene()), (right, negative(scene()))):
+        if kind == "folders":
+            folder(whole / side, images, ".png")
+        else:
+            encode(whole / f"{side}.mkv", images, "ffv1", "gray")
+    (whole / "rig.yaml").write_text("focal_px: 1\n")
+    with open_stereo(whole) as source:
+        frames = list(source)
+    assert len(frames) == COUNT
+    np.testing.assert_array_equal(frames[3].left, 255 - frames[3].right)
+
+
+def test_an_empty_folder_is_said_to_be_empty(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="is empty: give a folder that holds recordings"):
+        open_stereo(tmp_path)

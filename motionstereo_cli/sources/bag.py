@@ -88,6 +88,9 @@ _ENCODINGS: dict[str, _Encoding] = {
     "nv24": _Encoding(1, 1, None),
 }
 
+#: Conversions to RGB of luma with half as many rows of chroma below.
+_WITH_CHROMA = {"nv12": cv2.COLOR_YUV2RGB_NV12, "nv21": cv2.COLOR_YUV2RGB_NV21}
+
 #: Conversions to RGB, by those to grey; None if the pixels are RGB.
 _TO_RGB: dict[int, int | None] = {
     cv2.COLOR_RGB2GRAY: None,
@@ -297,11 +300,23 @@ class BagRecording(Recording):
 
     def _colours(self, message: Any) -> NDArray[np.uint8] | None:
         """Return the colours of a message, (height, width, 3) uint8 RGB; None if it is grey."""
+        if getattr(message, "encoding", "") in _WITH_CHROMA:
+            return self._with_chroma(message)
         pixels, conversion = self._pixels(message)
         if conversion is not None and (to_rgb := _TO_RGB[conversion]) is not None:
             pixels = np.asarray(cv2.cvtColor(pixels, to_rgb), pixels.dtype)
         make = colours_of(pixels)
         return make() if make is not None else None
+
+    def _with_chroma(self, message: Any) -> NDArray[np.uint8] | None:
+        """Return the colours of an image whose plane of chroma follows that of luma."""
+        height, width, step = message.height, message.width, message.step
+        rows = height + height // 2
+        data = np.frombuffer(message.data, np.uint8)
+        if width % 2 or height % 2 or len(data) < rows * step:
+            return None
+        planes = np.ascontiguousarray(data[: rows * step].reshape(rows, step)[:, :width])
+        return np.asarray(cv2.cvtColor(planes, _WITH_CHROMA[message.encoding]), np.uint8)
 
     def _pixels(self, message: Any) -> tuple[NDArray[Any], int | None]:
         """Return the pixels of a message, and cv2's conversion to grey; None = they are grey."""

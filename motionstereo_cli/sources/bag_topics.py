@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from motionstereo_cli.errors import InputError, SettingsError, is_damage
 from motionstereo_cli.files.bounded import bound_rosbags
-from motionstereo_cli.sources.names import natural_key
+from motionstereo_cli.sources.names import natural_key, right_of
 from motionstereo_cli.sources.recording import images
 
 if TYPE_CHECKING:
@@ -28,9 +28,6 @@ SUFFIXES = frozenset({".bag", ".db3", ".mcap"})
 #: Types of messages with an image, and that with a calibration.
 _IMAGES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
 _CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
-
-#: Names of the left camera in topics, and the matching names of the right one.
-_SIDES = (("left", "right"), ("infra1", "infra2"), ("cam0", "cam1"), ("camera0", "camera1"))
 
 
 #: Parts of a bag go on after one another within this time.
@@ -119,7 +116,7 @@ def stereo_topics(files: Sequence[Path], given: str = "") -> tuple[str, str]:
                 f"{listed}"
             )
         return names[0], names[1]
-    pairs = [(name, right) for name in found if (right := _right_of(name)) in found]
+    pairs = [(name, right) for name in found if (right := right_of(name)) in found]
     # Rectified images are preferred, then uncompressed ones.
     for better in ("rect", "raw"):
         if len(pairs) > 1 and any(better in left for left, _ in pairs):
@@ -142,13 +139,6 @@ def image_topics_of(files: Sequence[Path]) -> list[str]:
     """
     with opened_bag(files) as reader:
         return [topic.name for topic in image_topics(reader)]
-
-
-def _right_of(name: str) -> str | None:
-    for left, right in _SIDES:
-        if re.search(rf"(?<![a-z]){left}(?![a-z0-9])", name):
-            return re.sub(rf"(?<![a-z]){left}(?![a-z0-9])", right, name)
-    return None
 
 
 @contextlib.contextmanager

@@ -26,6 +26,19 @@ _NAME_DATE = re.compile(
 )
 
 
+#: What the left camera is called in names, and the right one in its place.
+_SIDES = (("left", "right"), ("infra1", "infra2"), ("cam0", "cam1"), ("camera0", "camera1"))
+
+
+def right_of(name: str) -> str | None:
+    """Return the name of the right camera for that of the left one, None if it is not of one."""
+    for left, right in _SIDES:
+        whole = rf"(?<![a-z]){left}(?![a-z0-9])"
+        if re.search(whole, name):
+            return re.sub(whole, right, name)
+    return None
+
+
 def natural_key(name: str) -> list[tuple[int, str]]:
     """Return a sort key that counts digits as numbers: frame2 comes before frame10."""
     parts = re.split(r"([0-9]+)", name)

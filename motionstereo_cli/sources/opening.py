@@ -16,8 +16,10 @@ from motionstereo_cli.files.stills import SUFFIXES, shown
 from motionstereo_cli.sources.bag import BagRecording
 from motionstereo_cli.sources.bag_topics import bags_in, image_topics_of, stereo_topics
 from motionstereo_cli.sources.folder import FolderRecording
+from motionstereo_cli.sources.joined import SUFFIXES as VIDEO_SUFFIXES
 from motionstereo_cli.sources.joined import JoinedRecording, next_chapter, parts_of
 from motionstereo_cli.sources.multiview import add_nominal_rig, eyes_in
+from motionstereo_cli.sources.names import right_of
 from motionstereo_cli.sources.pages import PagesRecording, has_pages
 from motionstereo_cli.sources.pipe import Pipe
 from motionstereo_cli.sources.recording import Recording
@@ -330,12 +332,25 @@ def _files(name: str) -> list[Path]:
 
 
 def _both_in(name: str) -> list[str]:
-    """Return the folders of both cameras in a folder, or its name if it may hold both views."""
+    """Return the recordings of both cameras in a folder, or the name if it may hold both itself."""
     for pair in PAIRS:
         folders = [Path(name, part) for part in pair]
         if all(folder.is_dir() for folder in folders):
             return [str(folder) for folder in folders]
-    if Path(name).is_dir() and not (shown(Path(name).iterdir(), SUFFIXES) or _videos_of(name)):
+    if not Path(name).is_dir():
+        return [name]
+    inside = [each for each in Path(name).iterdir() if not each.name.startswith(".")]
+    if not inside:
+        raise InputError(f"{name} is empty: give a folder that holds recordings")
+    if shown(inside, SUFFIXES):
+        return [name]
+    videos = [each.name for each in inside if each.suffix.lower() in VIDEO_SUFFIXES]
+    # Two videos by these names are no parts of one recording.
+    sides = videos if len(videos) == 2 else [each.name for each in inside if each.is_dir()]
+    pairs = [(each, right) for each in sides if (right := right_of(each)) in sides]
+    if len(pairs) == 1:
+        return [str(Path(name, str(side))) for side in pairs[0]]
+    if not _videos_of(name):
         raise SettingsError(_alone(name))
     return [name]
 
