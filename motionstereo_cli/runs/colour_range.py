@@ -25,8 +25,8 @@ if TYPE_CHECKING:
 #: Every how many frames of a window depth is looked at; every how many pixels and rows of it.
 _STEP_FRAMES, _STEP_PX = 8, 2
 
-#: A recording that cannot be read from the middle is decoded up to here.
-_DECODED_FRAMES = 300
+#: A recording whose windows lie near one another is decoded up to here.
+_DECODED_FRAMES = 100
 
 
 def with_colour_range(job: Job) -> Job:
@@ -55,7 +55,7 @@ def with_colour_range(job: Job) -> Job:
     sample: Iterable[StereoFrame]
     if job.source.rereadable:
         plan = dataclasses.replace(job.plan, input_settings=job.source.settings)
-        sample = sample_of(plan, _STEP_FRAMES, _DECODED_FRAMES)
+        sample = sample_of(plan, _STEP_FRAMES, _DECODED_FRAMES, sparse=True)
     else:
         rest = iter(frames)
         sample = list(itertools.islice(rest, WINDOW_FRAMES))

@@ -21,7 +21,7 @@ from motionstereo_cli.types import StereoFrame
 _MAX_DECODED_FRAMES = 1000
 
 #: Windows at most so many frames apart are read one after the other.
-_NEAR = 300
+_NEAR = 250
 
 #: Code of the warning that the range could not be measured.
 RANGE = "range"
@@ -53,11 +53,20 @@ def with_range(plan: RunPlan, say: Say) -> RunPlan:
 
 
 def sample_of(
-    plan: RunPlan, window: int = WINDOW_FRAMES, decoded: int = _MAX_DECODED_FRAMES
+    plan: RunPlan,
+    window: int = WINDOW_FRAMES,
+    decoded: int = _MAX_DECODED_FRAMES,
+    *,
+    sparse: bool = False,
 ) -> Iterator[StereoFrame]:
     """Yield the first ``window`` frames of up to five windows, spread over the recordings.
 
-    A recording that cannot be read from the middle is decoded up to frame ``decoded``.
+    Args:
+        plan: the run.
+        window: frames of each window.
+        decoded: a recording that cannot be read from the middle is decoded up to this frame.
+        sparse: leave out windows after that frame which lie near one before: key frames are about
+            as far apart, and all frames from one on have to be decoded.
     """
     number, places = 0, [0]
     while number < len(places):
@@ -81,6 +90,8 @@ def sample_of(
                 if any(first <= place < first + window for first in windows):
                     yield frame
             number += len(windows)
+            while sparse and number < len(places) and places[number] - windows[-1] < _NEAR:
+                number += 1
 
 
 def with_range_of_opening(
