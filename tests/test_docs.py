@@ -1,4 +1,4 @@
-"""Every command of every page works, in order, in a folder like sample_data."""
+"""Every command that is printed works: those of the documentation, and those of reports."""
 
 from __future__ import annotations
 
@@ -17,6 +17,8 @@ import pytest
 from recordings import encode, folder
 
 from motionstereo_cli.__main__ import main
+from motionstereo_cli.report.words import command
+from motionstereo_cli.sinks.read_back import read_record
 
 ROOT = Path(__file__).parent.parent
 SAMPLE = ROOT / "sample_data"
@@ -129,3 +131,40 @@ def test_the_commands_of_a_page_work_in_order(yours, tmp_path, path, monkeypatch
         if code:
             failed.append(f"{line}\n{capfd.readouterr().err}")
     assert not failed, "\n".join(failed)
+
+
+PAIR = ["left.mp4", "right.mp4"]
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        [*PAIR, "--rig", "rig.yaml", "--reference", "left", "--save", "steering,depth-video"],
+        ["right.mp4", "left.mp4", "--swap", "--no-check", "--save", "steering,preview"],
+        ["both.mp4", "--layout", "side-by-side", "--near-px", "9"],
+        ["left", "right", "--scale", "0.5", "--colours", "turbo"],
+        ["left/*.png", "right/*.png", "--preset", "paper", "--no-legend"],
+        ["kitti/sequences/00", "--matcher", "sgbm"],
+        [*PAIR, "--rig", "stereo.yml", "--crop", "8,4,64,48", "--start", "3", "--end", "9"],
+        [*PAIR, "--rig", "rig.yaml", "--poses", "poses.txt", "--save", "steering,map"],
+        [*PAIR, "--rig", "rig.yaml", "--poses", "auto", "--save", "poses,objects"],
+        [*PAIR, "--rig", "rig.yaml", "--disparity", "maps", "--max-disparity", "auto"],
+        [*PAIR, "--rig", "rig.yaml", "--config", "run.toml"],
+        [*PAIR, "--rig", "stereo.yml", "--fov", "60", "--every", "2"],
+    ],
+    ids=" ".join,
+)
+def test_run_it_again_gives_the_same(yours, tmp_path, monkeypatch, given):
+    home = shutil.copytree(yours, tmp_path / "some where")
+    monkeypatch.chdir(home)
+    Path("run.toml").write_text('bands = 6\nswap = false\nlegend = false\nstart = "2"\n')
+    ends = [] if "--end" in given else ["--end", "12"]
+    assert main(["run", *given, *ends, "-o", "once"]) == 0
+    record = read_record(home / "once/run.json")
+    words = shlex.split(command(record))
+    assert words[0] == "motionstereo"
+    assert main([*words[1:], "-o", "again"]) == 0
+    again = read_record(home / "again/run.json")
+    assert again.sums == record.sums
+    assert (again.settings, again.input_settings) == (record.settings, record.input_settings)
+    assert again.output_settings == record.output_settings

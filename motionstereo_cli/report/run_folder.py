@@ -133,8 +133,7 @@ class Results:
         if self.has("view-video"):
             return self.video("view-video"), True
         given = self.record.values("input_settings")
-        side = ["left", "right"][(self.reference == "right") != bool(given.get("swap"))]
-        said = (self.record.inputs or {}).get(side)
+        said = (self.record.inputs or {}).get(self.reference)
         whole = not given.get("crop") and given.get("scale", 1.0) == 1.0
         if said is None or said.kind != "video" or said.rotation_deg or not whole:
             return None, False

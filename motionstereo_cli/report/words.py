@@ -43,6 +43,8 @@ def command(record: RunRecord) -> str | None:
         return None
     inputs = record.inputs.values()
     paths = [each.path for each in inputs]
+    if record.values("input_settings").get("swap"):  # the record has them as they were used
+        paths.reverse()
     if any(each.topic or each.track for each in inputs):  # topics or tracks of one file
         paths = list(dict.fromkeys(paths))
     words = ["motionstereo", "run", *paths]
