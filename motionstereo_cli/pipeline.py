@@ -183,7 +183,7 @@ class StreamContext(NamedTuple):
                 raise SettingsError("own motion needs a rig: without it nothing is in metres")
             odometer = Odometer(rig, settings.max_disparity, motion_offset_px)
             if with_movers:
-                mover_finder = MoverFinder(rig, settings.reference)
+                mover_finder = MoverFinder(rig, settings.reference, settings.max_disparity)
         finders = tracker, odometer, mover_finder
         return cls(settings, rig, guide, *finders, frozenset(extras), with_points)
 

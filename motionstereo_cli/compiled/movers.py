@@ -1,17 +1,21 @@
-"""What moved by itself: the loop of :mod:`motionstereo_cli.robot.movers`."""
+"""What moved by itself: the loops of :mod:`motionstereo_cli.robot.movers`."""
 
 import cython
-from cython.cimports.libc.math import fabs
+import numpy as np
+from cython.cimports.libc.math import fabs, floor, isfinite, sqrt
 
+NAN = cython.declare(cython.float, np.nan)
 #: Pixels that are nearer are beside the camera.
 MIN_DEPTH = cython.declare(cython.double, 0.05)
-HALF = cython.declare(cython.double, 0.5)
+#: Of what an alignment tells: shift along x and y and change of disparity in px; how sure; by how
+#: much disparity then misses that change; share of the squared differences that is left.
+FIELDS = 6
 
 
 @cython.cclass
 @cython.dataclasses.dataclass
 class Camera:
-    """A camera of a rig.
+    """A camera of a rig; px are of the images that it comes with.
 
     Attributes:
         focal_x, focal_y, cx, cy: in px.
@@ -33,104 +37,564 @@ class Camera:
 
 @cython.cclass
 @cython.dataclasses.dataclass(eq=False)
-class View:
-    """One camera's view.
+class Moment:
+    """What was seen at a moment, (height, width) each.
 
     Attributes:
-        grey: of now.
-        low, high: least and largest grey around each pixel of the earlier one.
+        view, other: grey of the camera and of the other one.
+        disparity: of the camera's view in px, NaN = unknown.
     """
 
-    grey: cython.const[cython.uchar][:, ::1]
-    low: cython.const[cython.uchar][:, ::1]
-    high: cython.const[cython.uchar][:, ::1]
+    view: cython.const[cython.uchar][:, ::1]
+    other: cython.const[cython.uchar][:, ::1]
+    disparity: cython.const[cython.float][:, ::1]
 
 
-def unexplained(
-    view: View,
-    other: View,
-    disparity: cython.const[cython.float][:, ::1],
-    disparity_then: cython.const[cython.float][:, ::1],
+@cython.cclass
+@cython.dataclasses.dataclass
+class Limits:
+    """What counts as a difference; see :mod:`motionstereo_cli.robot.movers`."""
+
+    noise: cython.double
+    per_slope: cython.double
+    unexplained: cython.double
+    jump_px: cython.double
+    jump_share: cython.double
+    sigma_px: cython.double
+    sigma_share: cython.double
+    max_shift: cython.double
+    hidden_px: cython.double
+    hidden_share: cython.double
+
+
+@cython.cclass
+class Workspace:
+    """The pixels of a patch, for both views: used again and again."""
+
+    grey: cython.double[:, ::1]  # of now
+    slope_x: cython.double[:, ::1]
+    slope_y: cython.double[:, ::1]
+    column: cython.double[:, ::1]  # where it was if it stands
+    row: cython.double[::1]
+    off: cython.double[::1]
+    normal: cython.double[:, ::1]
+    step: cython.double[::1]
+    middle: cython.double[::1]  # of the patch: place and nearness then, and their change per px
+    shift: cython.double[::1]
+    trial: cython.double[::1]
+    none: cython.double[::1]
+
+    def __init__(self, pixels):
+        self.grey = np.zeros((2, pixels))
+        self.slope_x = np.zeros((2, pixels))
+        self.slope_y = np.zeros((2, pixels))
+        self.column = np.zeros((2, pixels))
+        self.row = np.zeros(pixels)
+        self.off = np.zeros(pixels)
+        self.normal = np.zeros((3, 3))
+        self.step = np.zeros(3)
+        self.middle = np.zeros(6)
+        self.shift = np.zeros(3)
+        self.trial = np.zeros(3)
+        self.none = np.zeros(3)
+
+
+def find(
+    now: Moment,
+    then: Moment,
     camera: Camera,
     motion: cython.const[cython.double][:, ::1],
+    limits: Limits,
+    cell_px: cython.int,
     max_way: cython.double,
-    min_jump: cython.int,
-    hidden_px: cython.double,
-    hidden_share: cython.double,
+    work: Workspace,
     result: cython.uchar[:, ::1],
 ) -> None:
-    """Fill in by how much grey differs from all that was around the same place in an earlier view.
+    """Mark the cells whose grey the rig's own motion does not explain.
 
     Args:
-        view, other: of the camera, and of the other one, which has to differ as well.
-        disparity, disparity_then: px, NaN = unknown.
+        now, then: two moments.
         camera: the camera.
         motion: (4, 4) takes places in the camera of now to those in the earlier one.
-        max_way: what stands there came at most so far across the image, px.
-        min_jump: less is no difference.
-        hidden_px, hidden_share: what was nearer by more than the larger of these hid the place.
-        result: receives it: 0 = explained, hidden then, out of view then, or unknown.
+        limits: what counts.
+        cell_px: height and width of a cell.
+        max_way: only where what stands came at most so far across the image, px, turns apart.
+        work: for the pixels of a cell.
+        result: (rows, columns) receives 1 for such cells, 0 for others and where that is unknown.
     """
+    row: cython.int
+    column: cython.int
+    n: cython.int
+    with cython.nogil:
+        for row in range(cython.cast(cython.int, result.shape[0])):
+            for column in range(cython.cast(cython.int, result.shape[1])):
+                result[row, column] = 0
+                x: cython.int = column * cell_px
+                y: cython.int = row * cell_px
+                middle: cython.double = now.disparity[y + cell_px // 2, x + cell_px // 2]
+                if not middle + camera.doffs > 0:
+                    continue
+                if way(camera, motion, x, y, middle + camera.doffs) > max_way:
+                    continue
+                count: cython.int = gather(
+                    now, then, camera, motion, limits, x, y, cell_px, middle, work
+                )
+                if 2 * count < cell_px * cell_px:
+                    continue
+                slopes: cython.double = 0
+                for n in range(count):
+                    slopes += (
+                        work.slope_x[0, n] * work.slope_x[0, n]
+                        + work.slope_y[0, n] * work.slope_y[0, n]
+                    )
+                off: cython.double = differences(then, camera, 0, count, work.none, work)
+                off += differences(then, camera, 1, count, work.none, work)
+                expected: cython.double = (
+                    2 * count * limits.noise * limits.noise + limits.per_slope * slopes
+                )
+                result[row, column] = off > limits.unexplained * expected
+
+
+def align(
+    now: Moment,
+    then: Moment,
+    camera: Camera,
+    motion: cython.const[cython.double][:, ::1],
+    limits: Limits,
+    cell_px: cython.int,
+    reach: cython.int,
+    wanted: cython.const[cython.uchar][:, ::1],
+    start: cython.const[cython.float][:, :, ::1],
+    work: Workspace,
+    result: cython.float[:, :, ::1],
+) -> None:
+    """Fill in how cells moved in both views beyond what the rig's own motion explains.
+
+    Gauss and Newton over three unknowns, a shift along x and y and a change of disparity, from
+    none and from ``start``.
+
+    Args:
+        now, then, camera, motion, limits: as :func:`find` has them.
+        cell_px: distance of cells.
+        reach: a patch reaches so many px from the middle of its cell.
+        wanted: cells that are asked for, (rows, columns), 0 or 1.
+        start: (rows, columns, :data:`FIELDS`) what is supposed, NaN = nothing.
+        work, result: for the pixels of a patch; like ``start``, receives it, NaN where unknown.
+    """
+    row: cython.int
+    column: cython.int
+    k: cython.int
+    side: cython.int = 2 * reach + 1
+    with cython.nogil:
+        for row in range(cython.cast(cython.int, result.shape[0])):
+            for column in range(cython.cast(cython.int, result.shape[1])):
+                for k in range(cython.cast(cython.int, result.shape[2])):
+                    result[row, column, k] = NAN
+                x: cython.int = column * cell_px + cell_px // 2
+                y: cython.int = row * cell_px + cell_px // 2
+                if not wanted[row, column] or x < reach or y < reach:
+                    continue
+                if x + reach >= now.view.shape[1] or y + reach >= now.view.shape[0]:
+                    continue
+                middle: cython.double = now.disparity[y, x]
+                if not middle + camera.doffs > 0:
+                    continue
+                count: cython.int = gather(
+                    now, then, camera, motion, limits, x - reach, y - reach, side, middle, work
+                )
+                if 3 * count >= side * side and look_up(
+                    then, camera, motion, limits, x, y, middle, work
+                ):
+                    one(then, camera, limits, middle, count, row, column, start, work, result)
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def way(
+    camera: Camera,
+    motion: cython.const[cython.double][:, ::1],
+    x: cython.int,
+    y: cython.int,
+    near: cython.double,
+) -> cython.double:
+    """Return how far a standing place came across the image because the camera changed place."""
+    across: cython.double = (x - camera.cx) / camera.focal_x
+    down: cython.double = (y - camera.cy) / camera.focal_y
+    inverse: cython.double = near / camera.focal_baseline
+    far_z: cython.double = max(along(motion, 2, across, down, 0), MIN_DEPTH)
+    z: cython.double = max(along(motion, 2, across, down, inverse), MIN_DEPTH)
+    right: cython.double = (
+        along(motion, 0, across, down, inverse) / z - along(motion, 0, across, down, 0) / far_z
+    )
+    below: cython.double = (
+        along(motion, 1, across, down, inverse) / z - along(motion, 1, across, down, 0) / far_z
+    )
+    return camera.focal_x * max(fabs(right), fabs(below))
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def gather(
+    now: Moment,
+    then: Moment,
+    camera: Camera,
+    motion: cython.const[cython.double][:, ::1],
+    limits: Limits,
+    left: cython.int,
+    top: cython.int,
+    side: cython.int,
+    middle: cython.double,
+    work: Workspace,
+) -> cython.int:
+    """Take the pixels of a square that are of one surface; return how many."""
     x: cython.int
     y: cython.int
-    height: cython.int = cython.cast(cython.int, view.grey.shape[0])
-    width: cython.int = cython.cast(cython.int, view.grey.shape[1])
-    with cython.nogil:
-        for y in range(height):
-            down: cython.double = (y - camera.cy) / camera.focal_y
-            for x in range(width):
-                result[y, x] = 0
-                near: cython.double = disparity[y, x] + camera.doffs
-                if not near > 0:  # nor where it is NaN
-                    continue
-                inverse: cython.double = near / camera.focal_baseline
-                across: cython.double = (x - camera.cx) / camera.focal_x
-                z: cython.double = (
-                    motion[2, 0] * across
-                    + motion[2, 1] * down
-                    + motion[2, 2]
-                    + motion[2, 3] * inverse
-                )
-                if z < MIN_DEPTH:
-                    continue
-                u: cython.double = camera.cx + camera.focal_x / z * (
-                    motion[0, 0] * across
-                    + motion[0, 1] * down
-                    + motion[0, 2]
-                    + motion[0, 3] * inverse
-                )
-                v: cython.double = camera.cy + camera.focal_y / z * (
-                    motion[1, 0] * across
-                    + motion[1, 1] * down
-                    + motion[1, 2]
-                    + motion[1, 3] * inverse
-                )
-                if not (u >= 1 and v >= 1 and u < width - 2 and v < height - 2):
-                    continue
-                if fabs(u - x) > max_way or fabs(v - y) > max_way:
-                    continue
-                column: cython.int = cython.cast(cython.int, u + HALF)
-                row: cython.int = cython.cast(cython.int, v + HALF)
-                here: cython.int = view.grey[y, x]
-                off: cython.int = max(view.low[row, column] - here, here - view.high[row, column])
-                if off <= min_jump:
-                    continue
-                # What the other camera sees there now, and would have seen then.
-                place: cython.double = x + camera.side * disparity[y, x] + HALF
-                u += camera.other_cx - camera.cx + camera.side * near / z
-                if not (place >= 0 and place < width and u >= 1 and u < width - 2):
-                    continue
-                here = other.grey[y, cython.cast(cython.int, place)]
-                column_then: cython.int = cython.cast(cython.int, u + HALF)
-                off = min(
-                    off,
-                    max(other.low[row, column_then] - here, here - other.high[row, column_then]),
-                )
-                if off <= min_jump:
-                    continue
-                then: cython.double = near / z
-                if disparity_then[row, column] + camera.doffs > then + max(
-                    hidden_px, hidden_share * then
-                ):
-                    continue
-                result[y, x] = cython.cast(cython.uchar, off)
+    count: cython.int = 0
+    height: cython.int = cython.cast(cython.int, now.view.shape[0])
+    width: cython.int = cython.cast(cython.int, now.view.shape[1])
+    jump: cython.double = max(limits.jump_px, limits.jump_share * (middle + camera.doffs))
+    for y in range(max(top, 1), min(top + side, height - 1)):
+        down: cython.double = (y - camera.cy) / camera.focal_y
+        for x in range(max(left, 1), min(left + side, width - 1)):
+            disparity: cython.double = now.disparity[y, x]
+            if not fabs(disparity - middle) <= jump:  # nor where it is NaN
+                continue
+            place: cython.double = x + camera.side * disparity
+            if not (place >= 2 and place < width - 3):
+                continue
+            near: cython.double = disparity + camera.doffs
+            inverse: cython.double = near / camera.focal_baseline
+            across: cython.double = (x - camera.cx) / camera.focal_x
+            z: cython.double = along(motion, 2, across, down, inverse)
+            if z < MIN_DEPTH:
+                continue
+            u: cython.double = camera.cx + camera.focal_x / z * along(
+                motion, 0, across, down, inverse
+            )
+            v: cython.double = camera.cy + camera.focal_y / z * along(
+                motion, 1, across, down, inverse
+            )
+            w: cython.double = u + camera.other_cx - camera.cx + camera.side * near / z
+            if not (u >= 0 and u < width and w >= 0 and w < width and v >= 0 and v < height):
+                continue
+            work.grey[0, count] = now.view[y, x]
+            work.slope_x[0, count] = 0.5 * (
+                cython.cast(cython.double, now.view[y, x + 1]) - now.view[y, x - 1]
+            )
+            work.slope_y[0, count] = 0.5 * (
+                cython.cast(cython.double, now.view[y + 1, x]) - now.view[y - 1, x]
+            )
+            first: cython.int = cython.cast(cython.int, floor(place))
+            a: cython.double = place - first
+            work.grey[1, count] = between(now.other, y, first, a)
+            work.slope_x[1, count] = 0.5 * (
+                between(now.other, y, first + 1, a) - between(now.other, y, first - 1, a)
+            )
+            work.slope_y[1, count] = 0.5 * (
+                between(now.other, y + 1, first, a) - between(now.other, y - 1, first, a)
+            )
+            work.column[0, count] = u
+            work.column[1, count] = w
+            work.row[count] = v
+            count += 1
+    return count
+
+
+@cython.cfunc
+@cython.nogil
+@cython.inline
+@cython.exceptval(check=False)
+def along(
+    motion: cython.const[cython.double][:, ::1],
+    axis: cython.int,
+    across: cython.double,
+    down: cython.double,
+    inverse: cython.double,
+) -> cython.double:
+    """Return a coordinate of a place after a motion, over its depth before."""
+    turned: cython.double = motion[axis, 0] * across + motion[axis, 1] * down + motion[axis, 2]
+    return turned + motion[axis, 3] * inverse
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def look_up(
+    then: Moment,
+    camera: Camera,
+    motion: cython.const[cython.double][:, ::1],
+    limits: Limits,
+    x: cython.int,
+    y: cython.int,
+    disparity: cython.double,
+    work: Workspace,
+) -> cython.bint:
+    """Fill in where the middle of a patch was if it stands; False where it was hidden."""
+    near: cython.double = disparity + camera.doffs
+    inverse: cython.double = near / camera.focal_baseline
+    across: cython.double = (x - camera.cx) / camera.focal_x
+    down: cython.double = (y - camera.cy) / camera.focal_y
+    z: cython.double = along(motion, 2, across, down, inverse)
+    if z < MIN_DEPTH:
+        return False
+    right: cython.double = along(motion, 0, across, down, inverse) / z
+    below: cython.double = along(motion, 1, across, down, inverse) / z
+    u: cython.double = camera.cx + camera.focal_x * right
+    v: cython.double = camera.cy + camera.focal_y * below
+    per_px: cython.double = 1 / (camera.focal_baseline * z)
+    work.middle[0] = u
+    work.middle[1] = v
+    work.middle[2] = near / z
+    work.middle[3] = camera.focal_x * (motion[0, 3] - right * motion[2, 3]) * per_px
+    work.middle[4] = camera.focal_y * (motion[1, 3] - below * motion[2, 3]) * per_px
+    work.middle[5] = 1 / z - near * motion[2, 3] * per_px / z
+    before: cython.double = disparity_at(then, u, v) + camera.doffs
+    nearer: cython.double = max(limits.hidden_px, limits.hidden_share * near / z)
+    return not before > near / z + nearer
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def disparity_at(then: Moment, u: cython.double, v: cython.double) -> cython.double:
+    """Return the disparity at a place, NaN outside of the view."""
+    if not (u >= 0 and v >= 0 and u < then.view.shape[1] - 1 and v < then.view.shape[0] - 1):
+        return NAN
+    return then.disparity[cython.cast(cython.int, v + 0.5), cython.cast(cython.int, u + 0.5)]
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def one(
+    then: Moment,
+    camera: Camera,
+    limits: Limits,
+    disparity: cython.double,
+    count: cython.int,
+    row: cython.int,
+    column: cython.int,
+    start: cython.const[cython.float][:, :, ::1],
+    work: Workspace,
+    result: cython.float[:, :, ::1],
+) -> cython.void:
+    """Fill in how a patch moved."""
+    k: cython.int
+    trial: cython.int
+    first: cython.double = equations(then, camera, count, work.none, work)
+    slopes: cython.double = work.normal[0, 0] + work.normal[1, 1]
+    if first < limits.unexplained * (
+        2 * count * limits.noise * limits.noise + limits.per_slope * slopes
+    ):
+        return
+    least: cython.double = first
+    found: cython.bint = False
+    for trial in range(2):
+        for k in range(3):
+            work.trial[k] = 0.0 if trial else start[row, column, k]
+        if not (isfinite(work.trial[0]) and settled(then, camera, limits, count, work)):
+            continue
+        left: cython.double = equations(then, camera, count, work.trial, work)
+        if left < least:
+            found = True
+            least = left
+            for k in range(3):
+                work.shift[k] = work.trial[k]
+        if least < 0.2 * first:
+            break
+    if not found:
+        return
+    equations(then, camera, count, work.shift, work)
+    for k in range(3):
+        result[row, column, k] = cython.cast(cython.float, work.shift[k])
+    sure: cython.double = sureness(limits, disparity + camera.doffs, least, count, work)
+    result[row, column, 3] = cython.cast(cython.float, sure)
+    before: cython.double = disparity_at(
+        then, work.middle[0] + work.shift[0], work.middle[1] + work.shift[1]
+    )
+    expected: cython.double = work.middle[2] - camera.doffs + work.shift[2]
+    result[row, column, 4] = cython.cast(cython.float, before - expected)
+    result[row, column, 5] = cython.cast(cython.float, least / first)
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def settled(
+    then: Moment, camera: Camera, limits: Limits, count: cython.int, work: Workspace
+) -> cython.bint:
+    """Improve the trial until it rests; False where it does not."""
+    k: cython.int
+    rest: cython.double = 0
+    for _count in range(8):
+        equations(then, camera, count, work.trial, work)
+        if not solved(work):
+            return False
+        rest = 0
+        for k in range(3):
+            work.trial[k] += work.step[k]
+            rest += fabs(work.step[k])
+            if not fabs(work.trial[k]) < limits.max_shift:
+                return False
+        if rest < 0.03:
+            break
+    return rest < 0.1
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def sureness(
+    limits: Limits, near: cython.double, left: cython.double, count: cython.int, work: Workspace
+) -> cython.double:
+    """Return the squared shift in standard deviations, of which disparity's error is a part."""
+    i: cython.int
+    k: cython.int
+    variance: cython.double = 2 * limits.noise * limits.noise + left / (2 * count)
+    sigma: cython.double = limits.sigma_px + limits.sigma_share * near
+    all: cython.double = 0
+    mixed: cython.double = 0
+    own: cython.double = 1 / (sigma * sigma)
+    for i in range(3):
+        # A standing patch whose disparity is wrong seems to move along this line.
+        line: cython.double = work.middle[3 + i] - (1.0 if i == 2 else 0.0)
+        for k in range(3):
+            information: cython.double = work.normal[i, k] / variance
+            all += work.shift[i] * information * work.shift[k]
+            mixed += line * information * work.shift[k]
+            own += line * information * (work.middle[3 + k] - (1.0 if k == 2 else 0.0))
+    return all - mixed * mixed / own
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def differences(
+    then: Moment,
+    camera: Camera,
+    side: cython.int,
+    count: cython.int,
+    moved: cython.const[cython.double][::1],
+    work: Workspace,
+) -> cython.double:
+    """Fill in by how much grey differs after a shift, less the mean; return the sum of squares."""
+    n: cython.int
+    mean: cython.double = 0
+    squares: cython.double = 0
+    view: cython.const[cython.uchar][:, ::1] = then.other if side else then.view
+    shift: cython.double = moved[0] + (camera.side * moved[2] if side else 0.0)
+    last_column: cython.double = view.shape[1] - 1.001
+    last_row: cython.double = view.shape[0] - 1.001
+    for n in range(count):
+        u: cython.double = min(max(work.column[side, n] + shift, 0.0), last_column)
+        v: cython.double = min(max(work.row[n] + moved[1], 0.0), last_row)
+        row: cython.int = cython.cast(cython.int, v)
+        first: cython.int = cython.cast(cython.int, u)
+        upper: cython.double = between(view, row, first, u - first)
+        lower: cython.double = between(view, row + 1, first, u - first)
+        work.off[n] = upper + (v - row) * (lower - upper) - work.grey[side, n]
+        mean += work.off[n]
+    mean /= count
+    for n in range(count):
+        work.off[n] -= mean
+        squares += work.off[n] * work.off[n]
+    return squares
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def equations(
+    then: Moment,
+    camera: Camera,
+    count: cython.int,
+    moved: cython.const[cython.double][::1],
+    work: Workspace,
+) -> cython.double:
+    """Fill in the normal equations at a shift; return the sum of squared differences."""
+    side: cython.int
+    n: cython.int
+    squares: cython.double = 0
+    a: cython.double[:, ::1] = work.normal
+    a[:, :] = 0
+    work.step[:] = 0
+    for side in range(2):
+        squares += differences(then, camera, side, count, moved, work)
+        by_disparity: cython.double = camera.side * side
+        mean_x: cython.double = 0
+        mean_y: cython.double = 0
+        xx: cython.double = 0
+        xy: cython.double = 0
+        yy: cython.double = 0
+        xr: cython.double = 0
+        yr: cython.double = 0
+        for n in range(count):
+            x: cython.double = work.slope_x[side, n]
+            y: cython.double = work.slope_y[side, n]
+            mean_x += x / count
+            mean_y += y / count
+            xx += x * x
+            xy += x * y
+            yy += y * y
+            xr += x * work.off[n]
+            yr += y * work.off[n]
+        # A brighter view says nothing.
+        xx -= count * mean_x * mean_x
+        xy -= count * mean_x * mean_y
+        yy -= count * mean_y * mean_y
+        a[0, 0] += xx
+        a[0, 1] += xy
+        a[1, 1] += yy
+        a[0, 2] += by_disparity * xx
+        a[1, 2] += by_disparity * xy
+        a[2, 2] += by_disparity * by_disparity * xx
+        work.step[0] -= xr
+        work.step[1] -= yr
+        work.step[2] -= by_disparity * xr
+    a[1, 0] = a[0, 1]
+    a[2, 0] = a[0, 2]
+    a[2, 1] = a[1, 2]
+    return squares
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def solved(work: Workspace) -> cython.bint:
+    """Replace the right side ``work.step`` by the solution (Cholesky, damped); False if none."""
+    a: cython.double[:, ::1] = work.normal
+    s: cython.double[::1] = work.step
+    damping: cython.double = 4
+    d0: cython.double = sqrt(a[0, 0] + damping)
+    l10: cython.double = a[1, 0] / d0
+    l20: cython.double = a[2, 0] / d0
+    rest: cython.double = a[1, 1] + damping - l10 * l10
+    if not rest > 0:
+        return False
+    d1: cython.double = sqrt(rest)
+    l21: cython.double = (a[2, 1] - l20 * l10) / d1
+    rest = a[2, 2] + damping - l20 * l20 - l21 * l21
+    if not rest > 0:
+        return False
+    d2: cython.double = sqrt(rest)
+    s[0] /= d0
+    s[1] = (s[1] - l10 * s[0]) / d1
+    s[2] = (s[2] - l20 * s[0] - l21 * s[1]) / d2
+    s[2] /= d2
+    s[1] = (s[1] - l21 * s[2]) / d1
+    s[0] = (s[0] - l10 * s[1] - l20 * s[2]) / d0
+    return True
+
+
+@cython.cfunc
+@cython.nogil
+@cython.inline
+@cython.exceptval(check=False)
+def between(
+    view: cython.const[cython.uchar][:, ::1], row: cython.int, column: cython.int, a: cython.double
+) -> cython.double:
+    """Return the grey a share ``a`` from a pixel to the next one in its row."""
+    here: cython.double = cython.cast(cython.double, view[row, column])
+    return here + a * (view[row, column + 1] - here)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from motionstereo_cli.robot.movers import Eye, Moment, Movers, see, smoothed
+from motionstereo_cli.robot.movers import Eye, Moment, Movers, pyramid, see
 from motionstereo_cli.types import Rig
 
 if TYPE_CHECKING:
@@ -24,10 +24,12 @@ class MoverFinder:
     Args:
         rig: the camera.
         reference: whose view it is, ``right`` or ``left``.
+        max_disparity: largest disparity in px.
     """
 
     rig: Rig
     reference: str
+    max_disparity: int
 
     def see(
         self,
@@ -54,7 +56,7 @@ class MoverFinder:
         else:
             step = self._of_reference(motion.before_from_now)
         view, other = (right, left) if self.reference == "right" else (left, right)
-        now = Moment(smoothed(view), smoothed(other), disparity_px, step)
+        now = Moment(pyramid(view, other), disparity_px, step)
         after, found = see(movers or Movers(), now, self.eye)
         if stands(motion) and changed is not None:
             found = changed
@@ -72,6 +74,7 @@ class MoverFinder:
             side=1 if right else -1,
             focal_baseline=rig.focal_baseline,
             doffs_px=rig.doffs,
+            range_px=self.max_disparity,
         )
 
     def _of_reference(self, motion: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -1,15 +1,17 @@
 """What moves by itself: change that the rig's own motion does not explain.
 
 A pixel of the view of now is a place in space by its disparity, and by the rig's own motion that
-place was somewhere in an earlier view. If it stands, its grey was there, or beside it; this is
-asked of both cameras. What was hidden then is not asked for. Against the last frame anything
-counts; against those before, which tell what is slow or far, only what came a short way across the
-image. What counts has been seen moving in the frames before, nearby, and is of some size.
+place was somewhere in an earlier view. If it stands, its grey was there, in both cameras. Where it
+was not, a patch around it is aligned with the earlier views: it moved by itself if its grey is
+found beside where it should be, in both, farther off than an error of its disparity explains, and
+at the disparity that it then had to have. Patches that moved alike are one thing; it has some size,
+and it moved likewise in the frame before.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 from typing import Any
 
 import cv2
@@ -17,31 +19,56 @@ import numpy as np
 from numpy.typing import NDArray
 
 from motionstereo_cli.compiled import movers as loops
+from motionstereo_cli.compiled import point_disparity, reused
 
 Grey = NDArray[np.uint8]
 Real = NDArray[np.float32]
 Reals = NDArray[np.float64]
 
-#: Frames that a view is compared with the views before, and how far standing things may have come
-#: across the image since, as a share of its width.
-GAPS = 3
-_WAYS = (1.0, 1 / 80, 1 / 80)
-#: Smoothing before, standard deviation in px, and how far around a place its grey is looked for.
-_BLUR_PX, _AROUND_PX = 1.0, 1
-#: A smaller difference of grey is none.
-_MIN_JUMP = 8
+#: A view is compared with one so many frames before that what stands has crossed about the first
+#: share of the image's width and, where it has crossed less than the second, with one three times
+#: as far back, which tells what is far or slow; at most so far.
+_WAY, _SHORT_WAY = 0.02, 0.02
+_FARTHER, GAPS = 3, 6
+#: Where disparity is unknown it is measured at the steepest pixel of each square of so many px.
+_EDGE_PX, _MIN_SLOPE = 8, 2.5
+#: The second best has to be so many times as bad; and its standard deviation at most so large.
+_SECOND_BEST, _MAX_SIGMA_PX = 1.5, 0.3
+#: Levels of the pyramid, each half as large; what differs is looked for in the second one.
+LEVELS = 3
+#: Smoothing before, standard deviation in px.
+_BLUR_PX = 0.8
+#: Distance of patches, and how far they reach from their middle, in px of each level.
+CELL_PX, _REACH_PX = 4, 4
+
+#: Standard deviation of grey at each level, and what its slope adds to its variance; differences of
+#: so many times that are unexplained.
+_NOISE = 1.5, 0.9, 0.6
+_PER_SLOPE, _UNEXPLAINED = 0.03, 12.0
+#: A patch is of one surface: nearness in it differs by at most the larger of these.
+_JUMP_PX, _JUMP_SHARE = 0.5, 0.06
+#: Standard deviation of disparity: px, and share of nearness.
+_SIGMA_PX, _SIGMA_SHARE = 0.25, 0.02
+#: No patch moves farther, in px of its level.
+_MAX_SHIFT_PX = 16.0
 #: What was nearer then by more than the larger of these hid a place.
 _HIDDEN_PX, _HIDDEN_SHARE = 1.5, 0.25
 
-#: It has been seen moving in so many frames before, at most so far away.
-_SEEN_BEFORE, _WITHIN_PX = 2, 12
-#: Pixels so near are one thing; it has at least so many, and so much area as seen from the camera.
-_TOGETHER_PX, _MIN_PIXELS, _MIN_AREA_M2 = 4, 20, 0.12
+#: A patch moved if that is so many squared standard deviations and px, if so little of what
+#: differed is left, if disparity then was what it had to be, and if nearness changed by no larger
+#: share of it.
+_SURE, _LEAST_PX, _LEFT = 60.0, 0.5, 0.3
+_OFF_PX, _OFF_SHARE = 0.5, 0.05
+_MAX_NEARER = 0.3
+#: Patches beside each other moved alike if their shifts differ by at most the larger of these.
+_ALIKE_PX, _ALIKE_SHARE = 0.7, 0.2
+#: So many patches are a thing; of them, so large a share moved in the frame before as well.
+_MIN_PATCHES, _LASTING = 3, 0.3
+#: That is, by a shift that differs by at most the larger of these.
+_LASTING_PX, _LASTING_SHARE = 2.0, 0.5
 
 #: What it finds in a frame depends on so many frames before.
-RUN_IN_FRAMES = GAPS + _SEEN_BEFORE
-
-_OPEN = np.ones((3, 3), np.uint8)
+RUN_IN_FRAMES = GAPS + 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,6 +82,7 @@ class Eye:
         side: 1 where the other camera is at the left, -1 where it is at the right.
         focal_baseline: depth in m times nearness in px.
         doffs_px: nearness less disparity.
+        range_px: largest disparity.
     """
 
     focal_px: tuple[float, float]
@@ -64,6 +92,15 @@ class Eye:
     side: int
     focal_baseline: float
     doffs_px: float
+    range_px: int
+
+    def at(self, level: int) -> Any:
+        """Return the camera of a level for the loops."""
+        q = 0.5**level
+        return loops.Camera(  # type: ignore[call-arg]
+            *(self.focal_px[0] * q, self.focal_px[1] * q, self.cx_px * q, self.cy_px * q),
+            *(self.other_cx_px * q, self.side, self.focal_baseline * q, self.doffs_px * q),
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,15 +108,20 @@ class Moment:
     """A frame that later ones are compared with.
 
     Attributes:
-        view, other: grey of the camera and of the other one, smoothed.
+        views: at each level, grey of the camera and of the other one, (2, height, width) uint8.
         disparity_px: of the camera's view, NaN = unknown.
         before_from_now: (4, 4) takes places in the camera then to those in the one a frame before.
     """
 
-    view: Grey
-    other: Grey
+    views: tuple[Grey, ...]
     disparity_px: Real
     before_from_now: Reals
+
+    def at(self, level: int) -> Any:
+        """Return the moment at a level for the loops."""
+        q = 2**level
+        disparity_px = np.ascontiguousarray(self.disparity_px[::q, ::q]) / np.float32(q)
+        return loops.Moment(*self.views[level], disparity_px)  # type: ignore[call-arg]
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,16 +130,23 @@ class Movers:
 
     Attributes:
         moments: the last frames, :data:`GAPS` at most, the last one last.
-        found: where something moved by itself in the last frames, before it was seen again.
+        moving: how cells moved by themselves in the last frame, a frame, whether or not they did so
+            before: shift along x, y and of disparity in px, (rows, columns, 3), NaN = they did not;
+            None at first.
     """
 
     moments: tuple[Moment, ...] = ()
-    found: tuple[Grey, ...] = ()
+    moving: Real | None = None
 
 
-def smoothed(grey: Grey) -> Grey:
-    """Return a view as it is compared."""
-    return np.asarray(cv2.GaussianBlur(grey, (0, 0), _BLUR_PX), np.uint8)
+def pyramid(view: Grey, other: Grey) -> tuple[Grey, ...]:
+    """Return two views at each level, as they are compared."""
+    levels = []
+    pair = [cv2.GaussianBlur(grey, (0, 0), _BLUR_PX) for grey in (view, other)]
+    for _ in range(LEVELS):
+        levels.append(np.array(pair, np.uint8))
+        pair = [cv2.pyrDown(grey) for grey in pair]
+    return tuple(levels)
 
 
 def see(movers: Movers, now: Moment, eye: Eye) -> tuple[Movers, NDArray[np.bool_]]:
@@ -108,56 +157,217 @@ def see(movers: Movers, now: Moment, eye: Eye) -> tuple[Movers, NDArray[np.bool_
         now: the frame.
         eye: the camera.
     """
-    found = np.zeros(now.view.shape, np.uint8)
-    motion = np.eye(4)
-    motions = [now.before_from_now, *(m.before_from_now for m in movers.moments[:0:-1])]
-    for way, step, then in zip(_WAYS, motions, movers.moments[::-1], strict=False):
-        motion = step @ motion
-        found |= _changed(now, then, eye, motion, way * now.view.shape[1])
-    found = np.asarray(cv2.morphologyEx(found, cv2.MORPH_OPEN, _OPEN))
-    lasting = found
-    for before in movers.found:
-        lasting = lasting & _grown(before, _WITHIN_PX)
-    if len(movers.found) < _SEEN_BEFORE:
-        lasting = np.zeros_like(found)
-    kept = _large(lasting, now.disparity_px, eye)
-    after = Movers((*movers.moments, now)[-GAPS:], (*movers.found, found)[-_SEEN_BEFORE:])
-    return after, kept
+    shape = now.disparity_px.shape
+    rows, columns = (side // CELL_PX for side in shape)
+    moving, lasting = None, np.zeros((rows, columns), np.bool_)
+    if movers.moments:
+        now = replace(now, disparity_px=_filled(now, eye))
+        gap = _gap(movers, now, eye)
+        shifts = _shifts(now, movers, gap, eye, math.inf)
+        farther = min(_FARTHER * gap, len(movers.moments))
+        short_px = _SHORT_WAY * shape[1]
+        far = None if farther == gap else _shifts(now, movers, farther, eye, short_px)
+        near = np.nan_to_num(_in_cells(now.disparity_px) + np.float32(eye.doffs_px))
+        moved = _moved(shifts, near)
+        shifts[..., :3] /= gap
+        if far is not None:
+            slow = _moved(far, near) & ~moved
+            shifts[slow] = far[slow] / np.float32(farther)
+            moved |= slow
+        count, things = _things(moved, shifts, near)
+        moving = np.where((things > 0)[..., None], shifts[..., :3], np.float32(np.nan))
+        if movers.moving is not None:
+            lasting = _lasting(count, things, moving, movers.moving)
+    kept = (*movers.moments, now)[-GAPS:]
+    return Movers(kept, moving), _in_pixels(lasting, shape)
 
 
-def _changed(now: Moment, then: Moment, eye: Eye, motion: Reals, way_px: float) -> Grey:
-    """Return 1 where a view differs from an earlier one, 0 elsewhere."""
-    result = np.empty(now.view.shape, np.uint8)
-    around = np.ones((2 * _AROUND_PX + 1,) * 2, np.uint8)
-    views: list[Any] = [
-        loops.View(grey, cv2.erode(old, around), cv2.dilate(old, around))  # type: ignore[call-arg]
-        for grey, old in ((now.view, then.view), (now.other, then.other))
-    ]
-    camera: Any = loops.Camera(  # type: ignore[call-arg]
-        *(*eye.focal_px, eye.cx_px, eye.cy_px, eye.other_cx_px, eye.side),
-        *(eye.focal_baseline, eye.doffs_px),
+def _gap(movers: Movers, now: Moment, eye: Eye) -> int:
+    """Return how many frames before the one is to compare with."""
+    near = now.disparity_px[::8, ::8] + np.float32(eye.doffs_px)
+    near = near[near > 0]
+    typical = float(np.median(near)) if near.size else 1.0
+    wanted_m = _WAY * now.disparity_px.shape[1] / typical * eye.focal_baseline / eye.focal_px[0]
+    for gap in range(1, len(movers.moments)):
+        if np.linalg.norm(_motion(movers, now, gap)[:3, 3]) >= wanted_m:
+            return gap
+    return len(movers.moments)
+
+
+def _motion(movers: Movers, now: Moment, gap: int) -> Reals:
+    """Return the motion to a frame so many before (4, 4)."""
+    motion = now.before_from_now
+    for moment in movers.moments[:-gap:-1]:
+        motion = moment.before_from_now @ motion
+    return np.ascontiguousarray(motion)
+
+
+def _filled(now: Moment, eye: Eye) -> Real:
+    """Return the disparity, also around edges where it is unknown because nothing changed.
+
+    What drives ahead at the speed of the rig hardly changes, and has no charge.
+    """
+    view, other = (image.astype(np.float32) for image in now.views[0])
+    row, column = _edges(view, np.isnan(now.disparity_px))
+    places = np.stack([column, row], axis=1).astype(np.int32)
+    if eye.side < 0:  # in a mirror the other camera is at the left
+        view, other = (np.ascontiguousarray(image[:, ::-1]) for image in (view, other))
+        places[:, 0] = view.shape[1] - 1 - places[:, 0]
+    found, costs = np.empty((len(places), 2), np.float32), np.empty(eye.range_px + 1, np.float32)
+    point_disparity.measure(
+        view, other, places, eye.range_px, _NOISE[0], _SECOND_BEST, costs, found
     )
-    loops.unexplained(
-        *(views[0], views[1], now.disparity_px, then.disparity_px, camera),
-        *(np.ascontiguousarray(motion), way_px, _MIN_JUMP, _HIDDEN_PX, _HIDDEN_SHARE, result),
+    sure = found[:, 1] < _MAX_SIGMA_PX
+    known = np.full(view.shape, -np.inf, np.float32)
+    known[row[sure], column[sure]] = found[sure, 0]
+    around = cv2.dilate(known, np.ones((2 * _REACH_PX + 1,) * 2, np.uint8))
+    fill = np.isnan(now.disparity_px) & np.isfinite(around)
+    return np.where(fill, around, now.disparity_px)
+
+
+def _edges(view: Real, where: NDArray[np.bool_]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return row and column of the steepest pixel in each square of some pixels of an image."""
+    slope = np.where(where, np.abs(cv2.Sobel(view, cv2.CV_32F, 1, 0, scale=1 / 8)), 0)
+    rows, columns = (side // _EDGE_PX for side in slope.shape)
+    squares = slope[: rows * _EDGE_PX, : columns * _EDGE_PX]
+    squares = squares.reshape(rows, _EDGE_PX, columns, _EDGE_PX).swapaxes(1, 2)
+    squares = squares.reshape(rows * columns, _EDGE_PX**2)
+    square = np.flatnonzero(squares.max(axis=1) > _MIN_SLOPE)
+    row, column = np.divmod(squares[square].argmax(axis=1), _EDGE_PX)
+    return square // columns * _EDGE_PX + row, square % columns * _EDGE_PX + column
+
+
+def _shifts(now: Moment, movers: Movers, gap: int, eye: Eye, way_px: float) -> Real:
+    """Return how patches moved since a frame, (rows, columns, fields), NaN = explained or unknown.
+
+    What differs at the second level is aligned at all of them, from coarse to fine.
+
+    Args:
+        now, movers, eye: as :func:`see` has them.
+        gap: how many frames before it was.
+        way_px: only where what stands came at most so far across the image.
+    """
+    motion, then = _motion(movers, now, gap), movers.moments[-gap]
+    height, width = now.disparity_px.shape
+    moments = [(now.at(level), then.at(level)) for level in range(LEVELS)]
+    limits = [_limits(level) for level in range(LEVELS)]
+    wanted = np.zeros((height // CELL_PX // 2, width // CELL_PX // 2), np.uint8)
+    work: Any = reused(loops.Workspace, (2 * _REACH_PX + 1) ** 2)
+    loops.find(*moments[1], eye.at(1), motion, limits[1], CELL_PX, way_px / 2, work, wanted)
+    found: Real | None = None
+    for level in range(LEVELS - 1, -1, -1):
+        shape = tuple(side // 2**level // CELL_PX for side in (height, width))
+        asked = cv2.resize(wanted, shape[::-1], interpolation=cv2.INTER_NEAREST)
+        if level == LEVELS - 1:
+            asked = _any_of_four(wanted, shape)
+        start = np.full((*shape, loops.FIELDS), np.nan, np.float32)
+        if found is not None:
+            row, column = (
+                np.minimum(np.arange(n) // 2, last - 1)
+                for n, last in zip(shape, found.shape, strict=False)
+            )
+            start = np.ascontiguousarray(2 * found[row][:, column])
+        found = np.empty_like(start)
+        loops.align(
+            *(*moments[level], eye.at(level), motion, limits[level], CELL_PX, _REACH_PX),
+            *(np.asarray(asked), start, work, found),
+        )
+    assert found is not None
+    return found
+
+
+def _any_of_four(wanted: Grey, shape: tuple[int, ...]) -> Grey:
+    """Return cells twice as large, with all that is wanted within them."""
+    rows, columns = shape
+    inside = wanted[: 2 * rows, : 2 * columns]
+    return np.ascontiguousarray(inside.reshape(rows, 2, columns, 2).max(axis=(1, 3)))
+
+
+def _limits(level: int) -> Any:
+    q = 0.5**level
+    return loops.Limits(  # type: ignore[call-arg]
+        *(_NOISE[level], _PER_SLOPE, _UNEXPLAINED, _JUMP_PX * q, _JUMP_SHARE),
+        *(_SIGMA_PX * q, _SIGMA_SHARE, _MAX_SHIFT_PX, _HIDDEN_PX * q, _HIDDEN_SHARE),
     )
-    return np.minimum(result, np.uint8(1))
 
 
-def _grown(mask: Grey, by_px: int) -> Grey:
-    return np.asarray(cv2.dilate(mask, np.ones((2 * by_px + 1,) * 2, np.uint8)))
+def _in_cells(disparity_px: Real) -> Real:
+    """Return the disparity in the middle of each cell."""
+    rows, columns = (side // CELL_PX * CELL_PX for side in disparity_px.shape)
+    half = CELL_PX // 2
+    return disparity_px[half:rows:CELL_PX, half:columns:CELL_PX]
 
 
-def _large(mask: Grey, disparity_px: Real, eye: Eye) -> NDArray[np.bool_]:
-    """Return what is left of a mask without patches of few pixels or little area."""
-    if not mask.any():
-        return mask.astype(np.bool_)
-    count, labels = cv2.connectedComponents(_grown(mask, _TOGETHER_PX))
-    inside = np.nonzero(mask)
-    label = labels[inside]
-    metres = eye.focal_baseline / (disparity_px[inside] + eye.doffs_px).astype(np.float64)
-    area_m2 = np.bincount(label, metres**2, count) / (eye.focal_px[0] * eye.focal_px[1])
-    large = (area_m2 >= _MIN_AREA_M2) & (np.bincount(label, minlength=count) >= _MIN_PIXELS)
-    kept = np.zeros(mask.shape, np.bool_)
-    kept[inside] = large[label]
-    return kept
+def _moved(shifts: Real, near: Real) -> NDArray[np.bool_]:
+    """Return which cells moved by themselves, (rows, columns)."""
+    moved = np.zeros(near.shape, np.bool_)
+    known = np.nonzero(np.isfinite(shifts[..., 4]))
+    shift, (sure, off, left), n = shifts[known][:, :3], shifts[known][:, 3:].T, near[known]
+    moved[known] = (
+        (sure > _SURE)
+        & (np.abs(shift).max(axis=1) > _LEAST_PX)
+        & (left < _LEFT)
+        & (np.abs(off) < np.maximum(_OFF_PX, _OFF_SHARE * n))
+        & (np.abs(shift[:, 2]) < _MAX_NEARER * n)
+    )
+    return moved
+
+
+def _things(moved: NDArray[np.bool_], shifts: Real, near: Real) -> tuple[int, NDArray[np.int32]]:
+    """Return how many things moved, and the cells of each, 0 = none, which counts as one."""
+    rows, columns = moved.shape
+    maze = np.zeros((2 * rows - 1, 2 * columns - 1), np.uint8)
+    maze[::2, ::2] = moved
+    values = np.dstack([shifts[..., :3], near])
+    for down, right in ((0, 1), (1, 0), (1, 1)):
+        here, there = slice(rows - down), slice(columns - right)
+        row, column = np.nonzero(moved[here, there] & moved[down:, right:])
+        alike = _alike(values[row, column], values[row + down, column + right])
+        maze[2 * row + down, 2 * column + right] = alike
+    count, labels = cv2.connectedComponents(maze, connectivity=8)
+    things = np.array(labels[::2, ::2], np.int32)
+    small = np.bincount(things.ravel(), minlength=count) < _MIN_PATCHES
+    small[0] = False
+    things[small[things]] = 0
+    return count, things
+
+
+def _alike(one: Real, other: Real) -> NDArray[np.bool_]:
+    """Return whether cells (n, 4), shift and nearness, moved alike and are of one surface."""
+    off = np.abs(one - other)
+    near = np.minimum(one[:, 3], other[:, 3])
+    size = np.maximum(np.abs(one[:, :3]).max(axis=1), np.abs(other[:, :3]).max(axis=1))
+    alike = off[:, :3].max(axis=1) <= np.maximum(_ALIKE_PX, _ALIKE_SHARE * size)
+    return np.asarray(alike & (off[:, 3] <= np.maximum(_JUMP_PX, _JUMP_SHARE * near)))
+
+
+def _lasting(
+    count: int, things: NDArray[np.int32], moving: Real, before: Real
+) -> NDArray[np.bool_]:
+    """Return the cells of things that moved alike in the frame before.
+
+    Args:
+        count, things: of this frame.
+        moving, before: of this frame and the one before, as :class:`Movers` has them.
+    """
+    row, column = np.nonzero(things)
+    shift, limits = moving[row, column], np.array(things.shape) - 1
+    then = np.stack([row, column]) + np.rint(shift[:, 1::-1].T / CELL_PX).astype(np.intp)
+    alike_px = np.maximum(_LASTING_PX, _LASTING_SHARE * np.abs(shift).max(axis=1))
+    alike = np.zeros(len(row), np.bool_)
+    for down in (-1, 0, 1):
+        for right in (-1, 0, 1):
+            at = np.clip(then + np.array([[down], [right]]), 0, limits[:, None])
+            off = np.abs(before[at[0], at[1]] - shift).max(axis=1)
+            alike |= off <= alike_px  # not where it is NaN
+    label = things[row, column]
+    share = np.bincount(label, alike, count) / np.maximum(np.bincount(label, minlength=count), 1)
+    return np.asarray((share >= _LASTING)[things] & (things > 0))
+
+
+def _in_pixels(cells: NDArray[np.bool_], shape: tuple[int, ...]) -> NDArray[np.bool_]:
+    """Return the pixels of cells."""
+    result = np.zeros(shape, np.bool_)
+    rows, columns = (side * CELL_PX for side in cells.shape)
+    result[:rows, :columns] = np.repeat(np.repeat(cells, CELL_PX, axis=0), CELL_PX, axis=1)
+    return result

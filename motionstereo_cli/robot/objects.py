@@ -64,6 +64,7 @@ class Region:
         middle_x, middle_y: mean place of its pixels in px.
         nearness_px: median of disparity + doffs in it.
         known: share of its pixels whose disparity is known and fresh, 0..1.
+        before: frames before that it is known to have moved in.
     """
 
     x: int
@@ -74,6 +75,7 @@ class Region:
     middle_y: float
     nearness_px: float
     known: float
+    before: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -244,7 +246,7 @@ def follow(
         elif track.missed < min(_MAX_MISSED, track.seen):
             result.append(replace(track, missed=track.missed + 1))
     new = (s for index, s in enumerate(observations) if index not in pairs.values())
-    result += (Track(next_number + i, (observation,)) for i, observation in enumerate(new))
+    result += (Track(next_number + i, (o,), 1 + o.region.before) for i, o in enumerate(new))
     return tuple(result)
 
 

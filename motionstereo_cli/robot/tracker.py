@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import cv2
@@ -40,7 +40,7 @@ MIN_SEEN = 3
 
 #: Around what moved by itself, so many px belong to it where their depth does. A region that moves
 #: by itself has at least this share of the image, and this share of its box has been seen to move.
-_AROUND_PX, _MIN_MOVING_SHARE, _MIN_MOVED = 8, 0.0005, 0.05
+_AROUND_PX, _MIN_MOVING_SHARE, _MIN_MOVED, _MIN_MOVED_PX = 8, 0.0005, 0.05, 48
 
 #: What moves by itself is faster than this over ground, and than so many standard deviations.
 _MIN_OVER_GROUND_MPS, _SIGMAS = 0.2, 2.0
@@ -84,7 +84,7 @@ class Tracker:
         return regions(near, fresh, MIN_KNOWN_SHARE)
 
     def moving_regions(self, disparity_px: Real, moved: NDArray[np.bool_]) -> tuple[Region, ...]:
-        """Return the regions of a frame that moved by themselves.
+        """Return the regions of a frame that moved by themselves, in this frame and the last one.
 
         Args:
             disparity_px: (height, width) float32, NaN = unknown.
@@ -94,7 +94,7 @@ class Tracker:
         near = np.asarray(cv2.dilate(moved.view(np.uint8), around)).view(np.bool_)
         nearness = self.rig.nearness_px(disparity_px) if self.rig else disparity_px
         found = regions(nearness, near, _MIN_MOVING_SHARE)
-        return tuple(each for each in found if _holds(each, moved))
+        return tuple(replace(each, before=1) for each in found if _holds(each, moved))
 
     def follow(
         self,
@@ -165,7 +165,7 @@ class Tracker:
 def _holds(region: Region, moved: NDArray[np.bool_]) -> bool:
     """Return whether enough of a region's box moved by itself."""
     inside = moved[region.y : region.y + region.height, region.x : region.x + region.width]
-    return float(np.count_nonzero(inside)) >= _MIN_MOVED * inside.size
+    return float(np.count_nonzero(inside)) >= max(_MIN_MOVED * inside.size, _MIN_MOVED_PX)
 
 
 def _by_itself(moves: Movement) -> bool:
