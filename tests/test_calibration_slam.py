@@ -345,9 +345,30 @@ def test_the_cameras_of_vins_are_in_the_order_of_its_configuration(tmp_path: Pat
 def test_remap_tables_in_npz(tmp_path: Path) -> None:
     path = tmp_path / "stereo.npz"
     tables = {f"{side}Map{axis}": np.zeros((4, 4)) for side in ("left", "right") for axis in "XY"}
-    np.savez(path, imageSize=np.array(SIZE), dispartityToDepthMap=np.eye(4), **tables)
+    np.savez(path, imageSize=np.array(SIZE), **tables)
     with pytest.raises(InputError, match="holds remap tables"):
         read_calibration([path], SIZE)
+    # With Q they are all that is needed.
+    plain = read_calibration([opencv_file(tmp_path / "plain.yml")], SIZE)
+    assert plain.maps is not None
+    rig = plain.rig
+    q = np.array(
+        [
+            *([1, 0, 0, -rig.cx], [0, 1, 0, -rig.cy], [0, 0, 0, rig.focal_px]),
+            [0, 0, 1 / (1000 * rig.baseline_m), 0],
+        ]
+    )
+    tables = {
+        f"{side}Map{axis}": table
+        for side, maps in zip(("left", "right"), plain.maps, strict=True)
+        for axis, table in zip("XY", maps, strict=True)
+    }
+    np.savez_compressed(path, imageSize=np.array(SIZE), dispartityToDepthMap=q, **tables)
+    found = read_calibration([path], SIZE)
+    for name in ("focal_px", "baseline_m", "cx", "cy", "doffs"):
+        assert getattr(found.rig, name) == pytest.approx(getattr(rig, name), abs=1e-6), name
+    np.testing.assert_allclose(found.maps, plain.maps)
+    assert "remap tables" in found.describe()
 
 
 def test_opencv_needs_no_blank_after_a_colon(tmp_path: Path) -> None:

@@ -34,8 +34,7 @@ from motionstereo_cli.rig.turned import is_vertical, turned
 from motionstereo_cli.types import Rig
 
 if TYPE_CHECKING:
-    from motionstereo_cli.rig.cameras import Camera, Matrix
-    from motionstereo_cli.rig.lenses import Maps
+    from motionstereo_cli.rig.cameras import Camera, Maps, Matrix
     from motionstereo_cli.sources import StereoSource
     from motionstereo_cli.types import Grey
 
@@ -199,12 +198,17 @@ def _of_pair(
     (_, first), (_, second) = transforms
     rig, warnings = rig_of(name, (first, second), size, read.unit, settings.length_m)
     calibration = Calibration(rig, read.kind, "rectified images", warnings=read.notes + warnings)
-    if cameras is None:
+    if cameras is None and read.maps is None:
         return _without_view(calibration, name, settings)
-    left, right = (
-        maps_of(camera, rotation, projection, size)
-        for camera, (rotation, projection) in zip(cameras, transforms, strict=True)
-    )
+    if cameras is None:
+        assert read.maps is not None
+        calibration = _without_view(calibration, name, settings)
+        left, right = read.maps
+    else:
+        left, right = (
+            maps_of(camera, rotation, projection, size)
+            for camera, (rotation, projection) in zip(cameras, transforms, strict=True)
+        )
     coverage = float((inside(left, size) & inside(right, size)).mean())
     if coverage < _MIN_COVERAGE:
         raise InputError(
@@ -215,7 +219,7 @@ def _of_pair(
     needed = max(max_moved_px(left), max_moved_px(right)) > _NEGLIGIBLE_PX
     return dataclasses.replace(
         calibration,
-        model=_model(cameras),
+        model=_model(cameras) if cameras else "remap tables",
         maps=(left, right) if needed else None,
         coverage=coverage,
         body_from_left=_body_from_rectified(read, transforms[0][0], rig.baseline_m),

@@ -15,7 +15,12 @@ from motionstereo_cli.errors import InputError
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from motionstereo_cli.types import Real
+
     Matrix = NDArray[np.float64]
+
+    #: Where each pixel of a rectified image lies in the recorded one, x and y, (height, width) px.
+    Maps = tuple[Real, Real]
 
     #: Rotation (3, 3) and projection (3, 4) into a rectified image.
     Rectified = tuple[Matrix, Matrix]
@@ -97,6 +102,8 @@ class Pair:
         notes: assumptions, one line each.
         body_from_left: (4, 4), takes points of the left camera's frame to that of the body whose
             poses the format has, in ``unit``; None if there is none.
+        maps: of the left and the right camera, where each rectified pixel lies in the recorded
+            image, each x and y, (height, width) float32 px; None if they are to be computed.
     """
 
     kind: str
@@ -108,6 +115,7 @@ class Pair:
     unit: str | None = None
     notes: tuple[str, ...] = ()
     body_from_left: Matrix | None = None
+    maps: tuple[Maps, Maps] | None = None
 
 
 def rectified_pair(

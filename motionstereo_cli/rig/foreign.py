@@ -11,6 +11,7 @@ import numpy as np
 from motionstereo_cli.errors import InputError
 
 if TYPE_CHECKING:
+    from motionstereo_cli.rig.cameras import Maps
     from motionstereo_cli.rig.structure import Values
 
 _AS_JSON = "save the matrices as JSON, as M1 D1 M2 D2 R T"
@@ -91,7 +92,7 @@ def refuse_foreign_values(path: Path, values: Values) -> None:
         if re.fullmatch(_MAP, name) and not isinstance(value, str | float)
     ]
     intrinsics = values.keys() & {"m1", "k1", "cameramatrix1", "leftcameramatrix", "mtxl"}
-    if len(maps) > 1 and not intrinsics:
+    if len(maps) > 1 and not intrinsics and not (ready_maps(values) and values.keys() & {*OF_Q}):
         raise InputError(f"{path} {_BEFORE_MAPS}")
     if "relativeconfigimucam" in values:
         chain = str(values["relativeconfigimucam"])
@@ -115,6 +116,27 @@ def refuse_foreign_values(path: Path, values: Values) -> None:
             f"{path} is of one camera: a stereo camera needs M1 D1 M2 D2 of both, and R and T "
             "between them (cv2.stereoCalibrate finds them)"
         )
+
+
+#: Names of the matrix that makes points of disparities.
+OF_Q = ("q", "disparitytodepthmap", "dispartitytodepthmap")
+
+#: What remap tables of the left and of the right camera are called, of x and of y.
+_READY = (
+    ("leftmapx", "leftmapy", "rightmapx", "rightmapy"),
+    ("map1x", "map1y", "map2x", "map2y"),
+    ("stereomaplx", "stereomaply", "stereomaprx", "stereomapry"),
+)
+
+
+def ready_maps(values: Values) -> tuple[Maps, Maps] | None:
+    """Return the remap tables in a file, as OpenCV's CV_32FC1; None if it has none of that form."""
+    for names in _READY:
+        tables = [np.asarray(values.get(name, ()), object) for name in names]
+        if tables[0].ndim == 2 and all(each.shape == tables[0].shape for each in tables):
+            left_x, left_y, right_x, right_y = (each.astype(np.float32) for each in tables)
+            return (left_x, left_y), (right_x, right_y)
+    return None
 
 
 def _is_matrix(value: Any) -> bool:

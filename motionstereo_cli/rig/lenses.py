@@ -11,11 +11,9 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from motionstereo_cli.rig.cameras import Camera, Matrix
-    from motionstereo_cli.types import Real
+    from motionstereo_cli.rig.cameras import Camera, Maps, Matrix
 
     Reals = NDArray[np.float64]
-    Maps = tuple[Real, Real]
     Flattened = tuple[Reals, Reals, NDArray[np.bool_]]
 
 #: Rows of a map that are computed at a time, to save memory.

@@ -18,8 +18,7 @@ from motionstereo_cli.types import Rig
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from motionstereo_cli.rig.cameras import Camera, Matrix, Rectified
-    from motionstereo_cli.rig.lenses import Maps
+    from motionstereo_cli.rig.cameras import Camera, Maps, Matrix, Rectified
 
 #: Plausible baselines: the minimum and maximum in m, the maximum for files without a unit, and the
 #: maximum for formats whose unit is m.

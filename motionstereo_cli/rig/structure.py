@@ -27,7 +27,7 @@ from motionstereo_cli.errors import InputError
 Values = Mapping[str, Any]
 
 #: Limits of depth, of the number of values, and of an array's size.
-_MAX_DEPTH, _MAX_VALUES, _MAX_ARRAY_BYTES = 24, 300_000, 1_000_000
+_MAX_DEPTH, _MAX_VALUES, _MAX_ARRAYS_BYTES = 24, 300_000, 64_000_000
 
 _NUMBER = re.compile(
     r"[-+]?(?:(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?|\.?inf|\.?nan)", re.ASCII | re.IGNORECASE
@@ -69,11 +69,12 @@ def read_npz(path: Path, content: bytes) -> Values:
     Raises:
         InputError: it cannot be read.
     """
-    found = []
+    found, room = [], _MAX_ARRAYS_BYTES
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
             for item in archive.infolist()[: _MAX_DEPTH * _MAX_DEPTH]:
-                if item.file_size <= _MAX_ARRAY_BYTES and item.filename.endswith(".npy"):
+                if item.file_size <= room and item.filename.endswith(".npy"):
+                    room -= item.file_size
                     array = _array(archive.read(item))
                     found.append((item.filename.removesuffix(".npy"), array))
         values: Values = _mapping((name, array) for name, array in found if array is not None)
