@@ -8,6 +8,7 @@ Without a C compiler the build requires and uses that of the package ``ziglang``
 
 from __future__ import annotations
 
+import copy
 import glob
 import os
 import platform
@@ -139,6 +140,12 @@ class BuildLoops(build_ext):
         sources = b"".join(Path(path).read_bytes() for path in paths)
         first = Path(self.get_ext_fullpath(_name("baseline.shared")))
         (first.parent / "checksum").write_text(str(zlib.crc32(sources)), encoding="ascii")
+
+    def build_extension(self, ext: Extension) -> None:
+        """Compile into a folder for the kind of machine: objects are named by their source."""
+        apart = copy.copy(self)  # several are compiled at the same time
+        apart.build_temp = os.path.join(self.build_temp, ext.name.split(".")[-2])
+        super(BuildLoops, apart).build_extension(ext)
 
     def build_extensions(self) -> None:
         """Compile with zig if there is no other compiler."""
