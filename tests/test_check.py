@@ -18,7 +18,7 @@ from motionstereo_cli.__main__ import main
 from motionstereo_cli.check import features, mounting
 from motionstereo_cli.check.advice import advised, as_toml
 from motionstereo_cli.check.findings import CheckReport, Finding
-from motionstereo_cli.check.measure import WINDOW_FRAMES, check, watched
+from motionstereo_cli.check.measure import WINDOW_FRAMES, check, step_of, watched
 from motionstereo_cli.check.mounting import Mounting
 from motionstereo_cli.rig.settings import RigSettings
 from motionstereo_cli.simulate.scenes import render_scene
@@ -129,6 +129,42 @@ def test_trial(trial: int) -> None:
 @pytest.fixture(scope="module")
 def corridor() -> Views:
     return simulated(0, SHORT)
+
+
+@pytest.mark.parametrize("ahead", [0, 1, -3])
+def test_one_judge_tells_check_run_and_the_measurement_the_step(
+    corridor: Views, ahead: int
+) -> None:
+    length = len(corridor[0]) - abs(ahead)
+    views = corridor[0][max(0, -ahead) :][:length], corridor[1][max(0, ahead) :][:length]
+    report, step = checked(views), step_of(frames_of(views), length)
+    assert step is not None
+    assert (report.step_frames, report.step_certain) == (ahead, True)
+    assert (step.whole, step.is_certain) == (ahead, True)
+    steps = [each for each in said(views) if each.name == "out-of-step"]
+    assert [each.numbers["step_frames"] for each in steps] == ([ahead] if ahead else [])
+
+
+@pytest.mark.parametrize("calibrated", [False, True])
+@pytest.mark.parametrize(("certain", "moving"), [(False, 0.1), (True, 0.1), (False, None)])
+def test_rows_that_do_not_agree_may_be_out_of_step(
+    calibrated: bool, certain: bool, moving: float | None
+) -> None:
+    off = {"misaligned_px": 3.0, "misaligned_p90_px": 4.0, "misaligned_image_px": 3.0}
+    off |= {"shifted_px": 3.0, "turned_deg": 0.0, "negative": 0.3, "disparity_low_px": -9.0}
+    report = CheckReport(
+        64,
+        frames=16,
+        calibrated=calibrated,
+        matches=500,
+        ahead_frames=0.0,
+        step_certain=certain,
+        moving=moving,
+        **off,  # type: ignore[arg-type]
+    )
+    texts = {each.name: each.text for each in report.findings}
+    for name in ("misaligned", "negative-disparity"):
+        assert ("--sync-offset auto" in texts[name]) == (not certain and moving is not None)
 
 
 def square(views: Views) -> Views:
