@@ -496,7 +496,7 @@ def described(
         occlusion=found.occlusion,
         sigma_px=None
         if found.confidence is None or "sigma_px" not in context.extras
-        else sigma_px(found.confidence),
+        else sigma_px(found.confidence, disparity_px),
         depth_m=depth_of(disparity_px, rig) if "depth_m" in context.extras else None,
         colours=frame.colours,
     )
