@@ -21,11 +21,13 @@ from spatial import SERIAL, stamp_ns, svo2, vr180, with_boxes
 
 from motionstereo_cli.errors import InputError, SettingsError
 from motionstereo_cli.rig.calibration import rectify_source
+from motionstereo_cli.runs.run import check_size
 from motionstereo_cli.sinks.records import InputRecord
 from motionstereo_cli.sources import open_stereo
 from motionstereo_cli.sources.multiview import eyes_in
 from motionstereo_cli.sources.settings import InputSettings
 from motionstereo_cli.sources.stereo3d import Said
+from motionstereo_cli.types import Rig
 
 LEFTS, RIGHTS = scene(), [255 - image for image in scene()]
 BESIDE = [np.hstack(each) for each in zip(LEFTS, RIGHTS, strict=True)]
@@ -141,6 +143,11 @@ def test_what_is_spherical_is_refused_or_projected(tmp_path: Path) -> None:
         assert InputRecord(**source.describe()["both"]).projection == (
             "equirectangular, 180x180 degrees"
         )
+        other = Rig(width=96, height=96, focal_px=50, baseline_m=0.06, cx=48, cy=48)
+        with pytest.raises(
+            InputError, match=r"focal_px 31, cx 30\.5, cy 30\.5, and the baseline_m"
+        ):
+            check_size(other, source)
     middle = (np.arange(62) - 30.5) / 31
     x, y = np.meshgrid(middle, middle)
     truth = world(np.arctan(x), np.clip(y, -1, 1))

@@ -256,9 +256,17 @@ def check_size(rig: Rig, source: StereoSource) -> None:
         InputError: it is for another size.
     """
     if (rig.width, rig.height) != (source.view_width, source.view_height):
+        width, height = source.view_width, source.view_height
+        advice = "give the rig of these recordings"
+        if (focal_px := source.projected_focal_px) is not None:
+            advice = (
+                f"give a rig.yaml of the projected images: width {width}, height {height}, "
+                f"focal_px {focal_px:g}, cx {(width - 1) / 2:g}, cy {(height - 1) / 2:g}, and the "
+                "baseline_m of the camera"
+            )
         raise InputError(
-            f"the rig is for {rig.width}x{rig.height} but the recordings are "
-            f"{source.view_width}x{source.view_height}: give the rig of these recordings"
+            f"the rig is for {rig.width}x{rig.height} but the recordings are {width}x{height}: "
+            f"{advice}"
         )
 
 
