@@ -2,6 +2,7 @@
 
 import csv
 import itertools
+import json
 import re
 from dataclasses import replace
 
@@ -252,6 +253,22 @@ class TestRun:
         off, healed = (np.abs(each[known] / depths[2][known] - 1).mean() for each in depths[:2])
         assert healed < 0.02
         assert off > 0.05
+
+    @pytest.mark.parametrize("wrong", [True, False])
+    def test_check_reports_the_offset(self, recording, tmp_path, capsys, wrong):
+        text = (recording / "rig.yaml").read_text()
+        (tmp_path / "rig.yaml").write_text(
+            text.replace("doffs: 0.0", "doffs: 1.0") if wrong else text
+        )
+        views = [str(recording / f"{side}.mp4") for side in ("left", "right")]
+        advice = tmp_path / "advice.toml"
+        given = ["--rig", str(tmp_path / "rig.yaml"), "--json", "--write", str(advice)]
+        assert main(["check", *views, *given]) == 0
+        report = json.loads(capsys.readouterr().out)
+        assert report["disparity_offset_px"] == pytest.approx(-1 if wrong else 0, abs=0.06)
+        named = "disparity-offset" in [finding["name"] for finding in report["findings"]]
+        assert named == wrong
+        assert ('disparity-offset = "auto"' in advice.read_text()) == wrong
 
     def test_an_offset_is_a_number_or_auto(self):
         with pytest.raises(SettingsError, match="--disparity-offset cannot be 'much'"):

@@ -57,6 +57,8 @@ def advised(
         found.append(Advice("sync_offset", offset, why["out-of-step"]))
     if "swapped" in why:
         found.append(Advice("swap", not given.swap, why["swapped"]))
+    if "disparity-offset" in why:
+        found.append(Advice("disparity_offset", "auto", why["disparity-offset"]))
     if why.keys() & _CHANGE_DISPARITY:
         measured = "to be measured when the rest is mended"
         found.append(Advice("max_disparity", "auto", measured))

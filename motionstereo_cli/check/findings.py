@@ -32,6 +32,10 @@ REPEATED_SHARE = 0.01
 FROZEN_SHARE = 0.2
 
 
+#: An offset of disparity of less px does not matter: depth at 10 px is then off by 1.5 %.
+MAX_OFFSET_PX = 0.15
+
+
 class Drift(NamedTuple):
     """How the step between the views changes: frames ahead at a frame, and later at another."""
 
@@ -69,6 +73,8 @@ class CheckReport:
         step_frames: the same in whole frames, 0 where it is not certain.
         step_certain: whether no other number of whole frames can be meant.
         drift: how that changes; None where it does not.
+        disparity_offset_px: constant by which disparities are too small, by how things move as the
+            rig moves; None without a calibration.
     """
 
     max_disparity: int
@@ -99,6 +105,7 @@ class CheckReport:
     step_frames: int = 0
     step_certain: bool = False
     drift: Drift | None = None
+    disparity_offset_px: float | None = None
 
     @property
     def findings(self) -> tuple[Finding, ...]:
@@ -170,6 +177,15 @@ class Rule(NamedTuple):
         """Return what a report is judged by, as far as it was measured."""
         found = {name: getattr(report, name) for name in self.fields}
         return {name: round(value, 4) for name, value in found.items() if value is not None}
+
+
+def offset_warning(offset_px: float) -> str:
+    """Return what to say of a constant error of disparity that matters."""
+    return (
+        f"disparities are {abs(offset_px):.2f} px too {'small' if offset_px > 0 else 'large'} by "
+        "how things move as the rig moves, as after a small turn between the cameras: depth is "
+        "wrong, most of all far off; calibrate again, or give --disparity-offset auto"
+    )
 
 
 def _always(_: CheckReport) -> bool:
@@ -399,6 +415,15 @@ RULES = (
             f"to {r.disparity_high_px:.0f}): give --max-disparity {r.advised_max_disparity}"
         ),
         ("beyond", "disparity_high_px", "advised_max_disparity"),
+    ),
+    Rule(
+        "disparity-offset",
+        "constant by which all disparities are too small, px, where a calibrated rig moves",
+        f"never; a warning over {MAX_OFFSET_PX:g}",
+        lambda r: abs(r.disparity_offset_px or 0) > MAX_OFFSET_PX,
+        _never,
+        lambda r: offset_warning(r.disparity_offset_px or 0),
+        ("disparity_offset_px",),
     ),
     Rule(
         "grey-difference",

@@ -23,6 +23,7 @@ from motionstereo_cli.check.lag import BANDS, lag_of, profile, small
 from motionstereo_cli.check.mounting import Mounting, mounted
 from motionstereo_cli.check.synchrony import MAX_STEP, Fit, PairingStep, fit_rows, step_or_drift
 from motionstereo_cli.method.settings import MAX_DISPARITY
+from motionstereo_cli.robot.odometer import Odometer, OffsetFinder
 from motionstereo_cli.types import StereoFrame
 
 if TYPE_CHECKING:
@@ -58,6 +59,9 @@ _MIN_TEXTURE = 0.2
 #: Disparities above minus this count as not negative.
 _ZERO_PX = 0.5
 
+#: Disparities up to so many px tell the constant error of all.
+_OFFSET_RANGE_PX = 128
+
 #: A range reaches so many times as far as 98 % of the features that are found.
 _NEARER = 1.5
 #: A pixel moves where its grey level changes by more; an image where this share of it does.
@@ -82,11 +86,19 @@ def check(
         rig: what a calibration says of the frames; None without one.
         progress: called after each frame.
     """
-    checker = _Checker(starts(expected_frames), _MOMENTS)
-    for frame in frames:
+    windows = starts(expected_frames)
+    checker = _Checker(windows, _MOMENTS)
+    finder = None
+    if rig is not None:
+        finder = OffsetFinder(Odometer(rig, min(max_disparity, _OFFSET_RANGE_PX)))
+    for number, frame in enumerate(frames):
         checker.see(frame)
+        if finder is not None and any(0 <= number - start < WINDOW_FRAMES for start in windows):
+            finder.see(frame)
         progress()
-    return checker.report(max_disparity, rig)
+    report = checker.report(max_disparity, rig)
+    offset_px = None if finder is None else round(finder.offset_px, 3)
+    return dataclasses.replace(report, disparity_offset_px=offset_px)
 
 
 def watched(

@@ -144,6 +144,8 @@ def _table(report: CheckReport) -> str:
         if report.ahead_frames is None
         else f"right {report.ahead_frames:+.2f} frames ahead of left",
     }
+    if report.disparity_offset_px is not None:
+        facts["offset"] = f"disparities {report.disparity_offset_px:.2f} px too small, all alike"
     lines = [f"{name + ':':<11}{fact}" for name, fact in facts.items()]
     for finding in report.findings:
         lines.append(f"{'problem' if finding.ruins else 'warning'}: {finding.text}")

@@ -102,26 +102,44 @@ class Odometer:
         )
 
 
-def disparity_offset_px(frames: Iterable[StereoFrame], odometer: Odometer) -> float:
-    """Return the constant by which disparities are too small, 0 where none can be told.
+class OffsetFinder:
+    """Finds the constant by which disparities are too small, from stretches of consecutive frames.
 
     What is far off has disparity 0 (less doffs), and how a thing moves through the image while the
     rig moves says how far off it is: where disparity contradicts both by a constant, the principal
     points are wrong, as by a small turn between the cameras.
 
     Args:
-        frames: stretches of consecutive frames; a gap in their numbers begins the next.
         odometer: the rig as it is believed to be.
     """
-    state, last, number = None, None, None
-    path = setting_out()
-    for frame in frames:
-        if number is None or frame.index != number + 1:
-            state, last = None, None
+
+    def __init__(self, odometer: Odometer) -> None:
+        self._odometer = odometer
+        self._path = setting_out()
+        self._state: Odometry | None = None
+        self._last: tuple[Grey, Grey] | None = None
+        self._number: int | None = None
+
+    def see(self, frame: StereoFrame) -> None:
+        """Take in a frame; a gap in their numbers begins the next stretch."""
+        if self._number is None or frame.index != self._number + 1:
+            self._state, self._last = None, None
         right, left = map(np.ascontiguousarray, (frame.right, frame.left))
-        state, motion = odometer.step(
-            *(state, last, right, left, frame.index), error_sigma_px=ERROR_SIGMA_PX
+        self._state, motion = self._odometer.step(
+            *(self._state, self._last, right, left, frame.index), error_sigma_px=ERROR_SIGMA_PX
         )
-        path = travelled(path, motion)
-        last, number = (right, left), frame.index
-    return told(path.error_px)
+        self._path = travelled(self._path, motion)
+        self._last, self._number = (right, left), frame.index
+
+    @property
+    def offset_px(self) -> float:
+        """The constant, 0 where none can be told."""
+        return told(self._path.error_px)
+
+
+def disparity_offset_px(frames: Iterable[StereoFrame], odometer: Odometer) -> float:
+    """Return what an :class:`OffsetFinder` finds in some frames."""
+    finder = OffsetFinder(odometer)
+    for frame in frames:
+        finder.see(frame)
+    return finder.offset_px

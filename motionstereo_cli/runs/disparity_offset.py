@@ -6,6 +6,7 @@ import dataclasses
 import itertools
 from collections.abc import Callable, Iterable
 
+from motionstereo_cli.check.findings import MAX_OFFSET_PX, offset_warning
 from motionstereo_cli.check.measure import WINDOW_FRAMES
 from motionstereo_cli.robot.odometer import Odometer, disparity_offset_px
 from motionstereo_cli.runs.disparity_range import sample_of
@@ -14,9 +15,6 @@ from motionstereo_cli.sources.settings import with_offset
 from motionstereo_cli.types import StereoFrame
 
 Say = Callable[[str, str], object]
-
-#: An offset of less px does not matter: depth at 10 px of disparity is then off by 1.5 %.
-MATTERS_PX = 0.15
 
 
 def with_measured_offset(job: Job, say: Say) -> Job:
@@ -49,16 +47,7 @@ def with_measured_offset(job: Job, say: Say) -> Job:
         say("note", f"--disparity-offset {offset_px:g}: measured from how things move")
         context = dataclasses.replace(job.context, rig=with_offset(rig, offset_px))
         return dataclasses.replace(job, frames=frames, context=context)
-    if abs(offset_px) < MATTERS_PX:
+    if abs(offset_px) < MAX_OFFSET_PX:
         return dataclasses.replace(job, frames=frames)
     say("warning", offset_warning(offset_px))
     return dataclasses.replace(job, frames=frames, motion_offset_px=offset_px)
-
-
-def offset_warning(offset_px: float) -> str:
-    """Return the warning for a constant error of disparity that matters."""
-    return (
-        f"disparities are {abs(offset_px):.2f} px too {'small' if offset_px > 0 else 'large'} by "
-        "how things move as the rig moves, as after a small turn between the cameras: depth is "
-        "wrong, most of all far off; calibrate again, or give --disparity-offset auto"
-    )

@@ -339,6 +339,8 @@ OUTPUTS = {
         "in Foxglove",
         "bag.BagFile",
         needs_rig=True,
+        needs_objects=True,
+        needs_movers=True,
         takes="step",
         extras=_DEPTH,
         shows_images=True,
