@@ -6,6 +6,7 @@ import contextlib
 import dataclasses
 import itertools
 from collections.abc import Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -60,7 +61,9 @@ def with_colour_range(job: Job) -> Job:
         rest = iter(frames)
         sample = list(itertools.islice(rest, WINDOW_FRAMES))
         frames = itertools.chain(sample, rest)
-    nearness_px = np.concatenate([np.empty(0, np.float32), *_nearness_px(sample, job)])
+    # What a thread keeps for the next frame goes with it.
+    with ThreadPoolExecutor(1, "sample") as thread:
+        nearness_px = thread.submit(_nearness_px, sample, job).result()
     found = measured_ends(nearness_px, None if rig is None else rig.focal_baseline)
     job = dataclasses.replace(job, frames=frames)
     if found is None:
@@ -82,8 +85,13 @@ def _settled(job: Job, ends: dict[str, Any]) -> Job:
     )
 
 
-def _nearness_px(sample: Iterable[StereoFrame], job: Job) -> Iterator[Real]:
-    """Yield the known disparities of some frames, doffs added, (n,) float32 each."""
+def _nearness_px(sample: Iterable[StereoFrame], job: Job) -> Real:
+    """Return the known disparities of some frames, doffs added, (n,) float32."""
+    return np.concatenate([np.empty(0, np.float32), *_each_nearness_px(sample, job)])
+
+
+def _each_nearness_px(sample: Iterable[StereoFrame], job: Job) -> Iterator[Real]:
+    """Yield the same, frame by frame."""
     settings, rig = job.plan.settings, job.context.rig
     right = left = None
     begun = last = -1
