@@ -1,6 +1,7 @@
 """The local map and the course through it, on surroundings that are known."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -17,12 +18,13 @@ from motionstereo_cli.robot.course import (
     travelled,
     wrapped,
 )
-from motionstereo_cli.robot.guide import MapGuide
+from motionstereo_cli.robot.guide import ImageGuide, MapGuide
 from motionstereo_cli.robot.local_map import (
     CELL_M,
     CELLS,
     CERTAIN,
     HALF_LIFE_FRAMES,
+    Bearings,
     FloorView,
     LocalMap,
     moved,
@@ -36,7 +38,11 @@ WIDTH = 160
 HEIGHT = 120
 RIG = Rig(WIDTH, HEIGHT, focal_px=140, baseline_m=0.12, cx=79.5, cy=59.5)
 FB = RIG.focal_px * RIG.baseline_m
+SIZE = WIDTH, HEIGHT
 BEARINGS = 80
+#: Heights above the cameras of what reaches above them, and of a box of 0.5 m.
+BELOW_M = 1.1
+TALL_M, LOW_M = 0.5, -0.7
 
 
 def view(x_m=0.0, y_m=0.0, yaw_rad=0.0):
@@ -45,6 +51,10 @@ def view(x_m=0.0, y_m=0.0, yaw_rad=0.0):
 
 def pose(x_m=0.0, y_m=0.0, yaw_rad=0.0):
     return Pose(x_m, y_m, 1.2, 0.0, 0.0, math.sin(yaw_rad / 2), math.cos(yaw_rad / 2))
+
+
+def stands(near_px, top_m=TALL_M):
+    return Bearings(near_px, np.where(np.isnan(near_px), NAN, np.float32(top_m)))
 
 
 def wall_ahead(depth_m):
@@ -56,17 +66,19 @@ def evidence_at(known, x_m, y_m):
     return known.evidence[i, j]
 
 
-def after(frames, profile_px, **where):
+def after(frames, profile_px, top_m=TALL_M, **where):
     known = LocalMap.unknown(0, 0)
     for _ in range(frames):
-        known = seen(known, profile_px, view(**where), WIDTH)
+        known = seen(known, stands(profile_px, top_m), view(**where), SIZE, BELOW_M)
     return known
 
 
 class TestProfile:
     def look(self, disparity, fresh=None, below_m=1.1, above_m=0.6):
         fresh = np.ones(disparity.shape, bool) if fresh is None else fresh
-        return profile(disparity, fresh, view(), bearings=40, below_m=below_m, above_m=above_m)
+        found = profile(disparity, fresh, view(), bearings=40, below_m=below_m, above_m=above_m)
+        assert (np.isnan(found.near_px) == np.isnan(found.top_m)).all()
+        return found.near_px
 
     def test_takes_the_nearest_tenth_and_at_least_four_pixels(self):
         disparity = np.full((HEIGHT, WIDTH), NAN, np.float32)
@@ -90,6 +102,15 @@ class TestProfile:
         assert np.allclose(self.look(disparity), FB / 2)
         assert np.isnan(self.look(disparity, below_m=0, above_m=0.5)).all()
         assert np.isnan(self.look(disparity, fresh=np.zeros((HEIGHT, WIDTH), bool))).all()
+
+    def test_a_top_is_that_of_the_nearest_thing(self):
+        # At 2 m a row is 2/140 m: a box from 0.5 m to 0.9 m below the camera, a wall behind it.
+        disparity = np.full((HEIGHT, WIDTH), FB / 5, np.float32)
+        disparity[95:, 80:] = FB / 2
+        found = profile(disparity, disparity > 0, view(), bearings=2, below_m=1.1, above_m=0.6)
+        np.testing.assert_allclose(found.near_px, [FB / 5, FB / 2])
+        assert found.top_m[0] > 0.4
+        assert found.top_m[1] == pytest.approx(-0.5, abs=0.06)
 
 
 class TestMap:
@@ -117,15 +138,29 @@ class TestMap:
     def test_what_comes_into_a_free_place_is_believed_in_two_frames(self):
         known = after(40, wall_ahead(5.0))
         for _ in range(2):
-            known = seen(known, wall_ahead(2.0), view(), WIDTH)
+            known = seen(known, stands(wall_ahead(2.0)), view(), SIZE, BELOW_M)
         assert evidence_at(known, 2.0, 0) > CERTAIN
+
+    @pytest.mark.parametrize(("top_m", "stays"), [(LOW_M, True), (TALL_M, False)])
+    @pytest.mark.parametrize(("place_m", "over"), [(1.2, True), (3.0, False)])
+    def test_what_a_view_passes_over_stays(self, top_m, stays, place_m, over):
+        """The lowest row sees 0.7 m below the cameras from 1.6 m on."""
+        known = after(8, wall_ahead(place_m), top_m)
+        assert evidence_at(known, place_m, 0) > CERTAIN
+        for _ in range(16):
+            known = seen(known, stands(np.full(BEARINGS, 1.0, np.float32)), view(), SIZE, BELOW_M)
+        assert (evidence_at(known, place_m, 0) > CERTAIN) == (stays and over)
+        assert (evidence_at(known, place_m, 0) < -CERTAIN) == (not (stays and over))
+        beside = evidence_at(known, place_m + 0.35, 0)
+        assert (beside < -CERTAIN) == (not (stays and over))
+        assert evidence_at(known, place_m + 1.5, 0) < -CERTAIN
 
     def test_what_is_not_seen_again_is_forgotten(self):
         known = after(3, wall_ahead(3.0))
         nothing = np.full(BEARINGS, NAN, np.float32)
         later = known
         for _ in range(HALF_LIFE_FRAMES):
-            later = seen(later, nothing, view(), WIDTH)
+            later = seen(later, stands(nothing), view(), SIZE, BELOW_M)
         np.testing.assert_allclose(later.evidence, known.evidence / 2, rtol=1e-4)
 
     def test_a_narrow_gap_in_a_wall_is_wall_and_a_wide_one_unknown(self):
@@ -235,6 +270,9 @@ class TestPlan:
                 break
         assert math.radians(500) < turned < math.radians(600)
         assert abs(wrapped(np.array(course.heading_rad))) > 2.4
+        # And it stays with that.
+        course, free_m = self.planned(lambda d: 5.0 if abs(d) > 2.5 else 0.5, course=course)
+        assert free_m == 5
 
     def test_the_direction_of_travel_follows_the_way(self):
         course = Course(0.0, 0.0)
@@ -253,7 +291,53 @@ class TestMapGuide:
         return steering
 
     def flat(self, depth_m):
-        return np.full((HEIGHT, WIDTH), FB / depth_m, np.float32)
+        """A wall, and something nearer on either side of it."""
+        disparity = np.full((HEIGHT, WIDTH), FB / depth_m, np.float32)
+        disparity[:, : WIDTH // 7] *= 1.5
+        disparity[:, -(WIDTH // 7) :] *= 1.5
+        return disparity
+
+    def test_before_one_level_surface_it_is_blind(self):
+        """A camera that looks down, and one before a wall, see no direction that is farther."""
+        level = np.full((HEIGHT, WIDTH), FB / 2.7, np.float32)
+        level += np.random.default_rng(0).normal(0, 0.1, level.shape).astype(np.float32)
+        level[40:80, 60:90] *= 1.5  # somebody
+        steering = self.steered([level] * 10, [pose()] * 10)
+        assert (steering.status, steering.steer) == ("blind", None)
+        for rig in (None, RIG):
+            guide, state = ImageGuide(Settings(), rig), None
+            for disparity in [self.road()] * 4 + [level] * 4:
+                state, steering = guide.steer(state, guide.profile(disparity, disparity > 0))
+            assert steering.status == "blind"
+
+    def road(self):
+        """Level ground 1.2 m below the cameras between walls 3 m to either side, without end."""
+        row, column = np.mgrid[:HEIGHT, :WIDTH].astype(np.float32)
+        ground = (row - RIG.cy) / 1.2
+        walls = np.abs(column - RIG.cx) / 3
+        return np.maximum(np.maximum(ground, walls), 0.05).astype(np.float32) * RIG.baseline_m
+
+    def test_on_an_open_road_it_steers_by_the_image_and_goes_on_in_its_bend(self):
+        """A rig that sees farther than the map does: its image decides, poses or not."""
+        rig = replace(RIG, baseline_m=0.6)
+        disparity = self.road() * 5
+        image, state = ImageGuide(Settings(), rig), None
+        for _ in range(12):
+            state, plain = image.steer(state, image.profile(disparity, disparity > 0))
+        found = {}
+        for turn_rad in (-0.03, 0.0, 0.03):
+            guide, state = MapGuide(Settings(), rig), None
+            x_m = y_m = 0.0
+            for n in range(12):
+                seen = guide.profile(disparity, disparity > 0)
+                state, steering = guide.steer(state, seen, pose(x_m, y_m, n * turn_rad))
+                x_m += math.cos(n * turn_rad)
+                y_m += math.sin(n * turn_rad)
+            assert steering.status == "ok"
+            found[turn_rad] = steering.steer
+        assert found[0.0] == pytest.approx(plain.steer, abs=0.02)
+        assert found[-0.03] < found[0.0] - 0.02
+        assert found[0.03] > found[0.0] + 0.02
 
     def test_who_has_never_seen_anything_is_blind(self):
         nothing = np.full((HEIGHT, WIDTH), NAN, np.float32)

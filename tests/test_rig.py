@@ -152,5 +152,7 @@ def test_points_and_heights_use_the_focal_length_along_y() -> None:
     near[180, :] = RIG.focal_baseline / 11
     view = view_of(RIG, "left", (0.0, 0.0), 0.0)
     for above_m, seen in ((1.25, True), (1.15, False)):
-        found = profile(near, ~np.isnan(near), view, bearings=8, below_m=1.0, above_m=above_m)
+        found = profile(
+            near, ~np.isnan(near), view, bearings=8, below_m=1.0, above_m=above_m
+        ).near_px
         assert np.isfinite(found).any() == seen

@@ -60,7 +60,7 @@ def spread(name: str) -> str:
 
 
 def remove(root: Path, paths: Iterable[Path]) -> None:
-    """Remove files in a folder or one level below, in order; missing ones are skipped.
+    """Remove files in a folder or below, in order; missing ones are skipped.
 
     No link but ``root`` itself is followed: if a folder below is replaced by a link, the files it
     leads to stays.
@@ -74,22 +74,20 @@ def remove(root: Path, paths: Iterable[Path]) -> None:
     """
     if os.unlink not in os.supports_dir_fd:
         for path in paths:
-            if path.parent != root and path.parent.is_symlink():
-                raise OSError(f"{path.parent} is a link")
+            for folder in path.parents[: len(path.relative_to(root).parts) - 1]:
+                if folder.is_symlink():
+                    raise OSError(f"{folder} is a link")
             path.unlink(missing_ok=True)
         return
     top = os.open(root, os.O_RDONLY | _FOLDER)
     try:
         for folder, files in groupby(paths, key=lambda path: path.parent):
-            if folder == root:
-                _remove_in(top, files)
-                continue
-            with contextlib.suppress(FileNotFoundError):
-                below = os.open(folder.name, os.O_RDONLY | _FOLDER | _NO_LINK, dir_fd=top)
-                try:
-                    _remove_in(below, files)
-                finally:
-                    os.close(below)
+            with contextlib.suppress(FileNotFoundError), contextlib.ExitStack() as opened:
+                below = top
+                for name in folder.relative_to(root).parts:
+                    below = os.open(name, os.O_RDONLY | _FOLDER | _NO_LINK, dir_fd=below)
+                    opened.callback(os.close, below)
+                _remove_in(below, files)
     finally:
         os.close(top)
 

@@ -134,7 +134,11 @@ def plan(
         allowed &= from_travel <= _BACK_RAD
     if allowed.any():
         best = int(np.argmax(np.where(allowed, worth, -np.inf)))
-        return Course(float(directions_rad[best]), course.travel_rad), float(free_m[best])
+        heading_rad = float(directions_rad[best])
+        # The way back is the new direction of travel: it does not lead back again.
+        turns_back = bool(from_travel[best] > _BACK_RAD)
+        travel_rad = heading_rad if turns_back else course.travel_rad
+        return Course(heading_rad, travel_rad), float(free_m[best])
     look = course.look or _side_to_look(possible_m, directions_rad, course.travel_rad)
     heading_rad = yaw_rad + look * math.pi / 2
     return Course(heading_rad, course.travel_rad, look, looked_rad), None

@@ -56,6 +56,12 @@ _MIN_PX = 0.25
 _TURN_COST, _CHANGE_COST, _SOFTNESS = 0.1, 0.2, 0.05
 #: Ways shorter than this share of the best one end the gap that it leads through.
 _GAP_LENGTH = 0.5
+#: One level surface before the camera: nearness up to this many times that of the farthest part,
+#: and px; the share of what is known, and of the strips, that have to lie on it. Down on people
+#: they are 0.57 and 0.83 or more, on roads 0.25 and 0.45 at most.
+_LEVEL, _LEVEL_PX = 1.12, 0.5
+_LEVEL_SHARE, _LEVEL_STRIPS = 0.5, 0.8
+_FARTHEST_SHARE, _STRIP_SHARE = 0.1, 0.25
 #: Unknown strips between known ones count as these if there are at most this many, as a share.
 _GAP_SHARE = 0.25
 
@@ -242,6 +248,26 @@ def _lengths(
     # In a narrow place, a turn on the spot toward a far strip is as good as an arc.
     share = min(1.0, _AIM / float(arc.max()))
     return np.maximum(arc, share * free(slant[:, None] * ahead))
+
+
+def is_level(nearness_px: NDArray[np.float32], strips: int) -> bool:
+    """Return whether one surface across the line of sight fills the view: a wall, or the floor.
+
+    Then no direction is farther than another.
+
+    Args:
+        nearness_px: disparity + doffs, (height, width) float32, NaN = unknown.
+        strips: number of vertical strips, at most the width.
+    """
+    far_px = quantiles(nearness_px, 1, _FARTHEST_SHARE, min_share=MIN_KNOWN_SHARE)[0]
+    level_px = np.float32(_LEVEL) * far_px + np.float32(_LEVEL_PX)
+    in_strip = quantiles(nearness_px, strips, _STRIP_SHARE)
+    known = np.count_nonzero(~np.isnan(nearness_px))
+    with np.errstate(invalid="ignore"):
+        level = np.count_nonzero(nearness_px < level_px) >= _LEVEL_SHARE * known
+        level_strips = np.count_nonzero(in_strip < level_px)
+    known_strips = np.count_nonzero(~np.isnan(in_strip))
+    return bool(level and known_strips and level_strips >= _LEVEL_STRIPS * known_strips)
 
 
 def nearest(nearness_px: NDArray[np.float32]) -> float | None:

@@ -30,12 +30,15 @@ from motionstereo_cli.robot.free_space import (
     FreeSpace,
     find_ground,
     free_space,
+    is_level,
     nearest,
     way_ahead,
 )
 from motionstereo_cli.robot.local_map import (
     CELL_M,
+    CELLS,
     CERTAIN,
+    Bearings,
     FloorView,
     LocalMap,
     disc,
@@ -69,6 +72,17 @@ STEERING_PX = 240
 
 #: The median of this many frames counts: one that says to steer elsewhere is not followed.
 TARGETS = 3
+
+#: A rig is far-sighted if an error of this many px makes less than this many m at the border of the
+#: map: then the image tells of a way that the map has no room for, from the second length on, and
+#: at a speed at which the robot would cross the map in that many frames.
+_SIGHT_PX, _SIGHT_M = 0.5, 0.55
+_OPEN_M, _OPEN_FRAMES = 8.0, 20
+#: On such a way, share of the heading that goes on along the arc of the last piece of path, as long
+#: as this, to a point so far ahead.
+_TRAVEL_SHARE, _ARC_M, _ARC_AIM_M = 0.3, 1.5, 10.0
+#: Poses that are kept for it.
+_TRAIL = 16
 
 #: Focal length over width of an unknown lens: a view of 60 degrees.
 _FOCAL_PER_WIDTH = 0.87
@@ -134,10 +148,12 @@ class ImageProfile:
     Attributes:
         space: what stands in each vertical strip of the image.
         nearest_px: nearness of the nearest object; None where too little is known.
+        level: whether one surface fills the view: no direction is better than another.
     """
 
     space: FreeSpace
     nearest_px: float | None
+    level: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,11 +164,13 @@ class ImageHeading:
         place: the last heading across the image, 0 left .. 1 right; None before the first.
         targets: where the last frames said to steer, :data:`TARGETS` at most.
         approach: what was in the way in the last frames.
+        level_frames: for how many frames one surface has filled the view.
     """
 
     place: float | None = None
     targets: tuple[float, ...] = ()
     approach: Approach = field(default_factory=Approach)
+    level_frames: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -177,7 +195,7 @@ class ImageGuide:
         strips = min(self.settings.steer_strips, near.shape[1])
         row_px = step[0] * (self.rig.focal_px / self.rig.fy_px if self.rig else 1.0)
         space = free_space(near, ground, strips, row_px=row_px, column_px=step[1])
-        return ImageProfile(space, nearest(near))
+        return ImageProfile(space, nearest(near), is_level(near, strips))
 
     def steer(
         self,
@@ -188,16 +206,41 @@ class ImageGuide:
         time_s: float | None = None,
     ) -> tuple[ImageHeading, Steering]:
         """Return the last heading and the steering, see :meth:`Guide.steer`."""
-        before, width = state or ImageHeading(), seen.space.width
+        return self.steer_from(state or ImageHeading(), seen, None, time_s)
+
+    def steer_from(
+        self,
+        before: ImageHeading,
+        seen: ImageProfile,
+        travel: float | None,
+        time_s: float | None,
+    ) -> tuple[ImageHeading, Steering]:
+        """Return the last heading and the steering.
+
+        Args:
+            before: the last heading.
+            seen: the profile of the frame.
+            travel: place across the image where the rig would come to if it went on as it does;
+                None where that is not known.
+            time_s: when the frame was taken; None where that is not known.
+        """
+        width = seen.space.width
         if self.rig is None:
             focal_px, cx_px = width * _FOCAL_PER_WIDTH, (width - 1) / 2
         else:
             focal_px, cx_px = self.rig.focal_px, self.rig.cx_of(self.settings.reference)
         target, strips_px = way_ahead(seen.space, focal_px, cx_px, before.place)
-        if target is not None:
+        if seen.level:
+            target = None
+            before = replace(before, level_frames=before.level_frames + 1)
+            if before.level_frames >= TARGETS:
+                before = replace(before, place=None, targets=())
+        elif target is not None:
+            if travel is not None:
+                target += _TRAVEL_SHARE * (travel - target)
             targets = (*before.targets, target)[-TARGETS:]
             place = steadied(before.place, _median(targets), self.settings.steer_gain)
-            before = replace(before, place=place, targets=targets)
+            before = replace(before, place=place, targets=targets, level_frames=0)
         if before.place is None:
             return before, _BLIND
         place = before.place
@@ -225,15 +268,18 @@ class MapProfile:
     """What :class:`MapGuide` takes from a frame.
 
     Attributes:
-        bearings_px: nearness of the nearest object in each bearing, (bearings,) float32, NaN =
-            unknown; see :func:`~motionstereo_cli.robot.local_map.profile`.
+        bearings: what stands nearest in each bearing.
         nearest_px: nearness of the nearest object; None where too little is known.
-        width: width of the image in px.
+        size: width and height of the image in px.
+        level: whether one surface fills the view.
+        image: the same for :class:`ImageGuide`; None where the rig does not see beyond the map.
     """
 
-    bearings_px: NDArray[np.float32]
+    bearings: Bearings
     nearest_px: float | None
-    width: int
+    size: tuple[int, int]
+    level: bool
+    image: ImageProfile | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -246,6 +292,8 @@ class MapCourse:
         course: what the robot intends; None while nothing has been seen.
         place: the last heading across the image, 0 left .. 1 right; None before the first.
         approach: what was in the way in the last frames.
+        image: what :class:`ImageGuide` keeps.
+        trail: places and yaws of the last frames, (x, y, yaw) in m and rad.
     """
 
     map: LocalMap
@@ -253,6 +301,8 @@ class MapCourse:
     course: Course | None = None
     place: float | None = None
     approach: Approach = field(default_factory=Approach)
+    image: ImageHeading = field(default_factory=ImageHeading)
+    trail: tuple[tuple[float, float, float], ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -270,8 +320,8 @@ class MapGuide:
     def profile(self, disparity_px: Real, fresh: NDArray[np.bool_]) -> MapProfile:
         """Return what is taken from a frame, see :meth:`Guide.profile`."""
         s, near = self.settings, self.rig.nearness_px(disparity_px)
-        width = near.shape[1]
-        bearings_px = profile(
+        height, width = near.shape
+        bearings = profile(
             near,
             fresh,
             view_of(self.rig, s.reference, (0.0, 0.0), 0.0),
@@ -280,7 +330,12 @@ class MapGuide:
             above_m=s.robot_above_m,
         )
         step = _thinning(near)
-        return MapProfile(bearings_px, nearest(near[:: step[0], :: step[1]]), width)
+        thin = np.ascontiguousarray(near[:: step[0], :: step[1]])
+        image = None
+        if self._is_far_sighted:
+            image = ImageGuide(s, self.rig).profile(disparity_px, fresh)
+        level = image.level if image else is_level(thin, min(s.steer_strips, thin.shape[1]))
+        return MapProfile(bearings, nearest(thin), (width, height), level, image)
 
     def steer(
         self,
@@ -295,15 +350,22 @@ class MapGuide:
         ``pose`` has to be known.
         """
         assert pose is not None
-        s, yaw = self.settings, pose.yaw_rad
+        s, yaw, (width, _) = self.settings, pose.yaw_rad, seen_now.size
         view = view_of(self.rig, s.reference, self.rig.camera_on_floor(pose, s.reference), yaw)
-        new = bool(np.isfinite(seen_now.bearings_px).any())
+        new = bool(np.isfinite(seen_now.bearings.near_px).any())
         before = state or MapCourse(LocalMap.unknown(pose.x_m, pose.y_m), pose)
-        known = seen(
-            moved(before.map, pose.x_m, pose.y_m), seen_now.bearings_px, view, seen_now.width
-        )
-        if before.course is None and not new:
-            return MapCourse(known, pose, None, before.place), _BLIND
+        around = moved(before.map, pose.x_m, pose.y_m)
+        known = seen(around, seen_now.bearings, view, seen_now.size, s.robot_below_m)
+        trail = (*before.trail, (pose.x_m, pose.y_m, yaw))[-_TRAIL:]
+        image, by_image = before.image, None
+        if seen_now.image is not None:
+            travel = self._arc_place(trail, width)
+            image, by_image = ImageGuide(s, self.rig).steer_from(
+                image, seen_now.image, travel, time_s
+            )
+        before = replace(before, map=known, image=image, trail=trail)
+        if before.course is None and (seen_now.level or not new):
+            return replace(before, pose=pose), _BLIND
         x_m, y_m = pose.x_m - before.pose.x_m, pose.y_m - before.pose.y_m
         course = before.course or Course(yaw, yaw)
         course = travelled(course, math.hypot(x_m, y_m), math.atan2(y_m, x_m))
@@ -319,18 +381,55 @@ class MapGuide:
         turned = math.remainder(yaw - before.pose.yaw_rad, math.tau)
         course, free_m = plan(course, yaw, known_m, possible_m, directions, turned_rad=turned)
         angle_rad = math.remainder(course.heading_rad - yaw, math.tau)
-        place = steadied(before.place, self._place_of(angle_rad, seen_now.width), s.steer_gain)
+        place = steadied(before.place, self._place_of(angle_rad, width), s.steer_gain)
         half_way = s.robot_radius_m / self.rig.baseline_m
-        near_px = nearest_in_way(seen_now.bearings_px, place, seen_now.width, half_way)
+        near_px = nearest_in_way(seen_now.bearings.near_px, place, width, half_way)
         approach = before.approach.after(time_s, place, near_px)
-        return MapCourse(known, pose, course, place, approach), Steering(
+        after = replace(before, pose=pose, course=course, place=place, approach=approach)
+        if by_image is not None and self._is_open(by_image, seen_now, trail):
+            return replace(after, place=image.place), by_image
+        return after, Steering(
             status="ok" if new else "held",
             steer=1 - 2 * place,
-            steer_rad=_angle_rad(place, seen_now.width, self.rig, s.reference),
+            steer_rad=_angle_rad(place, width, self.rig, s.reference),
             depth_m=free_m,
             nearest_m=_depth_m(seen_now.nearest_px, self.rig),
             risk_s=approach.contact_s,
         )
+
+    @property
+    def _is_far_sighted(self) -> bool:
+        """Whether the rig sees well beyond the map."""
+        half_m = CELLS * CELL_M / 2
+        return _SIGHT_PX * half_m**2 / self.rig.focal_baseline < _SIGHT_M
+
+    def _is_open(
+        self,
+        by_image: Steering,
+        seen_now: MapProfile,
+        trail: tuple[tuple[float, float, float], ...],
+    ) -> bool:
+        """Return whether the way that the image shows leads beyond the map."""
+        if by_image.status != "ok" or seen_now.image is None:
+            return False
+        if math.isnan(seen_now.image.space.slope):
+            return False
+        (x0, y0, _), (x1, y1, _) = trail[0], trail[-1]
+        step_m = math.hypot(x1 - x0, y1 - y0) / max(len(trail) - 1, 1)
+        is_far = by_image.depth_m is None or by_image.depth_m > _OPEN_M
+        return is_far or step_m * _OPEN_FRAMES > CELLS * CELL_M / 2
+
+    def _arc_place(self, trail: tuple[tuple[float, float, float], ...], width: int) -> float | None:
+        """Return where across the image the arc of the last piece of path leads; None at rest."""
+        way_m, turned_rad = 0.0, 0.0
+        for (x0, y0, yaw0), (x1, y1, yaw1) in zip(trail[-2::-1], trail[:0:-1], strict=True):
+            way_m += math.hypot(x1 - x0, y1 - y0)
+            turned_rad += math.remainder(yaw1 - yaw0, math.tau)
+            if way_m >= _ARC_M:
+                # An arc of curvature k is k L^2 / 2 aside at L ahead.
+                slant = turned_rad / way_m * _ARC_AIM_M / 2
+                return self._place_of(math.atan(slant), width)
+        return None
 
     def _foreseen(self, contact: MovingObject | None, known: LocalMap) -> NDArray[np.bool_]:
         """Return the cells of the map where a contact will be."""

@@ -5,13 +5,18 @@ occupied, negative = free, near 0 = unknown. What is unknown is neither free nor
 seen in some direction makes its own cell occupied and those before it free, as in occupancy grids
 with an inverse sensor model (Thrun, Burgard and Fox, Probabilistic Robotics, chapter 9). Evidence
 halves in :data:`HALF_LIFE_FRAMES`, because an object that moves on leaves no sign.
+
+A view looks over what is low and near. So a cell also holds the height of what stands in it: a
+sight that passes above that does not make the cell free.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -39,6 +44,21 @@ _HIT_ERROR_PX = 0.5
 _MIN_PIXELS = 4
 _NEARER_SHARE = 0.1
 
+#: What lies within this share of the nearest nearness in a bearing, or this many px, is of one
+#: thing, whose top is that of all its points but this share.
+_ONE_THING_SHARE, _ONE_THING_PX = 0.1, 1.0
+_HIGHER_SHARE = 0.1
+#: How far low things may reach beyond what was seen of them.
+_LOW_THING_M = 0.35
+_LOW_THING = cv2.getStructuringElement(
+    cv2.MORPH_ELLIPSE, (2 * round(_LOW_THING_M / CELL_M) + 1,) * 2
+)
+#: Evidence from which on a thing is believed to stand where no view reaches it; one that rises less
+#: than this length above what is no obstacle may be the floor, wrongly matched, and needs more.
+_SURE, _SURE_IF_LOW, _LOW_M = 0.9, 2.0, 0.25
+#: How far above the top of a thing a sight has to pass to be said to pass over it.
+_TOP_ERROR_M = 0.1
+
 #: Bearings without points are bridged: up to this angle as free, up to this length as occupied.
 _BRIDGED_RAD = math.radians(10)
 _BRIDGED_M = 1.5
@@ -50,16 +70,19 @@ class LocalMap:
 
     Attributes:
         evidence: (CELLS, CELLS) float32, axis 0 along the world's x, axis 1 along its y.
+        top_m: (CELLS, CELLS) float32, height above the cameras of what stands in the cell.
         corner: world cell of ``evidence[0, 0]``; world cell i spans i..i+1 times CELL_M.
     """
 
     evidence: Reals
+    top_m: Reals
     corner: tuple[int, int]
 
     @classmethod
     def unknown(cls, x_m: float, y_m: float) -> LocalMap:
         """Return an empty map around a place."""
-        return cls(np.zeros((CELLS, CELLS), np.float32), _corner(x_m, y_m))
+        nothing = np.zeros((CELLS, CELLS), np.float32)
+        return cls(nothing, nothing, _corner(x_m, y_m))
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,6 +107,18 @@ class FloorView:
     focal_baseline: float
 
 
+class Bearings(NamedTuple):
+    """What stands nearest in each bearing, a range of columns of equal width.
+
+    Attributes:
+        near_px: its nearness, (bearings,) float32 px, NaN = unknown.
+        top_m: height of its top above the camera, as far as it is in the way, (bearings,) float32.
+    """
+
+    near_px: Reals
+    top_m: Reals
+
+
 def profile(
     nearness_px: Reals,
     fresh: NDArray[np.bool_],
@@ -92,11 +127,10 @@ def profile(
     bearings: int,
     below_m: float,
     above_m: float,
-) -> Reals:
-    """Return how near the nearest object is in each bearing, (bearings,) float32 px, NaN = unknown.
+) -> Bearings:
+    """Return what stands nearest in each bearing.
 
-    A bearing is a range of columns of equal width. Its nearness is such that a tenth of its
-    points, but at least four, are as near.
+    Its nearness is such that a tenth of the bearing's points, but at least four, are as near.
 
     Args:
         nearness_px: disparity + doffs, (height, width) float32, NaN = unknown.
@@ -111,7 +145,37 @@ def profile(
     near = nearness_px[row, column]
     up_m = (view.cy_px - row) * (view.focal_baseline / view.focal_y_px) / near
     in_way = (up_m > -below_m) & (up_m < above_m)
-    return nearest_by_bearing(near[in_way], column[in_way] * bearings // width, bearings)
+    near, up_m, bearing = near[in_way], up_m[in_way], column[in_way] * bearings // width
+    near_px = nearest_by_bearing(near, bearing, bearings)
+    nearest = near_px[bearing]
+    with np.errstate(invalid="ignore"):
+        of_it = near >= nearest - np.maximum(_ONE_THING_SHARE * nearest, _ONE_THING_PX)
+    top_m = ranked_by_bearing(
+        up_m[of_it].astype(np.float32), bearing[of_it], bearings, share=_HIGHER_SHARE
+    )
+    return Bearings(near_px, top_m)
+
+
+def ranked_by_bearing(
+    values: Reals, bearing: NDArray[np.intp], bearings: int, *, share: float, least: int = 1
+) -> Reals:
+    """Return a high value of each bearing, (bearings,) float32, NaN where there are too few.
+
+    Args:
+        values: (n,) float32.
+        bearing: the bearing of each, 0 to ``bearings`` - 1, (n,).
+        bearings: number of bearings.
+        share: share of a bearing's values that are as high or higher.
+        least: as many are, at least.
+    """
+    order = np.lexsort((-values, bearing))
+    count = np.bincount(bearing, minlength=bearings)
+    first = np.cumsum(count) - count
+    rank = np.maximum(least, np.ceil(share * count).astype(np.int64)) - 1
+    enough = rank < count
+    result = np.full(bearings, np.nan, np.float32)
+    result[enough] = values[order][(first + rank)[enough]]
+    return result
 
 
 def nearest_by_bearing(near_px: Reals, bearing: NDArray[np.intp], bearings: int) -> Reals:
@@ -122,45 +186,43 @@ def nearest_by_bearing(near_px: Reals, bearing: NDArray[np.intp], bearings: int)
         bearing: the bearing of each, 0 to ``bearings`` - 1, (n,).
         bearings: number of bearings.
     """
-    order = np.lexsort((-near_px, bearing))
-    count = np.bincount(bearing, minlength=bearings)
-    first = np.cumsum(count) - count
-    rank = np.maximum(_MIN_PIXELS, np.ceil(_NEARER_SHARE * count).astype(np.int64)) - 1
-    enough = rank < count
-    result = np.full(bearings, np.nan, np.float32)
-    result[enough] = near_px[order][(first + rank)[enough]]
-    return result
+    return ranked_by_bearing(near_px, bearing, bearings, share=_NEARER_SHARE, least=_MIN_PIXELS)
 
 
 def moved(known: LocalMap, x_m: float, y_m: float) -> LocalMap:
     """Return the map with its middle at a place: what falls off its edge is forgotten."""
     corner = _corner(x_m, y_m)
-    evidence = np.zeros_like(known.evidence)
+    evidence, top_m = np.zeros_like(known.evidence), np.zeros_like(known.top_m)
     spans = []
     for axis in (0, 1):
         shift = corner[axis] - known.corner[axis]
         low, high = max(shift, 0), min(CELLS + shift, CELLS)
         if low >= high:
-            return LocalMap(evidence, corner)
+            return LocalMap(evidence, top_m, corner)
         spans.append((slice(low - shift, high - shift), slice(low, high)))
     (to_x, from_x), (to_y, from_y) = spans
     evidence[to_x, to_y] = known.evidence[from_x, from_y]
-    return LocalMap(evidence, corner)
+    top_m[to_x, to_y] = known.top_m[from_x, from_y]
+    return LocalMap(evidence, top_m, corner)
 
 
-def seen(known: LocalMap, near_px: Reals, view: FloorView, width: int) -> LocalMap:
+def seen(
+    known: LocalMap, found: Bearings, view: FloorView, size: tuple[int, int], below_m: float
+) -> LocalMap:
     """Return the map a frame later, with what a camera has seen in it.
 
     Args:
         known: the map.
-        near_px: profile of the frame, (bearings,) float32 px, NaN = unknown.
+        found: profile of the frame.
         view: the camera.
-        width: width of its images in px.
+        size: width and height of its images in px.
+        below_m: as of the profile.
     """
-    free, hit = sighted(
+    width, height = size
+    sight = sighted(
         known.evidence.shape,
         known.corner,
-        near_px,
+        found.near_px,
         view,
         width,
         cell_m=CELL_M,
@@ -168,10 +230,36 @@ def seen(known: LocalMap, near_px: Reals, view: FloorView, width: int) -> LocalM
         error_px=_HIT_ERROR_PX,
     )
     evidence = known.evidence * np.float32(0.5 ** (1 / HALF_LIFE_FRAMES))
-    evidence[free] += np.float32(_MISS)
+    # The lowest row passes over what is lower and near.
+    lowest_m = sight.ahead_m * np.float32((view.cy_px - (height - 1)) / view.focal_y_px)
+    needed = np.where(known.top_m < np.float32(_LOW_M - below_m), _SURE_IF_LOW, _SURE)
+    passed_over = (evidence > needed) & (known.top_m < lowest_m + np.float32(_TOP_ERROR_M))
+    # What lies behind its front is as low, and no sight from here tells that it has ended.
+    beside = cv2.dilate(passed_over.astype(np.uint8), _LOW_THING).astype(np.bool_)
+    passed_over |= beside & (np.abs(evidence) < CERTAIN)
+    evidence[sight.free & ~passed_over] += np.float32(_MISS)
+    top_m = _filled(found.top_m)[sight.bearing]
+    top_m = np.where(evidence > 0, (known.top_m + top_m) / 2, top_m)
     # What comes into a place that was free for long is believed as soon as anything.
+    hit = sight.hit
     evidence[hit] = np.maximum(evidence[hit], 0) + np.float32(_HIT)
-    return LocalMap(evidence.clip(-_MOST, _MOST), known.corner)
+    return LocalMap(evidence.clip(-_MOST, _MOST), np.where(hit, top_m, known.top_m), known.corner)
+
+
+class Sight(NamedTuple):
+    """What a camera sees of a grid, of the grid's shape each.
+
+    Attributes:
+        free: cells that it sees through, bool.
+        hit: cells in which it sees something, bool.
+        bearing: in which bearing a cell lies, 0 where in none, int.
+        ahead_m: how far ahead of the camera a cell lies, float32.
+    """
+
+    free: NDArray[np.bool_]
+    hit: NDArray[np.bool_]
+    bearing: NDArray[np.intp]
+    ahead_m: Reals
 
 
 def sighted(
@@ -184,7 +272,7 @@ def sighted(
     cell_m: float,
     reach_m: float,
     error_px: float,
-) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+) -> Sight:
     """Return which cells of a grid a camera sees through, and in which it sees something.
 
     Args:
@@ -196,9 +284,6 @@ def sighted(
         cell_m: size of a cell.
         reach_m: farther points are too uncertain to be marked; the space up to them is free.
         error_px: error of a disparity that an occupied place allows for.
-
-    Returns:
-        Both of the given shape.
     """
     bridged, solid = _bridged(near_px, view, width)
     ahead, leftward = _camera_frame(shape, corner, view, cell_m)
@@ -215,7 +300,7 @@ def sighted(
         free = ahead < view.focal_baseline / (near + _FREE_ERROR_PX)
         hit = (off_px < error_px) | (np.abs(ahead - depth_m) < 0.75 * cell_m)
         hit &= (depth_m < reach_m) & solid[bearing]
-    return free, hit
+    return Sight(free, hit, bearing, ahead)
 
 
 def disc(known: LocalMap, x_m: float, y_m: float, radius_m: float) -> NDArray[np.bool_]:
@@ -269,3 +354,11 @@ def _bridged(near_px: Reals, view: FloorView, width: int) -> tuple[Reals, NDArra
     gap_m = np.hypot(depth_high - depth_low, gap_rad * (depth_low + depth_high) / 2)
     solid: NDArray[np.bool_] = between & (gap_m <= _BRIDGED_M)
     return np.where(between, near, np.nan).astype(np.float32), solid
+
+
+def _filled(values: Reals) -> Reals:
+    """Return values with NaN interpolated between the others; 0 where there are none."""
+    at = np.flatnonzero(~np.isnan(values))
+    if not len(at):
+        return np.zeros_like(values)
+    return np.interp(np.arange(len(values)), at, values[at]).astype(np.float32)

@@ -213,7 +213,7 @@ class Mapper:
         widest = max(view.cx_px, rig.width - view.cx_px) / view.focal_px
         half = math.ceil(self._reach_m * math.hypot(1, widest) / cell_m)
         corner = math.floor(view.x_m / cell_m) - half, math.floor(view.y_m / cell_m) - half
-        free, hit = sighted(
+        sight = sighted(
             (2 * half, 2 * half),
             corner,
             near_px,
@@ -223,7 +223,7 @@ class Mapper:
             reach_m=self._reach_m,
             error_px=_ERROR_PX,
         )
-        return marked(grid, corner, free, hit)
+        return marked(grid, corner, sight.free, sight.hit)
 
 
 def _settled(known: Surroundings) -> Surroundings:

@@ -165,8 +165,9 @@ def up_to(frames: int | None, present: set[Path], at_least: int = 0, first: int 
 def remove_empty_folders(out: Path, kind: FolderKind) -> None:
     """Remove folders of numbered files that are empty."""
     for paths in kind.outputs.values():
-        folder = (out / paths[0]).parent
-        if folder != out:
+        for folder in (out / paths[0]).parents:
+            if folder == out:
+                break
             remove_empty(folder)
 
 

@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 _Pixel = TypeVar("_Pixel", bound=np.generic)
 
 _UINT16_MAX = 65535
+#: Units per m of a depth image as TUM RGB-D has it: 65535 of them are 13.1 m.
+DEPTH_PER_M = 5000
 #: Units per px of a 16-bit disparity image, as in KITTI.
 DISPARITY_PER_PX = 256
 
@@ -141,6 +143,10 @@ def _images(image: Callable[[FrameImages, RunContext], NDArray[Any]]) -> partial
 
 
 depth = _images(lambda images, stream: depth_png(known_depth_m(images), stream.output.depth_scale))
+rgbd_depth = _images(lambda images, _: depth_png(known_depth_m(images), DEPTH_PER_M))
+rgbd_view = _images(
+    lambda images, _: images.look[..., ::-1] if images.look.ndim == 3 else images.look
+)
 depth_m = _images(lambda images, _: known_depth_m(images))
 disparity = _images(lambda images, _: disparity_png(images.disparity_px))
 disparity_px = _images(lambda images, _: images.disparity_px)

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
 from motionstereo_cli.errors import SettingsError
+from motionstereo_cli.files.folders import make_folder
 from motionstereo_cli.method.settings import OCCLUSION
 
 if TYPE_CHECKING:
@@ -98,6 +99,7 @@ class Output:
         Raises:
             OutputError: the output cannot be written, or is not what the checkpoint says.
         """
+        make_folder((out / self.path).parent, out)
         sink: Sink[Any] = _named(f"sinks.{self.sink}")(out / self.path, stream, since)
         return sink
 
@@ -379,6 +381,36 @@ OUTPUTS = {
         takes="step",
         needs_rig=True,
         needs_poses=True,
+    ),
+    "rgbd": Output(
+        "rgbd/associations.txt",
+        "with rgbd-view and rgbd-depth, which come with it, the layout of TUM RGB-D for programs "
+        "that fuse such recordings: lines of time_s, view, time_s, depth, for each frame whose "
+        "pose is known; the same apart in rgb.txt and depth.txt; groundtruth.txt, where the "
+        "reference camera was, TUM form, x right, y down, z forward; intrinsics.json, as Open3D "
+        "has it",
+        "rgbd.RgbdTables",
+        takes="step",
+        needs_rig=True,
+        needs_poses=True,
+        beside=(
+            *("rgbd/rgb.txt", "rgbd/depth.txt", "rgbd/groundtruth.txt"),
+            "rgbd/intrinsics.json",
+        ),
+        brings=("rgbd-view", "rgbd-depth"),
+    ),
+    "rgbd-view": Output(
+        "rgbd/rgb/{:06d}.png",
+        "uint8 reference view as it was processed, in colour where it has any",
+        "images.rgbd_view",
+        shows_colours=True,
+    ),
+    "rgbd-depth": Output(
+        "rgbd/depth/{:06d}.png",
+        "uint16 depth in 1/5000 m, reference view; 0 = unknown or over 13.1 m",
+        "images.rgbd_depth",
+        needs_rig=True,
+        extras=_DEPTH,
     ),
     "map": Output(
         "map.ply",

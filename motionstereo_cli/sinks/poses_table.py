@@ -13,10 +13,26 @@ from motionstereo_cli.sinks.writers import TableFile, TableMark, cell
 from motionstereo_cli.types import Step
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from motionstereo_cli.sinks.sink import RunContext
     from motionstereo_cli.types import Pose
 
 ODOMETRY_HEADER = "frame,time_s,lost,sigma_m,sigma_rad,disparity_offset_px,agreeing"
+
+
+def optical_matrix(pose: Pose, left_m: float) -> NDArray[np.float64]:
+    """Return the matrix that takes places in a camera's optical frame to the world, (4, 4).
+
+    Args:
+        pose: where the rig is.
+        left_m: how far left of its middle the camera sits.
+    """
+    turn = rotations(np.array([[pose.qx, pose.qy, pose.qz, pose.qw]]))[0]
+    matrix = np.eye(4)
+    matrix[:3, :3] = turn @ OPTICAL_FROM_ROBOT.T
+    matrix[:3, 3] = (pose.x_m, pose.y_m, pose.z_m) + turn @ (0.0, left_m, 0.0)
+    return matrix
 
 
 class TumFile(TableFile):
@@ -52,7 +68,7 @@ class KittiFile(TableFile):
     def write(self, step: Step) -> None:
         """Append the line of a frame."""
         assert step.pose is not None
-        here = self._left_camera(step.pose)
+        here = optical_matrix(step.pose, self._to_left_m)
         if self._first is None:
             self._first = here
         rows = (np.linalg.inv(self._first) @ here)[:3]
@@ -62,14 +78,6 @@ class KittiFile(TableFile):
         """Make sure that all so far is on the disk."""
         first = np.eye(4) if self._first is None else self._first
         return super().checkpoint(), tuple(first.ravel().tolist())
-
-    def _left_camera(self, pose: Pose) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
-        """Return the matrix of the left camera's optical frame in the world, (4, 4)."""
-        turn = rotations(np.array([[pose.qx, pose.qy, pose.qz, pose.qw]]))[0]
-        matrix = np.eye(4)
-        matrix[:3, :3] = turn @ OPTICAL_FROM_ROBOT.T
-        matrix[:3, 3] = (pose.x_m, pose.y_m, pose.z_m) + turn @ (0.0, self._to_left_m, 0.0)
-        return matrix
 
 
 class OdometryFile(TableFile):
