@@ -18,7 +18,7 @@ from motionstereo_cli.robot.course import (
     travelled,
     wrapped,
 )
-from motionstereo_cli.robot.guide import ImageGuide, MapGuide
+from motionstereo_cli.robot.guide import HELD_FRAMES, ImageGuide, MapGuide
 from motionstereo_cli.robot.local_map import (
     CELL_M,
     CELLS,
@@ -306,9 +306,13 @@ class TestMapGuide:
         assert (steering.status, steering.steer) == ("blind", None)
         for rig in (None, RIG):
             guide, state = ImageGuide(Settings(), rig), None
-            for disparity in [self.road()] * 4 + [level] * 4:
+            found = []
+            for disparity in [self.road()] * 4 + [level] * (HELD_FRAMES + 1):
                 state, steering = guide.steer(state, guide.profile(disparity, disparity > 0))
-            assert steering.status == "blind"
+                found.append(steering)
+            assert {each.status for each in found[:4]} == {"ok"}
+            assert {(each.status, each.steer) for each in found[4:-2]} == {("held", found[3].steer)}
+            assert found[-1].status == "blind"
 
     def road(self):
         """Level ground 1.2 m below the cameras between walls 3 m to either side, without end."""

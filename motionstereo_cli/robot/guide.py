@@ -73,6 +73,9 @@ STEERING_PX = 240
 #: The median of this many frames counts: one that says to steer elsewhere is not followed.
 TARGETS = 3
 
+#: For so many frames of one surface across the view the heading of before is held.
+HELD_FRAMES = 30
+
 #: A rig is far-sighted if an error of this many px makes less than this many m at the border of the
 #: map: then the image tells of a way that the map has no room for, from the second length on, and
 #: at a speed at which the robot would cross the map in that many frames.
@@ -233,7 +236,7 @@ class ImageGuide:
         if seen.level:
             target = None
             before = replace(before, level_frames=before.level_frames + 1)
-            if before.level_frames >= TARGETS:
+            if before.level_frames >= HELD_FRAMES:
                 before = replace(before, place=None, targets=())
         elif target is not None:
             if travel is not None:
