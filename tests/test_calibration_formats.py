@@ -627,7 +627,7 @@ def test_no_reader_opens_another_file(tmp_path: Path, opened: Any) -> None:
     read = [read_files(group, (1280, 720)) for group in groups]
     kinds = {each.kind for each in read}
     assert len(kinds) == 8, kinds
-    assert len(FORMATS) == 20  # those of test_calibration_slam.py as well: add yours there
+    assert len(FORMATS) == 21  # those of test_calibration_slam.py as well: add yours there
     for group in groups:
         seen.clear()
         taking.append(True)

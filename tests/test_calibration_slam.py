@@ -61,6 +61,16 @@ def openvins(folder: Path) -> list[Path]:
     return [folder / "chain.yaml"]
 
 
+def stvo(folder: Path) -> list[Path]:
+    text = "cam0:\n  cam_bl: 0.1\n  cam_model: Pinhole\n"
+    text += f"  cam_width: {SIZE[0]}\n  cam_height: {SIZE[1]}\n"
+    for side, k, d in (("l", K1, D1[:4]), ("r", K2, D2[:4])):
+        text += f"  K{side}: {focal(k)}\n  D{side}: {d.tolist()}\n"
+    text += f"  R: {R.ravel().tolist()}\n  t: {T.ravel().tolist()}\n"
+    (folder / "stvo.yaml").write_text(f"{text}images_subfolder_l: image_l/\n")
+    return [folder / "stvo.yaml"]
+
+
 def vins(folder: Path, cameras: Any = CAMERAS) -> list[Path]:
     config = '%YAML:1.0\nimu: 0\nnum_of_cam: 2\ncam0_calib: "a.yaml"\n'
     paths = [folder / "config.yaml"]
@@ -234,7 +244,7 @@ def ost(folder: Path) -> list[Path]:
 
 @pytest.mark.parametrize(
     "written",
-    [openvins, vins, stella, okvis, ncamera, maplab, basalt, ov2slam, mrcal, ost],
+    [openvins, vins, stella, okvis, ncamera, maplab, basalt, ov2slam, mrcal, ost, stvo],
 )
 def test_pinhole_pairs_of_slam_systems(tmp_path: Path, written: Callable[..., list[Path]]) -> None:
     plain = read_calibration([opencv_file(tmp_path / "p.yaml", D1=D1[:4], D2=D2[:4])], SIZE)
@@ -246,6 +256,28 @@ def test_fisheye_pairs_of_slam_systems(tmp_path: Path, written: Callable[..., li
     fisheye = {"D1": F1, "D2": F2, "distortion_model": "fisheye"}
     plain = read_calibration([opencv_file(tmp_path / "p.yaml", **fisheye)], SIZE)
     assert_same(plain, read_calibration(written(tmp_path)))
+
+
+@pytest.mark.parametrize(
+    ("baseline_m", "k1", "said"), [(0.1, 0, ""), (1, 0, "RGB-D"), (0.1, 0.2, "of one camera")]
+)
+def test_rectified_pairs_of_stvo(tmp_path: Path, baseline_m: float, k1: float, said: str) -> None:
+    path = tmp_path / "kitti.yaml"
+    path.write_text(
+        f"cam0:\n  cam_cx: 160.0\n  cam_cy: 120.0\n  cam_d0: {k1}\n  cam_d1: 0.0\n  cam_d2: 0.0\n"
+        f"  cam_d3: 0.0\n  cam_fx: 300.0\n  cam_fy: 300.0\n  cam_bl: {baseline_m}\n"
+        "  cam_height: 240\n  cam_model: Pinhole\n  cam_width: 320\n  tx: 0.0\n"
+    )
+    if k1:
+        with pytest.raises(InputError, match=said):
+            read_calibration([path])
+        return
+    found = read_calibration([path])
+    assert found.maps is None
+    assert (found.rig.focal_px, found.rig.cx) == (300, 160)
+    assert found.rig.baseline_m == pytest.approx(baseline_m)
+    assert bool(found.warnings) == bool(said)
+    assert all(said in line for line in found.warnings)
 
 
 def assert_same(plain: Any, other: Any) -> None:
@@ -450,7 +482,18 @@ def test_lengths_in_squares_and_cm(
 @pytest.mark.parametrize(
     "written",
     [
-        *(openvins, vins, vins_fisheye, stella, okvis, ncamera, maplab, basalt, basalt_fisheye),
+        *(
+            openvins,
+            stvo,
+            vins,
+            vins_fisheye,
+            stella,
+            okvis,
+            ncamera,
+            maplab,
+            basalt,
+            basalt_fisheye,
+        ),
         *(t265, ov2slam, mrcal, ost),
     ],
 )

@@ -47,9 +47,6 @@ _TEXTS = {
         "is nuScenes' or Argoverse's table of sensors: give rig.yaml of the two cameras, or M1 D1 "
         "M2 D2 R T of them as JSON"
     ),
-    r"^[ \t]*cam_model:[ \t]*\w": (
-        "is of one camera, as the former SVO has it: give rig.yaml, or kalibr's camchain of both"
-    ),
     r"^[ \t]*(VERTEX_CAM|EDGE_)": "is a graph of g2o: give the calibration of the stereo camera",
 }
 
@@ -100,10 +97,16 @@ def refuse_foreign_values(path: Path, values: Values) -> None:
             f"{path} is the configuration of OpenVINS: give the file of the cameras that it names, "
             f"{chain}"
         )
+    if "cammodel" in values:
+        raise InputError(
+            f"{path} is of one camera, as the former SVO has it: give rig.yaml, or kalibr's "
+            "camchain of both"
+        )
     cameras = [name for name in values if re.fullmatch(r"cam\d", name)]
     if not cameras and values.keys() & {"imu0", "accelerometernoisedensity"}:
         raise InputError(f"{path} is of an IMU: give the camchain, or the files, of the cameras")
-    if len(cameras) == 1 and isinstance(values[cameras[0]], dict):
+    alone = values[cameras[0]] if len(cameras) == 1 else None
+    if isinstance(alone, dict) and "cambl" not in alone:
         raise InputError(
             f"{path} has one camera, {cameras[0]}: give the camchain of both cameras of the rig"
         )

@@ -296,6 +296,12 @@ FORMATS: tuple[Format, ...] = (
         _has("fx", "cx0", "cx1"),
         lambda g: plain.read_stereodemo(*g.files[0]),
     ),
+    Format(
+        "PL-StVO",
+        (1,),
+        lambda _, values: isinstance(values.get("cam0"), dict) and "cambl" in values["cam0"],
+        lambda g: plain.read_stvo(*g.files[0]),
+    ),
     Format("DepthAI", (1,), _has("cameradata"), lambda g: read_depthai(*g.files[0], g.size)),
     Format(
         "ZED",

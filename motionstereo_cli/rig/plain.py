@@ -9,7 +9,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from motionstereo_cli.errors import InputError
-from motionstereo_cli.rig.cameras import Pair, intrinsic_matrix, rectified_pair
+from motionstereo_cli.rig.cameras import (
+    Pair,
+    checked_intrinsics,
+    intrinsic_matrix,
+    rectified_pair,
+)
 from motionstereo_cli.rig.values import Source
 
 if TYPE_CHECKING:
@@ -144,6 +149,39 @@ def read_stereodemo(path: Path, values: Values) -> Pair:
     )
     right[0, 3] = -fx * source.number(("baselinemeters",), "baseline_meters")
     return rectified_pair("stereodemo", (left, right), source.size("width", "height"), "m")
+
+
+def read_stvo(path: Path, values: Values) -> Pair:
+    """Return the pair of PL-StVO's cam0: Kl, Kr, Dl, Dr, R and t, or rectified with cam_bl."""
+    source = Source(f"{path}: cam0", values["cam0"])
+    size = source.size("camwidth", "camheight")
+    if source.find(("kl",)):
+        cameras, notes = [], list[str]()
+        for side in "lr":
+            matrix = intrinsic_matrix(*source.matrix((f"k{side}",), f"K{side}", (4,)))
+            camera, assumed = source.camera(
+                checked_intrinsics(source.name, f"K{side}", matrix), (f"d{side}",), f"D{side}"
+            )
+            cameras.append(camera)
+            notes += assumed
+        placed = source.rotation(("r",), "R"), source.matrix(("t",), "t", (3,))
+        return Pair(
+            "PL-StVO", (cameras[0], cameras[1]), *placed, size=size, unit="m", notes=tuple(notes)
+        )
+    numbers = [source.number((f"cam{part}",), f"cam_{part}") for part in ("fx", "fy", "cx", "cy")]
+    if any(source.number((f"camd{n}",), f"cam_d{n}") for n in range(4)):
+        raise InputError(
+            f"{path} has the distortion of one camera: give the calibration of both, or, of images "
+            "that are rectified already, one whose cam_d0 to cam_d3 are 0"
+        )
+    left = np.column_stack([intrinsic_matrix(*numbers), np.zeros(3)])
+    right = left.copy()
+    baseline_m = source.number(("cambl",), "cam_bl")
+    right[0, 3] = -numbers[0] * baseline_m
+    warning = f"{path}: cam_bl is 1, as settings of RGB-D cameras have it: see that it is in m"
+    return rectified_pair(
+        "PL-StVO", (left, right), size, "m", (warning,) if baseline_m == 1 else ()
+    )
 
 
 def ost_cameras(path: Path, text: str) -> list[tuple[Path, dict[str, Any]]]:
