@@ -18,7 +18,7 @@ def box(frame, name="1", left=10.0, **others):
 
 
 def test_a_file_is_all_of_itself():
-    boxes = [box(n, depth_m=5.0, closing_mps=1.0, velocity_mps=(1.0, 2.0)) for n in range(10)]
+    boxes = [box(n, depth_m=5.0, closing_mps=1.0, over_ground_mps=2.0) for n in range(10)]
     report = compare(boxes, boxes)
     assert (report.found, report.false_rows, report.switches) == (1, 0, 0)
     assert (report.mota, report.motp) == (1, 1)
@@ -52,10 +52,10 @@ def test_two_objects_and_two_rows_are_paired_as_all_together_overlap_most():
 
 
 def test_errors_of_speed_are_medians_of_what_both_sides_know():
-    true = [box(n, closing_mps=2.0, velocity_mps=(3.0, 0.0), depth_m=10.0) for n in range(3)]
+    true = [box(n, closing_mps=2.0, over_ground_mps=3.0, depth_m=10.0) for n in range(3)]
     found = [
-        box(0, closing_mps=2.5, velocity_mps=(3.0, 0.4), depth_m=11.0),
-        box(1, closing_mps=1.9, velocity_mps=(3.0, 0.2), depth_m=10.0),
+        box(0, closing_mps=2.5, over_ground_mps=3.4, depth_m=11.0),
+        box(1, closing_mps=1.9, over_ground_mps=2.8, depth_m=10.0),
         box(2),
     ]
     report = compare(found, true)

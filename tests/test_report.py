@@ -7,6 +7,7 @@ import re
 import shlex
 import shutil
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given
@@ -360,3 +361,55 @@ def test_without_a_rig_the_page_speaks_of_disparity_in_px(recording, tmp_path):
     assert "How near things were, in px of disparity" in page
     assert "Histogram of disparity: median " in page
     assert "<b>Depth" not in page
+
+
+def with_way(copy):
+    """Give a run a path of 3 m to the left and then ahead, a map, and an object that moved."""
+    record = json.loads((copy / "run.json").read_text())
+    outputs = record["outputs"]
+    outputs |= {"poses": outputs["steering"] | {"path": "poses.txt"}}
+    outputs |= {"map": outputs["steering"] | {"path": "map.ply"}}
+    (copy / "run.json").write_text(json.dumps(record))
+    times = [row["time_s"] for row in rows_of(copy / "steering.csv")]
+    lines = [
+        f"{time} {max(n - 10, 0) * 0.1:.2f} {min(n, 10) * 0.2:.2f} 0 0 0 0 1"
+        for n, time in enumerate(times)
+        if n != 5
+    ]
+    (copy / "poses.txt").write_text("\n".join(["# TUM", *lines]) + "\n")
+    rows = [f"{n},7,40,20,12,12,4.000,,,0.50,1.000,0.000,0.100,1" for n in (12, 13, 14)]
+    header = (copy / "objects.csv").read_text().splitlines()[0]
+    (copy / "objects.csv").write_text("\n".join([header, *rows]) + "\n")
+    image = np.full((40, 20), 254, np.uint8)
+    image[0, 0] = 0
+    cv2.imwrite(str(copy / "map.png"), image)
+    (copy / "map.yaml").write_text("image: map.png\nresolution: 0.1\norigin: [-1.0, -2.0, 0]\n")
+
+
+def test_the_way_is_drawn_from_above_with_the_map_and_what_moved(copy):
+    with_way(copy)
+    page = page_of(copy)
+    path, mover = (
+        [tuple(map(float, each.split(","))) for each in found.split()]
+        for found in (
+            re.search(r'class="path" points="([^"]*)"', page)[1],
+            re.search(r'class="mover" points="([^"]*)"', page)[1],
+        )
+    )
+    assert len(path) == 23
+    assert path[0] == (0, 0)
+    assert path[-1] == pytest.approx((-2, -1.3))  # left is left, ahead is up
+    # 4 m ahead of where the camera was.
+    assert [y for _, y in mover] == pytest.approx([-4.2, -4.3, -4.4], abs=0.01)
+    assert "3.3 m of way, its ends 2.4 m apart; in 1 frame the rig was lost" in page
+    floor = re.search(r'<image [^>]*x="([^"]*)" y="([^"]*)" width="([^"]*)" height="([^"]*)"', page)
+    assert [float(each) for each in floor.groups()] == pytest.approx([-2, -1, 4, 2])
+
+
+@pytest.mark.parametrize("damage", ["poses.txt", "map.yaml", "map.png"])
+def test_a_damaged_way_or_map_is_left_out(copy, damage):
+    with_way(copy)
+    (copy / damage).write_text("nonsense\n")
+    page = page_of(copy)
+    assert ('id="the-way"' in page) == (damage != "poses.txt")
+    assert "<image " not in page

@@ -49,7 +49,7 @@ class ObjectBox:
         left, top, right, bottom: its box in px; right and bottom are just outside.
         depth_m, closing_mps, time_to_contact_s: as
             :class:`~motionstereo_cli.types.MovingObject` has them; NaN where unknown.
-        velocity_mps: over ground, x and y; NaN likewise.
+        over_ground_mps: speed over ground; NaN likewise.
         counts: False where it is not labelled, and what is found there is not judged.
     """
 
@@ -62,7 +62,7 @@ class ObjectBox:
     depth_m: float = math.nan
     closing_mps: float = math.nan
     time_to_contact_s: float = math.nan
-    velocity_mps: tuple[float, float] = (math.nan, math.nan)
+    over_ground_mps: float = math.nan
     counts: bool = True
 
 
@@ -82,7 +82,7 @@ class ObjectReport:
         motp: mean overlap of the boxes of what was found (intersection over union): precision.
         depth_error: median error of the depth as a share of the true one.
         closing_error_mps: median error of the closing speed.
-        over_ground_error_mps: median length of the error of the velocity over ground.
+        over_ground_error_mps: median error of the speed over ground, whose world may be another.
         contact_error: median error of the time to contact, as a share of the true one.
         with_speed: rows found whose closing speed is known on both sides.
     """
@@ -164,11 +164,10 @@ def _of_table(path: Path) -> Iterator[ObjectBox]:
             raise InputError(
                 f"{path}, frame {frame}: an object has no box: give x, y, width, height"
             )
-        speed, direction = number("over_ground_mps"), number("direction_rad")
         yield ObjectBox(
             *(frame, name, x, y, x + width, y + height),
             *(number("depth_m"), number("closing_mps"), number("time_to_contact_s")),
-            (speed * math.cos(direction), speed * math.sin(direction)),
+            number("over_ground_mps"),
         )
 
 
@@ -252,7 +251,7 @@ def compare(
     depth, true_depth = _both(sums.pairs, "depth_m")
     closing, true_closing = _both(sums.pairs, "closing_mps")
     contact, true_contact = _both(sums.pairs, "time_to_contact_s")
-    velocity, true_velocity = _both(sums.pairs, "velocity_mps")
+    speed, true_speed = _both(sums.pairs, "over_ground_mps")
     return ObjectReport(
         frames=frames,
         true_boxes=sums.true,
@@ -264,7 +263,7 @@ def compare(
         motp=float(np.mean(sums.overlaps)) if sums.overlaps else math.nan,
         depth_error=_median(np.abs(depth - true_depth) / true_depth),
         closing_error_mps=_median(np.abs(closing - true_closing)),
-        over_ground_error_mps=_median(np.hypot(*(velocity - true_velocity).T)),
+        over_ground_error_mps=_median(np.abs(speed - true_speed)),
         contact_error=_median(np.abs(contact - true_contact) / true_contact),
         with_speed=len(closing),
     )
@@ -319,12 +318,11 @@ def _areas(found: Sequence[ObjectBox], true: Sequence[ObjectBox]) -> tuple[Reals
 
 
 def _both(pairs: Sequence[tuple[ObjectBox, ObjectBox]], name: str) -> tuple[Reals, Reals]:
-    """Return a value of both sides, where both know it: (n,) or (n, 2)."""
+    """Return a value of both sides, where both know it, (n,) each."""
     values = np.array([[getattr(box, name) for box in pair] for pair in pairs], np.float64)
-    if not len(values):
-        return np.empty((0, 2)), np.empty((0, 2))
-    known = np.isfinite(values.reshape(len(values), -1)).all(axis=1)
-    return values[known, 0], values[known, 1]
+    values = values.reshape(-1, 2)
+    one, other = values[np.isfinite(values).all(axis=1)].T
+    return one, other
 
 
 def _ratio(part: int, whole: int) -> float:

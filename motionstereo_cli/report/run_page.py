@@ -19,6 +19,7 @@ from motionstereo_cli.report.pictures import Picture, address_of, encoded, histo
 from motionstereo_cli.report.render import render
 from motionstereo_cli.report.run_folder import FRAME_S, Results, SteeringTable, read_results
 from motionstereo_cli.report.series import LATER_S, SOON_S, plotted, tracks
+from motionstereo_cli.report.way import way
 from motionstereo_cli.report.words import changed, command, troubles
 from motionstereo_cli.sinks.outputs import OUTPUTS
 from motionstereo_cli.sinks.read_back import Maps
@@ -74,6 +75,7 @@ def run_page(out: Path, page: Path, record: RunRecord | None = None) -> str:
         later_s=LATER_S,
         histogram=_histogram(run, scale),
         map=_map(run),
+        way=way(run, steering),
         troubles=troubles(said, shares),
         changed=list(changed(said)),
         command=command(said),
@@ -169,7 +171,7 @@ def _facts(steering: SteeringTable) -> list[Fact]:
 def _panels(
     run: Results, page: Path, steering: SteeringTable | None, scale: DepthScale
 ) -> list[dict[str, Any]]:
-    """Return the three videos with their posters, the frame in which most was matched."""
+    """Return the videos with their posters, the frame in which most was matched."""
     when_s, number = None, None
     if steering:
         when_s = float(steering.places[steering.best])
@@ -184,6 +186,9 @@ def _panels(
             *(run.video("depth-video"), True),
         ),
     ]
+    if run.has("own-charge"):
+        what = "what moved by itself, whatever the rig did"
+        panels.insert(2, ("own", "Own motion", what, run.video("own-charge"), True))
     for key, title, what, video, played in panels:
         parts = _parts(video, run.path)
         source = next((each for each in parts if each.is_file()), None)
