@@ -480,3 +480,19 @@ def test_chroma_below_the_luma_gives_colours(tmp_path, encoding, red, padding):
     assert colours.shape == (48, 64, 3)
     assert (colours[..., 0] > 200).all()
     assert (colours[..., 1:] < 120).all()
+
+
+@pytest.mark.parametrize(
+    ("kind", "tool"), [(".bag", "rosbag reindex"), (".db3", "sqlite3"), (".mcap", "mcap recover")]
+)
+def test_what_saves_a_bag_that_is_cut_off_is_said(tmp_path, kind, tool):
+    path = tmp_path / "a.bag" if kind == ".bag" else tmp_path / "a"
+    with Bag(path, kind) as bag:
+        for n, pair in enumerate(greys()):
+            for side, grey in zip(("left", "right"), pair, strict=True):
+                bag.image(f"/{side}/image_raw", grey, n * 10**9)
+    file = path if kind == ".bag" else next(path.glob(f"*{kind}"))
+    content = file.read_bytes()
+    file.write_bytes(content[: 2 * len(content) // 3])
+    with pytest.raises(InputError, match=tool):
+        open_stereo(path)

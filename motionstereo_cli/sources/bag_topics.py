@@ -191,9 +191,23 @@ def _open(files: Sequence[Path]) -> AnyReader:
     except Exception as error:
         if not is_damage(error):
             raise
-        advice = "rosbag reindex makes an index" if "index" in str(error) else "is it whole?"
-        raise InputError(f"cannot read the bag {path}: {words_of(error)}: {advice}") from None
+        said = words_of(error)
+        raise InputError(f"cannot read the bag {path}: {said}: {_mending(files, said)}") from None
     return reader
+
+
+def _mending(files: Sequence[Path], said: str) -> str:
+    """Return what saves the readable part of a bag that is damaged."""
+    kinds = {file.suffix.lower() for file in files}
+    with contextlib.suppress(OSError):
+        kinds |= {each.suffix for file in files if file.is_dir() for each in file.iterdir()}
+    if "index" in said:
+        return "rosbag reindex makes an index"
+    if ".mcap" in kinds:
+        return "is it whole? `mcap recover IN.mcap -o OUT.mcap` saves what can be read"
+    if ".db3" in kinds:
+        return "is it whole? `sqlite3 IN.db3 .recover | sqlite3 OUT.db3` saves what can be read"
+    return "is it whole?"
 
 
 def missing_parts(files: Sequence[Path], reader: AnyReader) -> list[str]:
