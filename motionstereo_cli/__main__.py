@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import difflib
 import os
 import signal
 import sys
@@ -18,6 +19,9 @@ from motionstereo_cli.commands import cli
 from motionstereo_cli.commands.messages import Tolerant, say
 from motionstereo_cli.commands.progress import end_lines
 from motionstereo_cli.errors import INTERRUPTED_EXIT_CODE, MotionStereoError, shortage
+
+#: How much alike an unknown option and the one that is suggested are at least, 0..1.
+_LIKE = 0.8
 
 
 def main(args: Sequence[str] | None = None) -> int:
@@ -82,6 +86,10 @@ def _fail(error: BaseException) -> int:
             message, exit_code = error.format_message(), error.exit_code
             usage = " ".join(context.get_usage().split()).removeprefix("Usage: ")
             error.add_note(f"usage: {usage}; {context.command_path} --help shows the options")
+        case click.NoSuchOption(option_name=name, possibilities=known):
+            like = difflib.get_close_matches(name, known or (), 1, _LIKE)
+            message = click.NoSuchOption(name, possibilities=like).format_message()
+            exit_code = error.exit_code
         case click.ClickException():
             message, exit_code = error.format_message(), error.exit_code
         case MotionStereoError():

@@ -686,3 +686,75 @@ def test_long_work_says_soon_how_long_it_takes(frames, frame_s, wanted, monkeypa
     for _ in range(10):
         advance()
     assert capsys.readouterr().err == wanted
+
+
+def test_a_dry_run_checks_all_and_writes_nothing(run_args, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main([*run_args, "--dry-run", "-o", "out"]) == 0
+    said = capsys.readouterr().err
+    assert "a dry run: " in said
+    assert "frames would be processed, and written into out: steering.csv, disparity/" in said
+    assert main([*run_args, "--dry-run", "--rig", "none.yaml"]) == 1
+    assert not list(tmp_path.iterdir())
+    assert main([*run_args, "--save", "steering", "-o", "out"]) == 0
+    written = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+    assert main([*run_args, "--dry-run", "-o", "out"]) == 1
+    assert "out is not empty" in capsys.readouterr().err
+    assert main([*run_args, "--dry-run", "-o", "out", "--overwrite"]) == 0
+    assert main([*run_args, "--dry-run", "-o", "out", "--save", "steering", "--resume"]) == 0
+    assert main([*run_args, "--dry-run", "-o", "out", "--resume", "--bands", "5"]) == 1
+    after = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+    assert after == written
+
+
+def test_a_dry_run_of_a_batch_names_those_that_would_fail(run_args, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    left, right = run_args[1:3]
+    Path("table.csv").write_text(f"left,right,out\n{left},{right},good\n{left},text.mp4,bad\n")
+    Path("text.mp4").write_text("no video")
+    assert main(["batch", "table.csv", "--dry-run", "-o", "results"]) == 1
+    said = capsys.readouterr().err
+    assert "note: good: a dry run: " in said
+    assert "error: bad: " in said
+    assert "1 of 2 recordings would fail" in said
+    assert not Path("results").exists()
+
+
+def test_quiet_and_verbose(run_args, tmp_path, capsys):
+    given = [*run_args, "--save", "steering", "--checkpoint-frames", "3", "-o"]
+    assert main([*given, str(tmp_path / "a"), "--quiet"]) == 0
+    assert "note: " not in capsys.readouterr().err
+    assert main([*given, str(tmp_path / "b"), "--verbose"]) == 0
+    said = capsys.readouterr().err
+    assert "detail: settings: Settings(" in said
+    assert "detail: checkpoint after 3 frames" in said
+    assert main([*given, str(tmp_path / "c")]) == 0
+    assert "detail: " not in capsys.readouterr().err
+    assert main([*given, str(tmp_path / "d"), "--quiet", "--verbose"]) == 2
+    tables = {(tmp_path / name / "steering.csv").read_bytes() for name in "abc"}
+    assert len(tables) == 1
+
+
+def test_a_run_from_python_logs_what_the_command_says(run_args, tmp_path, caplog):
+    plan = RunPlan(*run_args[1:3], tmp_path / "out")
+    with caplog.at_level("DEBUG", logger="motionstereo"):
+        run_library(plan)
+    levels = {record.levelname for record in caplog.records}
+    assert {"DEBUG", "INFO"} <= levels
+    assert "depth in m needs --rig: disparity takes the place of depth" in caplog.messages
+
+
+@pytest.mark.parametrize(
+    ("option", "said"),
+    [("--max-disparty", "Did you mean '--max-disparity'?"), ("--baseline-m", "--baseline-m'.")],
+)
+def test_only_options_that_are_alike_are_suggested(run_args, capsys, option, said):
+    assert main([*run_args, option, "3"]) == 2
+    assert "near-m" not in (text := capsys.readouterr().err)
+    assert said in text
+
+
+def test_the_summary_says_how_much_of_the_image_has_depth(run_args, tmp_path, capsys):
+    assert main([*run_args, "-o", str(tmp_path / "o")]) == 0
+    said = capsys.readouterr().err
+    assert re.search(r"disparity for \d+% of the image \(\d+% moved\)", said)

@@ -310,6 +310,7 @@ def test_a_command_without_its_arguments_shows_how_it_is_used(name, capsys):
         ("motionstereo", "simu", {"simulate"}),
         ("motionstereo run", "--max-d", {"--max-disparity"}),
         ("motionstereo run --reference", "l", {"left"}),
+        ("motionstereo batch table.csv", "--max-d", {"--max-disparity"}),
         ("motionstereo run --save", "depth,stee", {"depth,steering", "depth,steering-jsonl"}),
         ("motionstereo help", "out", {"outputs"}),
         ("motionstereo run", "sample", {"sample"}),

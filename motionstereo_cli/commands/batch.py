@@ -9,13 +9,19 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+from click.shell_completion import CompletionItem
 
-from motionstereo_cli.commands.grouped import GroupedCommand
+from motionstereo_cli.commands.grouped import FULL, GroupedCommand
 from motionstereo_cli.commands.messages import say
 from motionstereo_cli.commands.options import Count
 from motionstereo_cli.commands.progress import lines, progress_options
-from motionstereo_cli.commands.run import run_options
-from motionstereo_cli.errors import DAMAGED_EXIT_CODE, INTERRUPTED_EXIT_CODE, SettingsError
+from motionstereo_cli.commands.run import run_options, would_write
+from motionstereo_cli.errors import (
+    DAMAGED_EXIT_CODE,
+    INTERRUPTED_EXIT_CODE,
+    MotionStereoError,
+    SettingsError,
+)
 from motionstereo_cli.runs.plan import RunPlan
 
 if TYPE_CHECKING:
@@ -44,8 +50,39 @@ def plan_of(arguments: Sequence[str]) -> RunPlan:
         raise SettingsError(error.format_message()) from None
 
 
+class _BatchCommand(GroupedCommand):
+    """A command whose full help, and the shell, also know the options of ``run``."""
+
+    def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the options and, in the full help, the names of those of ``run``."""
+        super().format_options(ctx, formatter)
+        if not ctx.meta.get(FULL, False):
+            return
+        names = [option.opts[-1] for option in self._of_run()]
+        with formatter.section("Options of run"):
+            formatter.write_text(f"{', '.join(names)}: see motionstereo run --help-all.")
+
+    def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
+        """Complete options: its own, and those of ``run``."""
+        found = super().shell_complete(ctx, incomplete)
+        if incomplete.startswith("-"):
+            known = {item.value for item in found}
+            found += [
+                CompletionItem(name, help=option.help)
+                for option in self._of_run()
+                for name in (*option.opts, *option.secondary_opts)
+                if name.startswith(incomplete) and name not in known
+            ]
+        return found
+
+    def _of_run(self) -> list[click.Option]:
+        own = {name for each in self.params for name in each.opts}
+        options = [each for each in _plan.params if isinstance(each, click.Option)]
+        return [each for each in options if own.isdisjoint(each.opts)]
+
+
 @click.command(
-    cls=GroupedCommand,
+    cls=_BatchCommand,
     context_settings={"ignore_unknown_options": True},
     options_metavar="MANIFEST [OPTIONS] [OPTIONS OF RUN]",
 )
@@ -100,6 +137,11 @@ def plan_of(arguments: Sequence[str]) -> RunPlan:
     "--retry-failed", is_flag=True, help="Also process recordings that failed or were lost."
 )
 @click.option(
+    "--dry-run",
+    is_flag=True,
+    help="Check each recording and its options, say what would be written, and write nothing.",
+)
+@click.option(
     "--json",
     "as_json",
     is_flag=True,
@@ -116,6 +158,7 @@ def batch(
     shard: str | None,
     detach: bool,
     only_status: bool,
+    dry_run: bool,
     **cluster: Any,
 ) -> int:
     """Process many recordings in parallel, on this machine or on a cluster.
@@ -131,6 +174,8 @@ def batch(
 
     shared, inputs = _apart(given)
     found = plans(_entries(inputs, shared), out, plan_of)
+    if dry_run:
+        return _tried_out(found)
     with _bar(len(found)) as bar:
 
         def ended(status: Status) -> None:
@@ -158,6 +203,25 @@ def batch(
         say("note", f"the scheduler has the work; --status shows it; see {out / 'batch.csv'}")
         return 0
     return _summarise(statuses, out)
+
+
+def _tried_out(found: Mapping[str, RunPlan]) -> int:
+    """Say of each recording what would be done, or what is wrong; return the exit code."""
+    from motionstereo_cli.runs.run import Watcher, try_out
+
+    failed = 0
+    for name, plan in found.items():
+
+        def named(kind: str, text: str, name: str = name) -> None:
+            say(kind, f"{name}: {text}")
+
+        try:
+            named("note", would_write(plan, *try_out(plan, Watcher(named))))
+        except MotionStereoError as error:
+            named("error", str(error))
+            failed += 1
+    say("note", f"a dry run: {failed} of {len(found)} recordings would fail")
+    return 1 if failed else 0
 
 
 def _whole(

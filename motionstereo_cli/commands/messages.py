@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import logging
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextvars import ContextVar
 from typing import Any, TextIO
 
@@ -48,12 +49,53 @@ class Tolerant:
 listener: ContextVar[Callable[[str, str], bool] | None] = ContextVar("listener", default=None)
 
 
+#: The least level that is printed, as ``logging`` has them: 10 with ``--verbose``, 30 with
+#: ``--quiet``.
+level: ContextVar[int] = ContextVar("level", default=logging.INFO)
+
+_LEVELS = {
+    "detail": logging.DEBUG,
+    "note": logging.INFO,
+    "warning": logging.WARNING,
+    "error": logging.ERROR,
+}
+
+
 def say(kind: str, text: str) -> None:
-    """Print a message in one line, after its kind: ``note``, ``warning`` or ``error``."""
+    """Print a message in one line, after its kind.
+
+    Kinds are ``error``, ``warning``, ``note`` and, with ``--verbose``, ``detail``.
+    """
     line = printable(" ".join(text.split()))
     hear = listener.get()
-    if hear is None or hear(kind, line):
+    if (hear is None or hear(kind, line)) and _LEVELS[kind] >= level.get():
         click.echo(f"{kind}: {line}", err=True)
+
+
+class _Details(logging.Handler):
+    """Prints what the package logs for ``--verbose``; all else is said anyway."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Print a record."""
+        if record.levelno == logging.DEBUG:
+            say("detail", record.getMessage())
+
+
+@contextlib.contextmanager
+def loudness(*, quiet: bool, verbose: bool) -> Iterator[None]:
+    """Print no notes, or details too, while it lasts."""
+    logger, details = logging.getLogger("motionstereo"), _Details()
+    before = logger.level
+    token = level.set(logging.WARNING if quiet else logging.DEBUG if verbose else logging.INFO)
+    if verbose:
+        logger.setLevel(logging.DEBUG)
+        logger.addHandler(details)
+    try:
+        yield
+    finally:
+        level.reset(token)
+        logger.removeHandler(details)
+        logger.setLevel(before)
 
 
 def printable(text: str) -> str:

@@ -6,6 +6,7 @@ import contextlib
 import functools
 import io
 import json
+import logging
 import sys
 import time
 from collections.abc import Callable
@@ -16,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Self, TextIO
 import click
 
 from motionstereo_cli.commands.grouped import GroupedOption
-from motionstereo_cli.commands.messages import listener, say
+from motionstereo_cli.commands.messages import level, listener, loudness, say
 from motionstereo_cli.errors import DAMAGED_EXIT_CODE, INTERRUPTED_EXIT_CODE, OutputError
 from motionstereo_cli.files.targets import is_stream, open_replacing, open_stream
 
@@ -114,7 +115,11 @@ class Bar:
     def __init__(self, frames: int | None = None, *, quiet: bool = False) -> None:
         self._lines = _LINES.get()
         self._bar: tqdm[Any] | None = None
-        hidden = quiet or (self._lines is not None and not self._lines.aside)
+        hidden = (
+            quiet
+            or level.get() > logging.INFO
+            or (self._lines is not None and not self._lines.aside)
+        )
         self._on_terminal = not hidden and sys.stderr is not None and sys.stderr.isatty()
         if frames is not None:
             self.begin(frames)
@@ -170,18 +175,37 @@ def end_lines(exit_code: int) -> None:
 
 
 def progress_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Give a command ``--progress`` and ``--progress-file``; it receives neither."""
+    """Give a command ``--quiet``, ``--verbose``, ``--progress`` and ``--progress-file``.
 
-    def watched(*, progress: str, progress_file: Path | None, **values: Any) -> Any:
+    It receives none of them.
+    """
+
+    def watched(
+        *,
+        progress: str,
+        progress_file: Path | None,
+        quiet: bool,
+        verbose: bool,
+        **values: Any,
+    ) -> Any:
+        if quiet and verbose:
+            raise click.UsageError("--quiet and --verbose contradict each other: give one")
         if progress_file is not None and progress != "jsonl":
             raise click.UsageError("--progress-file is for --progress jsonl: give both")
         if progress == "jsonl":
             told = _opened(progress_file)
             _LINES.set(told)
             listener.set(told.hear)
-        return command(**values)
+        with loudness(quiet=quiet, verbose=verbose):
+            return command(**values)
 
     wrapped: Callable[..., Any] = functools.update_wrapper(watched, command)
+    for flag, text in (
+        ("--verbose", "Also print what is found before the first frame, and checkpoints."),
+        ("--quiet", "Print only warnings and errors; no bar."),
+    ):
+        option = click.option(flag, cls=GroupedOption, group="Output", is_flag=True, help=text)
+        wrapped = option(wrapped)
     wrapped = click.option(
         "--progress-file",
         cls=GroupedOption,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -27,6 +27,9 @@ from motionstereo_cli.sinks.outputs import DEFAULT_OUTPUTS, OUTPUTS
 
 if TYPE_CHECKING:
     from motionstereo_cli.runs.record import RunReport
+
+#: Where less of the image moves, what stands still is most of it.
+_LITTLE = 0.01
 
 
 def _names(_: click.Context, __: click.Parameter, lists: tuple[str, ...]) -> tuple[str, ...]:
@@ -111,8 +114,15 @@ def run_options(command: Callable[..., Any]) -> Callable[..., Any]:
 
 @click.command(cls=GroupedCommand)
 @progress_options
+@click.option(
+    "--dry-run",
+    cls=GroupedOption,
+    group="Robustness",
+    is_flag=True,
+    help="Check everything, say what would be written, and write nothing.",
+)
 @run_options
-def run(**given: Any) -> int:
+def run(*, dry_run: bool, **given: Any) -> int:
     """Find depth and steering in the two videos of a stereo camera.
 
     LEFT and RIGHT are video files, folders of images, or quoted patterns such as 'cam0_*.png'; -
@@ -124,12 +134,23 @@ def run(**given: Any) -> int:
     from motionstereo_cli.runs.cores import prepare
 
     prepare()
-    from motionstereo_cli.runs.run import Watcher
+    from motionstereo_cli.runs.run import Watcher, try_out
     from motionstereo_cli.runs.run import run as library
 
+    if dry_run:
+        frames, outputs = try_out(plan, Watcher(say))
+        say("note", would_write(plan, frames, outputs))
+        return 0
     with Bar(quiet=_shares_terminal(plan)) as bar:
         report = library(plan, Watcher(bar.say, bar.begin, bar.update))
     return _summarise(plan, report)
+
+
+def would_write(plan: RunPlan, frames: int | None, outputs: Sequence[str]) -> str:
+    """Return in words what a run would do that was tried out."""
+    count = "an unknown number of frames" if frames is None else f"{frames} frames"
+    files = f"{plan.folder}: {', '.join((*outputs, 'run.json'))}" if plan.folder else "no folder"
+    return f"a dry run: {count} would be processed, and written into {files}"
 
 
 def _summarise(plan: RunPlan, report: RunReport) -> int:
@@ -144,9 +165,12 @@ def _summarise(plan: RunPlan, report: RunReport) -> int:
         say(
             "note",
             f"{frames}{before} in {report.wall_s:.1f} s "
-            f"({report.frames_per_second:.0f} frames per second), "
-            f"charged {report.charged:.1%}, matched {report.matched:.1%} of the image",
+            f"({report.frames_per_second:.0f} frames per second): "
+            f"{'depth' if report.in_metres else 'disparity'} for {report.matched:.0%} of the image "
+            f"({report.charged:.0%} moved)",
         )
+        if report.charged < _LITTLE and plan.settings.depth_of == "moved":
+            say("note", "next to nothing moved: --depth-of all gives what stands still a depth too")
     if report.interrupted:
         kept = f": what was done is in {plan.folder}, --resume goes on from there"
         say("error", f"interrupted after {frames}{kept if plan.folder else ''}")

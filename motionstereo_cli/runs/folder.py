@@ -183,6 +183,31 @@ class RunFolder(Sinks):
                     "give --overwrite to start again"
                 )
 
+    def check(self) -> None:
+        """Make sure that the block can be entered, without writing anything.
+
+        Raises:
+            OutputError: the folder cannot be written, is not empty, or is of another run.
+        """
+        if not os.path.lexists(self.path):
+            above = next(each for each in self.path.absolute().parents if os.path.lexists(each))
+            if not (above.is_dir() and os.access(above, os.W_OK)):
+                raise OutputError(f"cannot write {self.path}: {above} cannot be written to")
+            return
+        overwrite, record = self._overwrite, self.path / self._kind.record
+        if self._resume and (
+            begun := record_of(self.path, self._kind) or read_record(part_of(record), self._kind)
+        ):
+            check_same(self.path, self._identity, begun)
+            overwrite = True
+        check_free(
+            *(self.path, self._outputs, self._kind),
+            frames=self._frames,
+            overwrite=overwrite,
+            inputs=self._inputs,
+            table=self._table,
+        )
+
     def _begin(self) -> None:
         overwrite = self._overwrite
         if self._resume:
@@ -246,6 +271,40 @@ def prepare(
     """
     make_folder(out, out)
     record, part = out / kind.record, part_of(out / kind.record)
+    former, former_table = check_free(
+        *(out, outputs, kind), frames=frames, overwrite=overwrite, inputs=inputs, table=table
+    )
+    with reported(out):
+        if former_table and table is not None:
+            remove(table.parent, [table])
+        if record in former:  # incomplete from now on, and still this program's
+            unname(record)
+        # From the last image to the first: of an interrupted run, the images up to a gap count.
+        remove(out, sorted(former - {record, part}, reverse=True))
+        remove_empty_folders(out, kind)
+    begun = identity or head(outputs)
+    write_whole(part, kind.format(begun))
+
+
+def check_free(
+    out: Path,
+    outputs: Sequence[str],
+    kind: FolderKind = RUN,
+    *,
+    frames: int | None = None,
+    overwrite: bool = False,
+    inputs: Iterable[Path] = (),
+    table: Path | None = None,
+) -> tuple[set[Path], bool]:
+    """Make sure that an existing folder can be made ready; for the arguments see :func:`prepare`.
+
+    Returns:
+        The files of an earlier run, and whether the table is one of them.
+
+    Raises:
+        OutputError: as of :func:`prepare`.
+    """
+    part = part_of(out / kind.record)
     with reported(out):
         if not overwrite and not all(
             path.name == LOCK or is_left_over(path) for path in out.iterdir()
@@ -269,15 +328,7 @@ def prepare(
             for place in (path, path.parent):
                 if real(place) in taken:
                     raise OutputError(f"{place} is an input of this run: give another folder")
-        if former_table and table is not None:
-            remove(table.parent, [table])
-        if record in former:  # incomplete from now on, and still this program's
-            unname(record)
-        # From the last image to the first: of an interrupted run, the images up to a gap count.
-        remove(out, sorted(former - {record, part}, reverse=True))
-        remove_empty_folders(out, kind)
-    begun = identity or head(outputs)
-    write_whole(part, kind.format(begun))
+    return former, former_table
 
 
 def complete(out: Path, record: FolderRecord, kind: FolderKind = RUN) -> None:

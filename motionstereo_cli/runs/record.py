@@ -65,6 +65,7 @@ class RunReport:
             and at the limit of the range.
         wall_s: duration in s, from the first frame's decoding to the last output's completion.
         outputs: paths under the output folder, numbered files as their folder.
+        in_metres: whether there was a rig.
         damage: what was lost of the input, one line each.
         warnings: what looks wrong, in the order of the warnings.
         interrupted: the run ended before the end of the input; see :func:`run`.
@@ -77,6 +78,7 @@ class RunReport:
     at_limit: float
     wall_s: float
     outputs: tuple[str, ...]
+    in_metres: bool
     damage: tuple[str, ...]
     warnings: tuple[WarningRecord, ...]
     interrupted: bool
@@ -280,7 +282,8 @@ def report_on(job: Job, totals: Totals, resumed: int, started_s: float) -> RunRe
         matched=matched,
         at_limit=at_limit,
         wall_s=time.perf_counter() - started_s,
-        outputs=_shown(job.save),
+        outputs=shown_outputs(job.save),
+        in_metres=job.context.rig is not None,
         damage=tuple(job.source.damage),
         warnings=job.warned.found,
         interrupted=False,
@@ -325,12 +328,14 @@ def report_of(record: FolderRecord, plan: RunPlan) -> RunReport:
         matched=record.shares.matched,
         at_limit=record.shares.at_limit,
         wall_s=0.0,
-        outputs=_shown(name for name in record.outputs or () if name in OUTPUTS),
+        outputs=shown_outputs(name for name in record.outputs or () if name in OUTPUTS),
+        in_metres=record.camera is not None,
         damage=tuple(record.damage),
         warnings=record.warned,
         interrupted=False,
     )
 
 
-def _shown(save: Iterable[str]) -> tuple[str, ...]:
+def shown_outputs(save: Iterable[str]) -> tuple[str, ...]:
+    """Return what outputs write, numbered files as their folder."""
     return tuple(shown for name in save for shown in (OUTPUTS[name].shown, *OUTPUTS[name].beside))

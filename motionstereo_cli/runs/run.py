@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+import logging
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator
@@ -49,9 +50,11 @@ from motionstereo_cli.runs.record import (
     outcome,
     report_of,
     report_on,
+    shown_outputs,
 )
 from motionstereo_cli.runs.threaded_sink import Threaded
 from motionstereo_cli.sinks.outputs import OUTPUTS, available, check_video_size
+from motionstereo_cli.sinks.scale import DepthScale
 from motionstereo_cli.sinks.sink import DEFAULT_TIME_BASE, OPTICAL_FRAME, RunContext, Sink
 from motionstereo_cli.sinks.steering_table import SteeringCopy, SteeringStream
 from motionstereo_cli.sources import StereoSource, open_stereo
@@ -64,22 +67,29 @@ _IN_FLIGHT_BYTES, _BYTES_PER_PX = 1 << 30, 110
 
 _Step = tuple[StereoFrame, Step, State]
 
+LOG = logging.getLogger("motionstereo")
+
 
 def _nothing(*_: object) -> None:
     pass
 
 
+def _log(kind: str, text: str) -> None:
+    LOG.warning(text) if kind == "warning" else LOG.info(text)
+
+
 @dataclasses.dataclass(frozen=True, slots=True)
 class Watcher:
-    """Callbacks during a run; by default they do nothing.
+    """Callbacks during a run.
 
     Attributes:
-        say: called with a kind, ``note`` or ``warning``, and a line.
+        say: called with a kind, ``note`` or ``warning``, and a line; by default it goes to the
+            logger ``motionstereo``, which also has what is for ``--verbose``, as DEBUG.
         begin: called before the first frame with the number of frames, None if unknown.
         progress: called after each frame.
     """
 
-    say: Callable[[str, str], object] = _nothing
+    say: Callable[[str, str], object] = _log
     begin: Callable[[int | None], object] = _nothing
     progress: Callable[[], object] = _nothing
 
@@ -107,10 +117,7 @@ def run(plan: RunPlan, watcher: Watcher | None = None, stdout: BinaryIO | None =
     stdout = stdout or _standard_output(plan)
     check_memory()
     warned = Warned(watcher.say)
-    say = partial(warned.say, "sync-offset")
-    prepare = partial(rectify_source, paths=plan.rig, settings=plan.rig_settings)
-    measured = with_offset(plan.left, plan.right, plan.input_settings, say, prepare)
-    plan = dataclasses.replace(plan, input_settings=measured)
+    plan = _with_offset(plan, warned)
     with open_stereo(plan.left, plan.right, plan.input_settings) as source:
         job = job_of(plan, source, warned)
         latest = _Latest(job.frames)
@@ -149,6 +156,33 @@ def run(plan: RunPlan, watcher: Watcher | None = None, stdout: BinaryIO | None =
                 advice = ": with --resume the same command goes on from the last checkpoint"
                 error.add_note(f"what was done is in {plan.folder}{advice if goes_on else ''}")
             raise
+
+
+def _with_offset(plan: RunPlan, warned: Warned) -> RunPlan:
+    say = partial(warned.say, "sync-offset")
+    prepare = partial(rectify_source, paths=plan.rig, settings=plan.rig_settings)
+    measured = with_offset(plan.left, plan.right, plan.input_settings, say, prepare)
+    return dataclasses.replace(plan, input_settings=measured)
+
+
+def try_out(plan: RunPlan, watcher: Watcher | None = None) -> tuple[int | None, tuple[str, ...]]:
+    """Check all that can be checked before the first frame, and write nothing.
+
+    Returns:
+        The number of frames, None if unknown, and what :func:`run` would write into the folder,
+        numbered files as their folder.
+
+    Raises:
+        InputError, OutputError, SettingsError: as of :func:`run`.
+    """
+    warned = Warned((watcher or Watcher()).say)
+    plan = _with_offset(plan, warned)
+    with open_stereo(plan.left, plan.right, plan.input_settings) as source:
+        job = job_of(plan, source, warned)
+        sinks = _sinks(job)
+        if isinstance(sinks, RunFolder):
+            sinks.check()
+        return source.expected_frames, shown_outputs(job.save) if plan.folder else ()
 
 
 def _standard_output(plan: RunPlan) -> BinaryIO | None:
@@ -197,6 +231,7 @@ def job_of(plan: RunPlan, source: StereoSource, warned: Warned) -> Job:
     job = Job(plan, source, frames, context, poses, warned)
     job = with_measured_offset(job, partial(warned.say, "disparity-offset"))
     job = with_colour_range(job)
+    _log_job(job)
     if plan.folder is not None:
         check_video_size(job.save, source.width, source.height)
     if job.with_own_motion and plan.poses is None:
@@ -204,6 +239,22 @@ def job_of(plan: RunPlan, source: StereoSource, warned: Warned) -> Job:
         asking = ", ".join(name for name, row in rows if row.needs_poses or row.needs_movers)
         note(f"{asking}: the rig's own motion is found, as by --poses auto")
     return job
+
+
+def _log_job(job: Job) -> None:
+    """Log what a run is made of, before its first frame."""
+    if not LOG.isEnabledFor(logging.DEBUG):
+        return
+    source = job.source
+    for name, said in source.describe(fingerprint=False).items():
+        LOG.debug("%s: %s", name, ", ".join(f"{key} {value}" for key, value in said.items()))
+    LOG.debug("delivered: %dx%d px, frames %s", source.width, source.height, source.expected_frames)
+    LOG.debug("rig: %s", job.context.rig)
+    LOG.debug("settings: %s", job.plan.settings)
+    scale = DepthScale.of(job.plan.settings, job.context.output, job.context.rig)
+    LOG.debug("colours: %g to %g %s", *scale.ends, scale.unit)
+    LOG.debug("outputs: %s", ", ".join(job.save))
+    LOG.debug("frames matched at a time: %d", job.plan.jobs or default_jobs(source))
 
 
 def settled(plan: RunPlan, say: Callable[[str, str], object]) -> RunPlan:
@@ -379,6 +430,7 @@ def _write(sinks: Sinks, job: Job, watcher: Watcher) -> None:
             due = sinks.totals.frames % job.context.output.checkpoint_frames == 0
             if due and job.source.rereadable:
                 sinks.checkpoint()
+                LOG.debug("checkpoint after %d frames", sinks.totals.frames)
         watcher.progress()
     if not sinks.totals.frames:
         raise InputError(NO_FRAMES)
