@@ -60,7 +60,7 @@ class _BatchCommand(GroupedCommand):
             return
         names = [option.opts[-1] for option in self._of_run()]
         with formatter.section("Options of run"):
-            formatter.write_text(f"{', '.join(names)}: see motionstereo run --help-all.")
+            formatter.write_dl([("run --help-all", f"explains them: {', '.join(names)}.")])
 
     def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
         """Complete options: its own, and those of ``run``."""

@@ -174,6 +174,30 @@ def end_lines(exit_code: int) -> None:
         told.end(exit_code)
 
 
+_option = functools.partial(click.option, cls=GroupedOption, group="Output")
+_OPTIONS = (
+    _option(
+        "--verbose",
+        is_flag=True,
+        help="Also print what is found before the first frame, and checkpoints.",
+    ),
+    _option("--quiet", is_flag=True, help="Print only warnings and errors; no bar."),
+    _option(
+        "--progress-file",
+        type=click.Path(dir_okay=False, path_type=Path),
+        help="File or FIFO for --progress jsonl.  [default: standard error]",
+    ),
+    _option(
+        "--progress",
+        type=click.Choice(["bar", "jsonl"]),
+        default="bar",
+        show_default=True,
+        help="How to report progress. bar: a bar, on a terminal; jsonl: one JSON object a line, "
+        "messages included.",
+    ),
+)
+
+
 def progress_options(command: Callable[..., Any]) -> Callable[..., Any]:
     """Give a command ``--quiet``, ``--verbose``, ``--progress`` and ``--progress-file``.
 
@@ -200,29 +224,9 @@ def progress_options(command: Callable[..., Any]) -> Callable[..., Any]:
             return command(**values)
 
     wrapped: Callable[..., Any] = functools.update_wrapper(watched, command)
-    for flag, text in (
-        ("--verbose", "Also print what is found before the first frame, and checkpoints."),
-        ("--quiet", "Print only warnings and errors; no bar."),
-    ):
-        option = click.option(flag, cls=GroupedOption, group="Output", is_flag=True, help=text)
+    for option in _OPTIONS:
         wrapped = option(wrapped)
-    wrapped = click.option(
-        "--progress-file",
-        cls=GroupedOption,
-        group="Output",
-        type=click.Path(dir_okay=False, path_type=Path),
-        help="File or FIFO for --progress jsonl.  [default: standard error]",
-    )(wrapped)
-    return click.option(
-        "--progress",
-        cls=GroupedOption,
-        group="Output",
-        type=click.Choice(["bar", "jsonl"]),
-        default="bar",
-        show_default=True,
-        help="How to report progress. bar: a bar, on a terminal; jsonl: one JSON object a line, "
-        "messages included.",
-    )(wrapped)
+    return wrapped
 
 
 def _opened(path: Path | None) -> JsonLines:
