@@ -31,7 +31,7 @@ from motionstereo_cli.robot.fused_map import (
     trimmed,
     voxels_of,
 )
-from motionstereo_cli.robot.mapper import Floor, Mapper
+from motionstereo_cli.robot.mapper import Floor, Mapper, standing
 from motionstereo_cli.robot.points import in_world, points
 from motionstereo_cli.runs.folder import prepare
 from motionstereo_cli.simulate.camera import Pose as RobotPose
@@ -177,7 +177,7 @@ class TestGrid:
         grid, frames = Grid.empty(), 0
         while not (grid.evidence >= OCCUPIED).any():
             grid, frames = marked(grid, (-2, 5), self.nothing, mask((1, 2))), frames + 1
-        assert frames == 4
+        assert frames == 3
         seen = trimmed(grid)
         assert (seen.corner, seen.evidence.shape) == ((-1, 7), (1, 1))
 
@@ -314,6 +314,27 @@ class TestMapper:
         free_m = (np.argwhere(floor.free) + 0.5) * 0.05 + (floor.x_m, floor.y_m)
         assert free_m[:, 0].max() < 3.0
         assert len(free_m) > 400
+
+    def test_only_what_stands_up_from_the_ground_is_standing(self):
+        """A post, a step, and a far wall of which one row is seen; 6 points each."""
+        post = [[1.05, 0.05, z] for z in np.linspace(0.1, 1.0, 6)]
+        step = [[2.05, 0.05, 0.12]] * 6
+        lone = [[3.05, 0.05, z] for z in (0.2, 0.9)]
+        placed = np.array([*post, *step, *lone, [-9.0, 0.0, 1.0]])
+        found = standing(placed, placed[:, 2], (0, 0), (40, 4), 0.1)
+        assert np.argwhere(found).tolist() == [[10, 0]]
+
+    def test_what_stands_is_in_the_map_though_something_is_nearer_in_its_bearing(self):
+        """A low box before a wall: both are seen in the same columns, and neither is free."""
+        depth = wall_depth(STILL, 3.0)
+        depth[105:] = np.minimum(depth[105:], 2.0)
+        mapper = self.mapper()
+        for _ in range(8):
+            add(mapper, result(depth))
+        floor = mapper.floor()
+        x_m = (np.argwhere(floor.occupied)[:, 0] + 0.5) * 0.05 + floor.x_m
+        assert (np.abs(x_m - 2.0) < 0.1).sum() > 20
+        assert (np.abs(x_m - 3.0) < 0.1).sum() > 20
 
     def test_what_moves_on_leaves_no_trace(self):
         wall = wall_depth(STILL, 3.0)

@@ -19,7 +19,7 @@ _HIT = 2
 _MISS = -1
 _MOST = 30
 #: A cell counts as occupied or free from here on; a voxel is one that this many frames saw.
-OCCUPIED = 8
+OCCUPIED = 6
 FREE = -2
 MIN_FRAMES = 3
 

@@ -44,6 +44,10 @@ _MAX_CELLS = 400
 
 _BEARINGS = 80
 
+#: A frame sees something stand up from the ground in a cell where at least so many of its points
+#: lie in two or more layers of this height.
+_STANDING_POINTS, _LAYER_M, _LAYERS = 4, 0.15, 64
+
 #: New voxels are kept apart until there are this many: a large cloud is then rarely touched.
 _RECENT = 30_000
 
@@ -201,6 +205,7 @@ class Mapper:
         x, y, up = (placed - (view.x_m, view.y_m, pose.z_m)).T
         ahead, leftward = cos * x + sin * y, cos * y - sin * x
         in_way = (up > -s.robot_below_m) & (up < s.robot_above_m) & (ahead > 0)
+        near = in_way & (ahead <= self._reach_m)
         ahead, leftward = ahead[in_way], leftward[in_way]
         column = view.cx_px - view.focal_px * leftward / ahead
         bearing = np.floor((column + 0.5) * _BEARINGS / rig.width)
@@ -223,7 +228,34 @@ class Mapper:
             reach_m=self._reach_m,
             error_px=_ERROR_PX,
         )
-        return marked(grid, corner, sight.free, sight.hit)
+        stands = standing(placed[near], up[near] + s.robot_below_m, corner, sight.hit.shape, cell_m)
+        return marked(grid, corner, sight.free & ~stands, sight.hit | stands)
+
+
+def standing(
+    placed: Points,
+    up_m: NDArray[np.float64],
+    corner: tuple[int, int],
+    shape: tuple[int, ...],
+    cell_m: float,
+) -> NDArray[np.bool_]:
+    """Return in which cells of a grid points stand up from the ground.
+
+    Args:
+        placed: points in the world, (n, 3) float64 m.
+        up_m: their heights over what counts as no obstacle, (n,) m.
+        corner: world cell of the grid's first one.
+        shape: number of cells along x and y.
+        cell_m: size of a cell.
+    """
+    index = np.floor(placed[:, :2] / cell_m).astype(np.int64) - corner
+    inside = ((index >= 0) & (index < shape)).all(axis=1)
+    cell = index[inside] @ (shape[1], 1)
+    size = shape[0] * shape[1]
+    layer = np.minimum(up_m[inside] / _LAYER_M, _LAYERS - 1).astype(np.int64)
+    layers = np.bincount(np.unique(cell * _LAYERS + layer) // _LAYERS, minlength=size)
+    found = (layers >= 2) & (np.bincount(cell, minlength=size) >= _STANDING_POINTS)
+    return found.reshape(shape)
 
 
 def _settled(known: Surroundings) -> Surroundings:
