@@ -413,3 +413,20 @@ def test_a_damaged_way_or_map_is_left_out(copy, damage):
     page = page_of(copy)
     assert ('id="the-way"' in page) == (damage != "poses.txt")
     assert "<image " not in page
+
+
+def test_what_moves_by_itself_is_said_of_each_object():
+    rows = [
+        {
+            "id": "1",
+            "frame": f"{n}",
+            "time_to_contact_s": "",
+            "depth_m": "2",
+            "closing_mps": "",
+            "by_itself": own,
+            "over_ground_mps": speed,
+        }
+        for n, (own, speed) in enumerate([("", ""), ("0", "0.2"), ("1", "1.4")])
+    ]
+    [[track], count] = tracks(rows, {0: 0.0, 1: 0.1, 2: 0.2}, 0.1)
+    assert (count, track["frame"], track["own"], track["speed"]) == (1, 0, 1, 1.4)

@@ -30,6 +30,12 @@ from motionstereo_cli.sinks.settings import OutputSettings
 #: Widths of pictures within the page in px.
 _POSTER_PX, _MAP_PX = 640, 1000
 
+#: Clocks with less than a year in s do not count from 1970.
+_A_YEAR_S = 366 * 86_400
+
+#: What a letter of a tick takes of the width of the narrowest scale.
+_TICK_ROOM = 0.035
+
 
 def run_page(out: Path, page: Path, record: RunRecord | None = None) -> str:
     """Return the page of a run, HTML that needs only the run's videos, if they exist.
@@ -106,8 +112,13 @@ def _drawn(scale: DepthScale) -> dict[str, Any]:
 
 
 def _ticks(scale: DepthScale) -> list[tuple[str, float]]:
-    """Return the ticks of a scale: what they say, and their places from 0 to 1."""
-    return [(f"{tick:g}", scale.place(tick)) for tick in scale.ticks()]
+    """Return the ticks of a scale that have room: what they say, and their places from 0 to 1."""
+    ticks: list[tuple[str, float]] = []
+    for tick in scale.ticks():
+        text, place = f"{tick:g}", scale.place(tick)
+        if not ticks or place - ticks[-1][1] > _TICK_ROOM * (len(text) + 1):
+            ticks.append((text, place))
+    return ticks
 
 
 def _about(record: RunRecord, steering: SteeringTable | None) -> list[str]:
@@ -130,7 +141,9 @@ def _about(record: RunRecord, steering: SteeringTable | None) -> list[str]:
 
 
 def _date(time_s: float) -> str:
-    """Return a time since 1970 in words."""
+    """Return a time since 1970, or since a camera was switched on, in words."""
+    if time_s < _A_YEAR_S:
+        return f"at {time_s:.2f} s of its clock"
     try:
         return f"{datetime.fromtimestamp(time_s, UTC):%Y-%m-%d %H:%M:%S} UTC"
     except (OverflowError, ValueError, OSError):  # a clock that counts from elsewhere
@@ -162,9 +175,9 @@ def _facts(steering: SteeringTable) -> list[Fact]:
         when = int(np.nanargmin(nearest))
         frame = int(steering.frames[when])
         facts.append(Fact("Nearest", f"{nearest[when]:.2f} m", f"in frame {frame}", frame))
-    for name in ("charged", "matched"):
+    for name, label in (("charged", "Moved"), ("matched", "Depth known")):
         mean = np.nanmean(steering.series[name])
-        facts.append(Fact(name.capitalize(), f"{mean:.0%}", "of the image"))
+        facts.append(Fact(label, f"{mean:.0%}", "of the image"))
     return facts
 
 

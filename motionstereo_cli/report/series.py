@@ -90,9 +90,10 @@ def tracks(
         frame_x: the duration of a frame there.
 
     Returns:
-        For each object, in the order of their first frames: ``id``; ``spans``, each with its begin,
-        its end and its urgency (0 contact soon, 1 later, 2 hardly or unknown); the
-        least ``contact`` in s, ``nearest`` in m and most ``closing`` in m/s, None where unknown.
+        For each object, in the order of their first frames: ``id``; its first ``frame``; ``spans``,
+        each with its begin, its end and its urgency (0 contact soon, 1 later, 2 hardly or unknown);
+        the least ``contact`` in s, ``nearest`` in m and most ``closing`` in m/s; ``own``, 1 if it
+        moves by itself, and its greatest ``speed`` over ground in m/s; None if unknown.
     """
     found: dict[int, dict[str, Any]] = {}
     for row in rows:
@@ -107,7 +108,8 @@ def tracks(
         begin, end = x_of[frame], x_of[frame] + frame_x
         track = found.setdefault(
             number,
-            {"id": number, "spans": [], "contact": None, "nearest": None, "closing": None},
+            {"id": number, "frame": frame, "spans": []}
+            | dict.fromkeys(("contact", "nearest", "closing", "own", "speed")),
         )
         spans = track["spans"]
         if spans and spans[-1][2] == level and begin - spans[-1][1] < frame_x:
@@ -117,8 +119,14 @@ def tracks(
         track["contact"] = _least(track["contact"], contact)
         track["nearest"] = _least(track["nearest"], depth)
         track["closing"] = _most(track["closing"], closing)
+        track["own"] = _most(track["own"], _number(row, "by_itself"))
+        track["speed"] = _most(track["speed"], _number(row, "over_ground_mps"))
     shown = sorted(found.values(), key=_urgency)[:MAX_OBJECTS]
     return sorted(shown, key=lambda track: (track["spans"][0][0], track["id"])), len(found)
+
+
+def _number(row: Mapping[str, str], name: str) -> float | None:
+    return float(row[name]) if row.get(name) else None
 
 
 def _urgency(track: Mapping[str, Any]) -> tuple[float, float]:

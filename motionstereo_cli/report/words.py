@@ -20,6 +20,12 @@ class Changed(NamedTuple):
     value: Any
 
     @property
+    def usual(self) -> str:
+        """The default, in the word that stands for it if there is one."""
+        words = [word for word, value in self.item.words.items() if value == self.item.default]
+        return words[0] if words else f"{self.item.default} {self.item.unit}"
+
+    @property
     def option(self) -> list[str]:
         """The option that sets it on the command line."""
         if self.item.kind is bool:

@@ -21,7 +21,7 @@ OPTICAL_FRAME = "camera_optical_frame"
 DEFAULT_TIME_BASE = Fraction(1, 25)
 
 #: Times in s that begin later than this count from an epoch; videos then begin at 0.
-EPOCH_S = 86_400
+EPOCH_S = 3_600
 
 _Input_contra = TypeVar("_Input_contra", FrameImages, Step, contravariant=True)
 
