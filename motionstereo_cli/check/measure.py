@@ -21,7 +21,14 @@ from motionstereo_cli.check.features import NO_MATCHES, FrameWindow, Matches, jo
 from motionstereo_cli.check.findings import DARK_GREY, CheckReport, Finding
 from motionstereo_cli.check.lag import BANDS, lag_of, profile, small
 from motionstereo_cli.check.mounting import Mounting, mounted
-from motionstereo_cli.check.synchrony import MAX_STEP, Fit, PairingStep, fit_rows, step_or_drift
+from motionstereo_cli.check.synchrony import (
+    MAX_STEP,
+    Fit,
+    PairingStep,
+    confirmed_step,
+    fit_rows,
+    step_or_drift,
+)
 from motionstereo_cli.method.settings import MAX_DISPARITY
 from motionstereo_cli.robot.odometer import Odometer, OffsetFinder
 from motionstereo_cli.types import StereoFrame
@@ -259,7 +266,7 @@ class _Checker:
         """Return how far the views are out of step by their rows; None where these do not tell."""
         if not self._windows:
             return None
-        return step_or_drift(self._windows, [window.matches(0) for window in self._windows])[0]
+        return confirmed_step(self._windows)
 
     def _step_by_motion(self) -> PairingStep | None:
         """Return the step at which the motion of whole rows agrees, where that is certain."""

@@ -42,6 +42,10 @@ _MIN_REST = 0.3
 _CERTAIN_SIGMAS = 5.0
 
 
+# Rows at a step that is certain agree by this factor better than at the next ones.
+_CLEARLY_BETTER_ROWS = 0.9
+
+
 _CERTAIN_FRAMES = 0.14  # standard error of a step beside which none of the next ones is likely
 
 
@@ -201,6 +205,21 @@ def _walk(windows: Sequence[FrameWindow], matches: Matches) -> PairingStep | Non
     if abs(tried[0].step) < _MIN_REST:
         return PairingStep(0, tried[0].step, tried[0].sigma)
     return None
+
+
+def confirmed_step(windows: Sequence[FrameWindow]) -> PairingStep | None:
+    """Return the step of some windows; None if nothing tells it.
+
+    No step is certain only if rows agree clearly worse at the next steps on both sides.
+    """
+    step = _walk(windows, joined([window.matches(0) for window in windows]))
+    if step is None or step.whole:
+        return step
+    pooled = (joined([window.matches(whole) for window in windows]) for whole in (0, -1, 1))
+    off_px = [fit.off_px for each in pooled if (fit := fit_rows(each, windows[0].shape))]
+    if len(off_px) > 1 and off_px[0] > _CLEARLY_BETTER_ROWS * min(off_px[1:]):
+        return step._replace(sigma=math.inf)
+    return step
 
 
 def step_or_drift(
