@@ -42,9 +42,9 @@ _BLUR_PX = 0.8
 CELL_PX, _REACH_PX = 4, 4
 
 #: Standard deviation of grey at each level, and what its slope adds to its variance; differences of
-#: so many times that are unexplained.
+#: so many times that are unexplained, in a cell and in a patch.
 _NOISE = 1.5, 0.9, 0.6
-_PER_SLOPE, _UNEXPLAINED = 0.03, 12.0
+_PER_SLOPE, _UNEXPLAINED_CELL, _UNEXPLAINED_PATCH = 0.03, 12.0, 12.0
 #: A patch is of one surface: nearness in it differs by at most the larger of these.
 _JUMP_PX, _JUMP_SHARE = 0.5, 0.06
 #: Standard deviation of disparity: px, and share of nearness.
@@ -250,10 +250,11 @@ def _shifts(now: Moment, movers: Movers, gap: int, eye: Eye, way_px: float) -> R
     motion, then = _motion(movers, now, gap), movers.moments[-gap]
     height, width = now.disparity_px.shape
     moments = [(now.at(level), then.at(level)) for level in range(LEVELS)]
-    limits = [_limits(level) for level in range(LEVELS)]
+    limits = [_limits(level, _UNEXPLAINED_PATCH) for level in range(LEVELS)]
+    search = _limits(1, _UNEXPLAINED_CELL)
     wanted = np.zeros((height // CELL_PX // 2, width // CELL_PX // 2), np.uint8)
     work: Any = reused(loops.Workspace, (2 * _REACH_PX + 1) ** 2)
-    loops.find(*moments[1], eye.at(1), motion, limits[1], CELL_PX, way_px / 2, work, wanted)
+    loops.find(*moments[1], eye.at(1), motion, search, CELL_PX, way_px / 2, work, wanted)
     found: Real | None = None
     for level in range(LEVELS - 1, -1, -1):
         shape = tuple(side // 2**level // CELL_PX for side in (height, width))
@@ -283,10 +284,10 @@ def _any_of_four(wanted: Grey, shape: tuple[int, ...]) -> Grey:
     return np.ascontiguousarray(inside.reshape(rows, 2, columns, 2).max(axis=(1, 3)))
 
 
-def _limits(level: int) -> Any:
+def _limits(level: int, unexplained: float) -> Any:
     q = 0.5**level
     return loops.Limits(  # type: ignore[call-arg]
-        *(_NOISE[level], _PER_SLOPE, _UNEXPLAINED, _JUMP_PX * q, _JUMP_SHARE),
+        *(_NOISE[level], _PER_SLOPE, unexplained, _JUMP_PX * q, _JUMP_SHARE),
         *(_SIGMA_PX * q, _SIGMA_SHARE, _MAX_SHIFT_PX, _HIDDEN_PX * q, _HIDDEN_SHARE),
     )
 

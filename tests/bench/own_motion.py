@@ -65,7 +65,7 @@ class Score:
 
 
 def measure(given: dict[str, Any], picture: Path | None = None) -> Score:
-    """Follow a rendered scene, and score what was found; draw the last frame if asked to."""
+    """Follow a rendered scene, and score what was found; draw the frame with the largest object."""
     settings = SimulateSettings(**{**_USUAL, **given})
     score = Score([0, 0], [0, 0], 0.0, PoseReport(0, *[float("nan")] * 7))
     shots = list(render_scene(settings))
@@ -73,18 +73,21 @@ def measure(given: dict[str, Any], picture: Path | None = None) -> Score:
         StereoFrame(index, index, index / settings.frame_rate, shot.left, shot.right)
         for index, shot in enumerate(shots)
     ]
-    poses, false, result = [], 0, None
+    poses, false, shown, largest = [], 0, None, -1
     for shot, result in zip(
         shots, process(frames, None, settings.rig, "auto", extras=()), strict=True
     ):
         assert result.pose is not None
         poses.append(result.pose)
+        area = max((each.width * each.height for each in result.objects), default=0)
+        if picture is not None and area > largest:
+            shown, largest = result, area
         if result.frame.index >= _FIRST_FRAME:
             false += _scored(score, result, shot.mover)
     score.false = false / max(len(shots) - _FIRST_FRAME, 1)
     score.path = compare(_matrices(poses), _matrices([shot.pose.rig_pose for shot in shots]))
-    if picture is not None and result is not None:
-        cv2.imwrite(str(picture), drawn(result))
+    if picture is not None and shown is not None:
+        cv2.imwrite(str(picture), drawn(shown))
     return score
 
 
@@ -145,9 +148,7 @@ def main(args: Sequence[str]) -> None:
     """Print a table, a row for each scene."""
     parser = argparse.ArgumentParser(prog="bench own_motion", description=__doc__)
     parser.add_argument("--scenes", nargs="+", choices=SCENES, default=list(SCENES))
-    parser.add_argument(
-        "--picture", type=Path, help="PNG file for the last frame of the last scene"
-    )
+    parser.add_argument("--picture", type=Path, help="PNG file for a frame of the last scene")
     given = parser.parse_args(args)
     rows = []
     for name in tqdm(given.scenes, disable=None):
