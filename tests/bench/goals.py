@@ -16,9 +16,10 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
+import numpy as np
 from tqdm import tqdm
 
-from bench import depth, drive, house, objects, speed
+from bench import depth, drive, house, objects, own_motion, speed
 from bench import map as maps
 from bench.markdown import table
 from motionstereo_cli.simulate.settings import DriveSettings, SimulateSettings
@@ -169,6 +170,19 @@ def _of_map(_: Sequence[Goal], quick: bool) -> dict[str, float]:
     return figures
 
 
+def _of_own_motion(_: Sequence[Goal], quick: bool) -> dict[str, float]:
+    """Shares found and false rows a frame over held-out streets; drift in % of their worst."""
+    size: dict[str, object] = {"frames": "6", "width": 160, "height": 120} if quick else {}
+    names = [name for name in own_motion.SCENES if name.startswith("held-out street")]
+    scores = [own_motion.measure(own_motion.SCENES[name] | size) for name in names]
+    sums = {size: np.sum([getattr(s, size) for s in scores], axis=0) for size in ("large", "small")}
+    return {
+        **{f"streets | {size} found": found / max(all_, 1) for size, (found, all_) in sums.items()},
+        "streets | false rows a frame": float(np.mean([score.false for score in scores])),
+        "streets | drift": max(score.path.drift_percent for score in scores),
+    }
+
+
 #: By name: rows that want it, and whether it is only to be tried, to figures by key.
 MEASURES: dict[str, Callable[[Sequence[Goal], bool], dict[str, float]]] = {
     "house": _of_house,
@@ -178,6 +192,7 @@ MEASURES: dict[str, Callable[[Sequence[Goal], bool], dict[str, float]]] = {
     "objects": _of_objects,
     "drive": _of_drive,
     "map": _of_map,
+    "own_motion": _of_own_motion,
 }
 
 
