@@ -27,11 +27,17 @@ from motionstereo_cli.method.settings import Settings
 from motionstereo_cli.sinks.drawing import depth_colours
 from motionstereo_cli.sinks.legend import strip
 from motionstereo_cli.sinks.outputs import OUTPUTS
-from motionstereo_cli.sinks.preview import heading_text, preview_picture, with_heading
+from motionstereo_cli.sinks.preview import (
+    heading_text,
+    mover_text,
+    preview_picture,
+    with_heading,
+    with_movers,
+)
 from motionstereo_cli.sinks.scale import DepthScale, measured_ends
 from motionstereo_cli.sinks.settings import OutputSettings
 from motionstereo_cli.sinks.sink import RunContext
-from motionstereo_cli.types import FrameResult, Rig, Steering, StereoFrame
+from motionstereo_cli.types import FrameResult, MovingObject, Rig, Steering, StereoFrame
 
 HEIGHT, WIDTH = 60, 96
 RIG = Rig(width=WIDTH, height=HEIGHT, focal_px=100, baseline_m=0.1, cx=47.5, cy=29.5)
@@ -172,6 +178,25 @@ def test_the_preview_has_three_panels_and_the_heading(tmp_path):
     green = with_arrow[body, :, 1] - with_arrow[body, :, 0] > 60
     assert green[:, : WIDTH // 2 + 4].sum() > 20
     assert not (without[body, :WIDTH, 1] - without[body, :WIDTH, 0] > 60).any()
+
+
+def test_what_moves_by_itself_has_a_box_with_its_figures():
+    view = np.zeros((120, 320, 3), np.uint8)
+    mover = MovingObject(7, 40, 60, 50, 30, 2.0, 1.0, 1.5, 0.9, velocity_mps=(0.6, 0.8))
+    drawn = with_movers(view, [mover], 0.5)
+    assert not view.any()
+    rows, columns = np.nonzero(drawn[:, :, 0] == 255)
+    box = drawn[30:45, 20:45]
+    assert (box[-1, :, 0] == 255).all()
+    assert (box[:, [0, -1], 0] == 255).all()
+    assert not box[4:-4, 4:-4].any()
+    assert columns.min() >= 18
+    assert rows.min() < 20  # its figures are above it
+    assert mover_text(mover) == "7  1.0 m/s  1.5 s"
+    passed = dataclasses.replace(mover, by_itself=False)
+    assert with_movers(view, [passed], 0.5) is view
+    for x, y in ((0, 0), (600, 0), (600, 230), (0, 230)):  # labels stay within the view
+        assert with_movers(view, [dataclasses.replace(mover, x=x, y=y)], 0.5).any()
 
 
 def test_wide_panels_are_made_smaller():

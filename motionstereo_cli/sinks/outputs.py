@@ -279,13 +279,16 @@ OUTPUTS = {
     ),
     "preview": Output(
         "preview.mp4",
-        "to show to others: reference view with the heading as an arrow, charge and depth beside "
+        "to show to others: reference view with the heading as an arrow and what moves "
+        "by itself in boxes (id, speed over ground, time to contact), charge and depth beside "
         "each other, with scale and time; panels of at most 640 px",
         "videos.preview",
         shows_colours=True,
         takes="step",
         shows_images=True,
         shows_scale=True,
+        needs_objects=True,
+        needs_movers=True,
     ),
     "report": Output(
         "report.html",

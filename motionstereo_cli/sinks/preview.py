@@ -9,7 +9,14 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
-from motionstereo_cli.files.lettering import DARK, GAP_PX, titled
+from motionstereo_cli.files.lettering import (
+    DARK,
+    GAP_PX,
+    Label,
+    lettered,
+    text_width,
+    titled,
+)
 from motionstereo_cli.sinks.drawing import depth_picture, depth_scale, grey_picture
 from motionstereo_cli.sinks.legend import strip, time_text
 
@@ -17,10 +24,13 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from motionstereo_cli.sinks.sink import RunContext
-    from motionstereo_cli.types import Steering, Step
+    from motionstereo_cli.types import MovingObject, Steering, Step
 
 #: Wider panels are scaled down to this, in px.
 _MAX_WIDTH_PX = 640
+
+#: Colours of boxes by time to contact in s, RGB.
+_URGENT = ((2, (255, 95, 95)), (5, (255, 190, 70)), (math.inf, (110, 215, 255)))
 
 #: Colours of the heading by status, RGB.
 _ARROWS = {"ok": (60, 200, 110), "held": (240, 180, 40)}
@@ -30,8 +40,10 @@ def preview_picture(step: Step, stream: RunContext) -> NDArray[np.uint8]:
     """Return view with heading, charge and depth side by side, with titles and scale, RGB."""
     images = step.images
     assert images is not None
+    view = _small(grey_picture(images.look))
+    view = with_movers(view, step.objects, view.shape[1] / images.look.shape[1])
     panels = [
-        with_heading(_small(grey_picture(images.look)), step.steering),
+        with_heading(view, step.steering),
         _small(grey_picture(images.charge)),
         _small(depth_picture(images, stream)),
     ]
@@ -57,6 +69,56 @@ def framed(
     below = strip(end, depth_scale(stream), text, begin=begin)
     rest = np.full((len(below), picture.shape[1] - end, 3), DARK.ground, np.uint8)
     return np.concatenate([picture, np.concatenate([below, rest], axis=1)])
+
+
+def with_movers(
+    view: NDArray[np.uint8], objects: Sequence[MovingObject], scale: float
+) -> NDArray[np.uint8]:
+    """Return a view, RGB, with a box around each object that moves by itself, or may do so.
+
+    Above it are its id, its speed over ground and its time to contact, as far as they are known.
+
+    Args:
+        view: (height, width, 3) uint8.
+        objects: with boxes in px of the view before it was made smaller.
+        scale: how many times smaller it is.
+    """
+    shown = [each for each in objects if each.by_itself is not False]
+    if not shown:
+        return view
+    picture, labels = view.copy(), []
+    height, width = view.shape[:2]
+    size_px = max(10, round(width / 45))
+    for each in shown:
+        left, top = round(each.x * scale), round(each.y * scale)
+        right, bottom = (
+            round((each.x + each.width) * scale) - 1,
+            round((each.y + each.height) * scale) - 1,
+        )
+        colour = _colour(each.time_to_contact_s)
+        cv2.rectangle(picture, (left, top), (right, bottom), colour, max(2, width // 240))
+        text = mover_text(each)
+        wide = round(text_width(text, size_px)) + 4
+        left = max(min(left, width - wide), 0)
+        foot = top if top >= size_px + 2 else min(bottom + size_px + 3, height - 1)
+        cv2.rectangle(picture, (left, foot - size_px - 2), (left + wide, foot), colour, -1)
+        labels.append(Label(left + 2, foot - size_px / 2 - 1, text))
+    return lettered(picture, labels, size_px=size_px, colour=(0, 0, 0))
+
+
+def mover_text(each: MovingObject) -> str:
+    """Return id, speed over ground and time to contact of an object in words."""
+    words = [f"{each.id}"]
+    if each.velocity_mps is not None:
+        words.append(f"{math.hypot(*each.velocity_mps):.1f} m/s")
+    if each.time_to_contact_s is not None:
+        words.append(f"{each.time_to_contact_s:.1f} s")
+    return "  ".join(words)
+
+
+def _colour(contact_s: float | None) -> tuple[int, int, int]:
+    """Return the colour of a time to contact, RGB."""
+    return next(colour for limit_s, colour in _URGENT if (contact_s or math.inf) <= limit_s)
 
 
 def with_heading(view: NDArray[np.uint8], steering: Steering) -> NDArray[np.uint8]:
