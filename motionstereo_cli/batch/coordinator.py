@@ -17,6 +17,7 @@ from collections import Counter, deque
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from msgspec import structs
@@ -62,6 +63,7 @@ def run_batch(
     retry_failed: bool = False,
     pieces: int | None = None,
     detach: bool = False,
+    more: Mapping[str, Any] = MappingProxyType({}),
 ) -> list[Status]:
     """Process recordings, and return the status of each, in order.
 
@@ -77,6 +79,7 @@ def run_batch(
         pieces: into how many pieces each recording is cut; None: as many as keep all workers busy
             if there are fewer recordings than workers and they can be cut.
         detach: leave the tasks to the scheduler and return; recordings are not cut.
+        more: added to each task.
 
     Raises:
         SettingsError: a recording cannot be done in pieces, and pieces were asked for.
@@ -87,7 +90,7 @@ def run_batch(
     read = [Path(name) for plan in plans.values() for name in plan.inputs]
     with locked(out):
         claim(out, (*inputs, *filter(os.path.exists, read)))
-        ledger = Ledger(plans, out, watcher, "batch")
+        ledger = Ledger(plans, out, watcher, "batch", more)
         waiting = [name for name in plans if ledger.to_do(name, retry_failed=retry_failed)]
         if waiting:
             pieces = 1 if detach else pieces
@@ -279,6 +282,7 @@ class _Batch:
             "pieces": item.pieces if item.piece is None else None,
             "seek": item.seek,
             "builds": self._builds,
+            **self._ledger.more,
         }
         # Dask keeps statistics for each prefix of keys. What an earlier client has left on the
         # scheduler has the same key, and is not done twice.

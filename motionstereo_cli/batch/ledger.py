@@ -15,6 +15,7 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from motionstereo_cli.batch.own_folder import TABLE, claim, ended_path, read_status, write_status
@@ -54,11 +55,18 @@ class Ledger:
         out: folder of the batch.
         watcher: receives the progress.
         log: name of the file of JSON lines.
+        more: added to each task.
     """
 
     def __init__(
-        self, plans: Mapping[str, RunPlan], out: Path, watcher: BatchWatcher, log: str
+        self,
+        plans: Mapping[str, RunPlan],
+        out: Path,
+        watcher: BatchWatcher,
+        log: str,
+        more: Mapping[str, Any] = MappingProxyType({}),
     ) -> None:
+        self.more = more
         self.out, self.watcher, self.plans = out, watcher, plans
         self.known = {name: read_status(out, name, watcher.say) for name in plans}
         self._log = log
@@ -80,7 +88,9 @@ class Ledger:
         if known.status == "waiting":
             return True
         same = known.plan == self.task_of(name)[1]
-        if same and known.status in DONE and (self.out / name / _RECORD).is_file():
+        # To a store, the status goes after the results.
+        kept = self.more.get("store") or (self.out / name / _RECORD).is_file()
+        if same and known.status in DONE and kept:
             return False
         return retry_failed or not (same and known.status in FAILED)
 
@@ -136,6 +146,7 @@ def statuses_of(plans: Mapping[str, RunPlan], out: Path, watcher: BatchWatcher) 
 
 
 def _hash(plan: Mapping[str, Any]) -> str:
-    # Speed and the replacement of earlier results do not change the results.
-    said = {key: value for key, value in plan.items() if key not in ("jobs", "resume", "overwrite")}
+    # What does not change the results: speed, what is replaced, and where a batch is worked on.
+    other = ("jobs", "resume", "overwrite", "out")
+    said = {key: value for key, value in plan.items() if key not in other}
     return hashlib.sha256(json.dumps(said, sort_keys=True).encode()).hexdigest()[:16]

@@ -14,7 +14,8 @@ from pathlib import Path, PurePosixPath
 
 from motionstereo_cli.batch.own_folder import OWN, TABLE
 from motionstereo_cli.errors import InputError, MotionStereoError
-from motionstereo_cli.files.reading import MAX_RECORD_BYTES, read_text
+from motionstereo_cli.files.reading import MAX_RECORD_BYTES, as_text, read_text
+from motionstereo_cli.files.store import Store, address_of
 from motionstereo_cli.params import near_match
 from motionstereo_cli.report import PAGE
 from motionstereo_cli.rig.settings import NO_RIG
@@ -53,8 +54,28 @@ class ManifestRow:
     place: str
 
 
+def _text_of(path: str | Path) -> str:
+    address = address_of(path)
+    if address is None:
+        return read_text(path, "the manifest", MAX_RECORD_BYTES)
+    content = Store(address).read("", MAX_RECORD_BYTES)
+    if content is None:
+        raise InputError(f"there is no manifest {address}")
+    return as_text(content)
+
+
+def _beside(manifest: str | Path, name: str) -> str:
+    """Return a path or an address that is relative to that of a manifest."""
+    above = address_of(manifest)
+    if address := address_of(name):
+        return address
+    if above is None or Path(name).is_absolute():
+        return str(Path(manifest).parent / name)
+    return f"{above.rpartition('/')[0]}/{name}"
+
+
 def read_manifest(
-    path: Path, options: Mapping[str, bool], files: Collection[str]
+    path: str | Path, options: Mapping[str, bool], files: Collection[str]
 ) -> list[ManifestRow]:
     """Read a manifest: CSV with a header, one row per recording, paths relative to the manifest.
 
@@ -66,7 +87,7 @@ def read_manifest(
     Raises:
         InputError: the table cannot be used; its notes list all that is wrong.
     """
-    text = read_text(path, "the manifest", MAX_RECORD_BYTES)
+    text = _text_of(path)
     lines = csv.reader(io.StringIO(text, newline=""))
     try:
         rows = list(lines)
@@ -99,7 +120,7 @@ def read_manifest(
         flags = [name for name in row if options.get(name) and row[name].lower() not in _FLAGS]
         wrong += [f"{place}: {name} cannot be {row[name]!r}: give yes or no" for name in flags]
         if not wrong:
-            entries.append(_entry(row, place, path.parent, options, files))
+            entries.append(_entry(row, place, path, options, files))
     if not entries and not wrong:
         wrong = [f"{path} names no recording: give a row for each"]
     _refuse(path, wrong)
@@ -109,7 +130,7 @@ def read_manifest(
 def _entry(
     row: Mapping[str, str],
     place: str,
-    folder: Path,
+    manifest: str | Path,
     options: Mapping[str, bool],
     files: Collection[str],
 ) -> ManifestRow:
@@ -124,8 +145,8 @@ def _entry(
         for value in values:
             shown = value.strip()
             is_file = name in files and Path(shown) != NO_RIG
-            arguments += [f"--{name}", str(folder / shown) if is_file else shown]
-    inputs = [str(folder / row[name]) for name in ("left", "right") if name in row]
+            arguments += [f"--{name}", _beside(manifest, shown) if is_file else shown]
+    inputs = [_beside(manifest, row[name]) for name in ("left", "right") if name in row]
     return ManifestRow(str(PurePosixPath(row["out"])), tuple(arguments), tuple(inputs), place)
 
 
@@ -211,7 +232,8 @@ def plans(
 
 
 def _there(path: str) -> bool:
-    return os.path.exists(path) or bool(glob.glob(path))
+    # What a store has is seen when it is fetched.
+    return bool(address_of(path)) or os.path.exists(path) or bool(glob.glob(path))
 
 
 class _Names:

@@ -19,6 +19,7 @@ from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wai
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from msgspec import structs
@@ -88,6 +89,7 @@ def run_shard(
     inputs: Iterable[Path] = (),
     retry_failed: bool = False,
     workers: int | None = None,
+    more: Mapping[str, Any] = MappingProxyType({}),
 ) -> list[Status]:
     """Process the recordings of a shard, return their statuses, and write the table of all.
 
@@ -99,6 +101,7 @@ def run_shard(
         inputs: further files that are read, and must not be written to.
         retry_failed: also process recordings that failed or were lost.
         workers: processes; None: as many as cores.
+        more: added to each task.
 
     Raises:
         InputError: another shard ran with other versions.
@@ -109,7 +112,7 @@ def run_shard(
     with locked(out, shared=True):
         claim(out, (*inputs, *(path for path in read if path.exists())))
         with locked(shard_path(out, shard.name)):
-            ledger = Ledger(plans, out, watcher, f"shard-{shard.name}")
+            ledger = Ledger(plans, out, watcher, f"shard-{shard.name}", more)
             waiting = [
                 name
                 for name in plans
@@ -146,6 +149,7 @@ def _process(ledger: Ledger, names: Iterable[str], workers: int) -> None:
                 "name": name,
                 "hash": known_as,
                 **{"piece": None, "pieces": None, "seek": True},
+                **ledger.more,
             }
             under_way[worker.submit(_work, task)] = worker, name, trial
 

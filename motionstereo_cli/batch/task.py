@@ -15,6 +15,7 @@ from msgspec import structs
 
 from motionstereo_cli.batch.own_folder import open_log_of, pieces_path, write_status
 from motionstereo_cli.batch.pieces import Piece, join_pieces, run_piece
+from motionstereo_cli.batch.stored import at_hand, put_back, put_status
 from motionstereo_cli.errors import BusyError, MotionStereoError, shortage
 from motionstereo_cli.files.folders import check_no_links
 from motionstereo_cli.runs.cores import prepare
@@ -44,7 +45,8 @@ def work(
             ``name``, and ``hash`` of the plan. ``piece``: the first frame of a piece and the one
             after its last; ``pieces``: all of them, to be joined; None for a whole recording.
             ``seek``: whether a piece may begin at a seek. ``tell_s``: minimum time between two
-            reports of progress.
+            reports of progress. ``store``: address where the results go, and ``fetch_bytes``: the
+            most that is fetched of inputs that are addresses.
         tell: called at intervals with the number of frames done.
         stops: called at intervals; whether to leave a checkpoint and end.
     """
@@ -64,7 +66,7 @@ def work(
 
         started_s = time.monotonic()
         try:
-            plan = RunPlan.of_json(task["plan"])
+            whole = RunPlan.of_json(task["plan"])
             home = pieces_path(out, task["name"])
             for path in (out / task["name"], home):
                 check_no_links(path, out)
@@ -72,11 +74,14 @@ def work(
             tells = tell if pieces is None else lambda _: None
             pulse = Pulse(stops, tells, task.get("tell_s", LOOK_S))
             watcher = Watcher(say, progress=pulse)
-            if piece is not None:
-                run_piece(plan, Piece(*piece), home, watcher, seek=task["seek"])
-                return
-            joined = None if pieces is None else [Piece(*each) for each in pieces]
-            report = _run(plan, joined, home, watcher)
+            with at_hand(whole, task) as plan:
+                if piece is not None:
+                    run_piece(plan, Piece(*piece), home, watcher, seek=task["seek"])
+                    return
+                joined = None if pieces is None else [Piece(*each) for each in pieces]
+                report = _run(plan, joined, home, watcher)
+            if not report.interrupted:
+                put_back(task)
             status = _ended(status, report)
             for line in report.damage:
                 say("warning", line)
@@ -92,6 +97,7 @@ def work(
         status = structs.replace(status, seconds=seconds)
         say("note" if not status.reason else "error", f"{status.status} {status.reason}".strip())
     write_status(out, status)
+    put_status(task)
 
 
 def _run(plan: RunPlan, pieces: Sequence[Piece] | None, home: Path, watcher: Watcher) -> RunReport:

@@ -134,6 +134,18 @@ class _BatchCommand(GroupedCommand):
     help="Process nothing: write the table batch.csv, and print how many recordings are done.",
 )
 @click.option(
+    "--fetch-mb",
+    type=Count(1, 10_000_000),
+    default=50_000,
+    show_default=True,
+    help="Maximum size of what is fetched of a recording whose paths are addresses.  [MB]",
+)
+@click.option(
+    "--scratch",
+    type=click.Path(file_okay=False, path_type=Path),
+    help="Folder to work in where OUT is in a store.  [default: one among the temporary files]",
+)
+@click.option(
     "--retry-failed", is_flag=True, help="Also process recordings that failed or were lost."
 )
 @click.option(
@@ -159,6 +171,8 @@ def batch(
     detach: bool,
     only_status: bool,
     dry_run: bool,
+    fetch_mb: int,
+    scratch: Path | None,
     **cluster: Any,
 ) -> int:
     """Process many recordings in parallel, on this machine or on a cluster.
@@ -169,32 +183,30 @@ def batch(
     the command line apply to all recordings, those in a row to its recording. Run the same command
     again to process what is not done yet.
     """
-    from motionstereo_cli.batch.ledger import BatchWatcher, statuses_of
+    from motionstereo_cli.batch.ledger import BatchWatcher
     from motionstereo_cli.batch.manifest import plans
+    from motionstereo_cli.batch.stored import kept
 
     shared, inputs = _apart(given)
-    found = plans(_entries(inputs, shared), out, plan_of)
+    entries = _entries(inputs, shared)
     if dry_run:
-        return _tried_out(found)
-    with _bar(len(found)) as bar:
+        return _tried_out(plans(entries, out, plan_of))
+    with kept(out, scratch) as (place, address), _bar(len(entries)) as bar:
+        found = plans(entries, place, plan_of)
 
         def ended(status: Status) -> None:
             bar.update()
             _say_ended(status, as_json=as_json, quiet=not bar.disable)
 
         watcher = BatchWatcher(say, lambda frames: bar.set_postfix_str(bar.more(frames)), ended)
-        if only_status:
-            return _summarise(statuses_of(found, out, watcher), out)
         more = {
             "inputs": [Path(name) for name in inputs if Path(name).is_file()],
             "retry_failed": retry_failed,
+            "more": {"store": address, "fetch_bytes": 1_000_000 * fetch_mb},
         }
+        asked = {"shard": shard, "detach": detach, "pieces": pieces, "status": only_status}
         try:
-            if shard is not None:
-                statuses = _share(shard, found, out, watcher, detach, pieces, cluster, more)
-            else:
-                more |= {"pieces": pieces, "detach": detach}
-                statuses = _whole(found, out, watcher, cluster, more)
+            statuses = _processed(found, place, watcher, cluster, asked, more)
         except KeyboardInterrupt:
             again = "run the same command again to continue"
             say("error", f"interrupted: {again}; see {out / 'batch.csv'}")
@@ -202,7 +214,26 @@ def batch(
     if detach:
         say("note", f"the scheduler has the work; --status shows it; see {out / 'batch.csv'}")
         return 0
-    return _summarise(statuses, out)
+    return _summarise(statuses, address or out)
+
+
+def _processed(
+    found: Mapping[str, RunPlan],
+    out: Path,
+    watcher: BatchWatcher,
+    cluster: dict[str, Any],
+    asked: Mapping[str, Any],
+    more: dict[str, Any],
+) -> list[Status]:
+    """Process a share, or all, or only look."""
+    from motionstereo_cli.batch.ledger import statuses_of
+
+    if asked["status"]:
+        return statuses_of(found, out, watcher)
+    if asked["shard"] is not None:
+        return _share(asked, found, out, watcher, cluster, more)
+    more |= {"pieces": asked["pieces"], "detach": asked["detach"]}
+    return _whole(found, out, watcher, cluster, more)
 
 
 def _tried_out(found: Mapping[str, RunPlan]) -> int:
@@ -236,30 +267,30 @@ def _whole(
 
     tls = {key: given.pop(f"tls_{key}") for key in ("ca", "cert", "key")}
     cluster = Cluster(**given, tls={key: value for key, value in tls.items() if value})
+    if more["more"]["store"] and not cluster.local:
+        raise click.UsageError("OUT in a store needs --shard, or workers of this machine")
     if more["detach"] and cluster.local:
         raise click.UsageError("--detach needs --scheduler: workers of this command end with it")
     return run_batch(found, out, cluster, watcher, **more)
 
 
 def _share(
-    shard: str,
+    asked: Mapping[str, Any],
     found: Mapping[str, RunPlan],
     out: Path,
     watcher: BatchWatcher,
-    detach: bool,
-    pieces: int | None,
     given: Mapping[str, Any],
     more: Mapping[str, Any],
 ) -> list[Status]:
     from motionstereo_cli.batch.shard import Shard, run_shard
 
     scheduled = [name for name, value in given.items() if value and name != "workers"]
-    scheduled += ["detach"] * detach + ["pieces"] * (pieces is not None)
+    scheduled += [name for name in ("detach", "pieces") if asked[name]]
     if scheduled:
         flag = scheduled[0].replace("_", "-")
         raise click.UsageError(f"--shard works without a scheduler: leave --{flag} out")
     workers = given["workers"]
-    return run_shard(found, out, Shard.parse(shard), watcher, workers=workers, **more)
+    return run_shard(found, out, Shard.parse(asked["shard"]), watcher, workers=workers, **more)
 
 
 def _apart(given: Sequence[str]) -> tuple[list[str], list[str]]:
@@ -305,7 +336,7 @@ def _entries(inputs: Sequence[str], shared: Sequence[str]) -> list[ManifestRow]:
             if flag.startswith("--") and option.name not in ("out", "overwrite", "resume")
         }
         found = read_manifest(
-            Path(inputs[0]),
+            inputs[0],
             {name: option.is_flag for name, option in options.items()},
             {name for name, option in options.items() if isinstance(option.type, click.Path)},
         )
@@ -346,7 +377,7 @@ def _say_ended(status: Status, *, as_json: bool, quiet: bool) -> None:
         say("note", f"{status.name}: {status.status}, {status.frames} frames")
 
 
-def _summarise(statuses: Sequence[Status], out: Path) -> int:
+def _summarise(statuses: Sequence[Status], out: Path | str) -> int:
     """Print a summary and return the exit code."""
     counts = {
         name: sum(status.status == name for status in statuses)
@@ -354,7 +385,7 @@ def _summarise(statuses: Sequence[Status], out: Path) -> int:
     }
     said = ", ".join(f"{count} {name}" for name, count in counts.items())
     number = "1 recording" if len(statuses) == 1 else f"{len(statuses)} recordings"
-    say("note", f"{number}: {said}; see {out / 'batch.csv'}")
+    say("note", f"{number}: {said}; see {out}/batch.csv")
     if counts.keys() - {"done", "damaged"}:
         return 1
     return DAMAGED_EXIT_CODE if "damaged" in counts else 0

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import os
+import shutil
 from collections.abc import Iterable
 from itertools import groupby
 from pathlib import Path
@@ -96,6 +97,18 @@ def _remove_in(folder: int, files: Iterable[Path]) -> None:
     for path in files:
         with contextlib.suppress(FileNotFoundError):
             os.unlink(path.name, dir_fd=folder)
+
+
+def remove_tree(folder: Path, root: Path) -> None:
+    """Remove a folder of results with all that is in it, if it is there; no link is followed.
+
+    Raises:
+        OutputError: it cannot be removed, or below ``root`` a link stands in its place or above.
+    """
+    check_no_links(folder, root)
+    with reported(folder):
+        if folder.is_dir():
+            shutil.rmtree(folder)
 
 
 def remove_empty(folder: Path) -> None:

@@ -31,7 +31,7 @@ from motionstereo_cli.runs.plan import RunPlan
 from motionstereo_cli.runs.run import Watcher
 from motionstereo_cli.simulate.settings import SimulateSettings
 
-WORKERS = 2
+WORKERS, _SHARDS = 2, 4
 _COMMAND = (sys.executable, "-m", "motionstereo_cli")
 _PATIENCE_S = 600.0
 _PR_SET_CHILD_SUBREAPER = 36
@@ -195,6 +195,29 @@ def many(clip: Clip, size: Size, folder: Path) -> Iterator[Row]:
     parts = [cost.rss_mb[round(share * (len(cost.rss_mb) - 1))] for share in (0.2, 0.5, 0.95)]
     shown = ", ".join(f"{each:.0f}" for each in parts)
     yield f"{what}: client and scheduler, after 20, 50, 95 %", f"{shown} MB", "flat"
+
+
+def shards(clip: Clip, size: Size, folder: Path) -> Iterator[Row]:
+    """Compare shards without a scheduler with one batch of as many workers."""
+    names = [f"{n % 100:02d}/{n:05d}" for n in range(size.tiny)]
+    manifest = _manifest(folder / "s.csv", [(*clip.paths, clip.rig_file, name) for name in names])
+    options = ("--save", "steering", "--no-check")
+    share = (*_COMMAND, "batch", manifest, "-o", folder / "shares", "--workers", 1, *options)
+    xargs = ("xargs", "-P", _SHARDS, "-I{}", *share, "--shard", f"{{}}/{_SHARDS}")
+    mine = Started(xargs, "".join(f"{index}\n" for index in range(_SHARDS))).watch()
+    whole = (*_COMMAND, "batch", manifest, "-o", folder / "one", "--workers", _SHARDS, *options)
+    theirs = Started(whole).watch()
+    same = sum(_same(folder / "one" / name, folder / "shares" / name) for name in names)
+    for what, one, other in (
+        ("processor time", mine.cpu_s, theirs.cpu_s),
+        ("time", mine.wall_s, theirs.wall_s),
+    ):
+        yield (
+            f"{size.tiny} recordings in {_SHARDS} shards, against a batch of {_SHARDS} workers: "
+            f"{what}",
+            f"{one:.1f} s to {other:.1f} s: {one / other:.2f}, {same} with the same bytes",
+            "1.0, the same bytes",
+        )
 
 
 def sleepers(clip: Clip, size: Size, folder: Path) -> Iterator[Row]:
@@ -361,7 +384,7 @@ def main(args: list[str]) -> int:
     parser = argparse.ArgumentParser(prog="bench batch", description=__doc__)
     parser.add_argument("--quick", action="store_true", help="small sizes, in about a minute")
     parser.add_argument(
-        "--trials", default="clips,tiny,sleepers,hard,pieces,join", help="which, by name"
+        "--trials", default="clips,tiny,shards,sleepers,hard,pieces,join", help="which, by name"
     )
     given = parser.parse_args(args)
     size = QUICK if given.quick else FULL
@@ -373,6 +396,7 @@ def main(args: list[str]) -> int:
             "clips": lambda: side_by_side(_clip(folder / "c", size.clip_frames), size, folder),
             "tiny": lambda: many(_clip(folder / "t", 5, 64, 48), size, folder),
             "hard": lambda: hard(_clip(folder / "h", size.clip_frames), size, folder),
+            "shards": lambda: shards(_clip(folder / "d", 5, 64, 48), size, folder),
             "sleepers": lambda: sleepers(_clip(folder / "s", 5, 64, 48), size, folder),
             "pieces": lambda: cut(_long(folder / "p", size.long_frames), size, folder),
             "join": lambda: joining(_long(folder / "j", size.join_frames), size, folder),
