@@ -581,3 +581,11 @@ def test_a_drive_finds_the_walls():
     lines = bench.summary({0: score}).splitlines()
     assert [line.split("|")[1].strip() for line in lines[2:]] == ["0", "mean", "least"]
     assert len({line.count("|") for line in lines}) == 1
+
+
+def test_the_bench_measures_a_map_of_a_street():
+    score = bench.street_score(1, 0.2, frames=8)
+    assert score.occupied > 0.05
+    assert score.right > 0.8
+    assert score.free < 0.1
+    assert score.on_way == 0

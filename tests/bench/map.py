@@ -4,6 +4,9 @@ The robot drives one round, and its map is held against the corridor. Wall count
 :data:`STRETCH_M`; one is *visible* where the right camera, at its own height, had it in view in at
 least one frame, with nothing before it and no farther away than :data:`VIEW_M`; it is *found* where
 an occupied cell lies within :data:`NEAR_M`. A walker is where it was in any frame.
+
+With ``--streets`` a car drives along streets. An obstacle is a cell of :data:`OBSTACLE_M` in which
+the true depth of three frames or more shows what stands 0.3 m to 1.4 m above the road.
 """
 
 from __future__ import annotations
@@ -20,12 +23,16 @@ from tqdm import tqdm
 
 from bench.markdown import table
 from motionstereo_cli.method.settings import Settings
-from motionstereo_cli.robot.mapper import Mapper
+from motionstereo_cli.pipeline import process
+from motionstereo_cli.robot.mapper import Floor, Mapper, camera_points
+from motionstereo_cli.robot.points import in_world
 from motionstereo_cli.simulate.drive import driven
 from motionstereo_cli.simulate.drive_world import DriveWorld, Shot
-from motionstereo_cli.simulate.settings import ROBOT_RADIUS_M, DriveSettings
+from motionstereo_cli.simulate.scenes import render_scene
+from motionstereo_cli.simulate.settings import ROBOT_RADIUS_M, DriveSettings, SimulateSettings
 from motionstereo_cli.simulate.walkers import RADIUS_M
 from motionstereo_cli.sinks.settings import OutputSettings
+from motionstereo_cli.types import StereoFrame
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -37,6 +44,7 @@ SETTINGS = Settings(robot_radius_m=ROBOT_RADIUS_M)
 NEAR_M = 0.25
 VIEW_M = 5.0
 STRETCH_M = 0.1
+OBSTACLE_M = 0.2
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,6 +142,83 @@ def score(settings: DriveSettings, cell_m: float) -> MapScore:
     )
 
 
+@dataclass(frozen=True, slots=True)
+class StreetScore:
+    """How true the map of a street is, as shares.
+
+    Attributes:
+        occupied, free: of the obstacles, those that it says are so.
+        right: of the occupied cells, those within :data:`NEAR_M` of an obstacle.
+        on_way: of the places of the rig, those that it says are occupied.
+    """
+
+    occupied: float
+    free: float
+    right: float
+    on_way: float
+
+
+def street_score(seed: int, cell_m: float, frames: int = 50) -> StreetScore:
+    """Return how true the map of a street is; every other one winds."""
+    settings = SimulateSettings(
+        scene="street",
+        frames=str(frames),
+        width=480,
+        height=240,
+        seed=seed,
+        noise_sigma=1.5,
+        street_winding_deg=25.0 * (seed % 2),
+    )
+    rig, shots = settings.rig, list(render_scene(settings))
+    mapper = Mapper(Settings(), rig, cell_m)
+    seen = [
+        StereoFrame(n, n, n / settings.frame_rate, shot.left, shot.right)
+        for n, shot in enumerate(shots)
+    ]
+    obstacles: dict[tuple[int, int], int] = {}
+    results = process(seen, None, rig, with_objects=False, extras=("depth_m",))
+    for shot, result in zip(shots, results, strict=True):
+        pose = shot.pose.rig_pose
+        assert result.depth_m is not None
+        found = camera_points(result.depth_m, shot.right, result.motion, "right", rig)
+        mapper.add(*found, pose)
+        depth_m = rig.depth_m(np.maximum(shot.disparity_px, 0.01)).astype(np.float32)
+        true, _ = camera_points(depth_m, shot.right, depth_m < VIEW_M * 2, "right", rig)
+        placed = in_world(
+            true,
+            camera_left_m=rig.left_of_middle_m("right"),
+            place_m=(pose.x_m, pose.y_m, pose.z_m),
+            quaternion=(pose.qx, pose.qy, pose.qz, pose.qw),
+        )
+        placed = placed[(placed[:, 2] > 0.3) & (placed[:, 2] < 1.4), :2]
+        cells, points = np.unique(np.floor(placed / OBSTACLE_M), axis=0, return_counts=True)
+        for cell in map(tuple, cells[points >= 6].astype(int).tolist()):
+            obstacles[cell] = obstacles.get(cell, 0) + 1
+    floor = mapper.floor()
+    stands = np.array([cell for cell, count in obstacles.items() if count >= 3], np.float64)
+    stands = (stands.reshape(-1, 2) + 0.5) * OBSTACLE_M
+    way = np.array([(shot.pose.x_m, shot.pose.y_m) for shot in shots])
+    occupied = (np.argwhere(floor.occupied).astype(np.float64) + 0.5) * floor.cell_m + (
+        floor.x_m,
+        floor.y_m,
+    )
+    return StreetScore(
+        occupied=_share(_at(floor.occupied, floor, stands)),
+        free=_share(_at(floor.free, floor, stands)),
+        right=_share(_to_nearest(occupied, stands) <= NEAR_M),
+        on_way=_share(_at(floor.occupied, floor, way)),
+    )
+
+
+def _at(cells: NDArray[np.bool_], floor: Floor, places: Places) -> NDArray[np.bool_]:
+    """Return what cells of a floor plane say at places (n, 2), False outside of it."""
+    index = np.floor((places - (floor.x_m, floor.y_m)) / floor.cell_m).astype(int)
+    inside = ((index >= 0) & (index < cells.shape)).all(axis=1)
+    found = np.zeros(len(places), np.bool_)
+    found[inside] = cells[tuple(index[inside].T)]
+    return found
+
+
 def _share(which: NDArray[np.bool_]) -> float:
     return float(which.mean()) if len(which) else math.nan
 
@@ -180,9 +265,18 @@ def main(args: Sequence[str] | None = None) -> None:
     parser.add_argument("--laps", type=float, default=1.0, help="rounds to drive in each")
     parser.add_argument("--walkers", type=int, default=0, help="walkers in each")
     parser.add_argument("--cell-m", type=float, default=OutputSettings().map_cell_m)
+    parser.add_argument("--streets", action="store_true", help="streets in place of drives")
     given = parser.parse_args(args)
     if given.seeds < 1:
         parser.error("--seeds: give more than 0")
+    if given.streets:
+        shares = ("occupied", "free", "right", "on_way")
+        lines: list[list[object]] = []
+        for seed in tqdm(range(given.seeds), unit="street", disable=None):
+            one = street_score(seed, max(given.cell_m, OBSTACLE_M))
+            lines.append([seed, *(f"{getattr(one, share):.3f}" for share in shares)])
+        print(table(["seed", "obstacles occupied", "free", "right", "occupied on the way"], lines))
+        return
     scores = {
         seed: score(DriveSettings(seed=seed, laps=given.laps, walkers=given.walkers), given.cell_m)
         for seed in tqdm(range(given.seeds), unit="drive", disable=None)
