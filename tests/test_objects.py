@@ -347,9 +347,10 @@ class TestNearestContact:
         assert nearest_contact([]) is None
 
     def way(self, *objects):
-        """Steer before a wall 6 m away that has been seen for long."""
+        """Steer to a wall 6 m away, between others, that has been seen for long."""
         guide, state = MapGuide(Settings(), RIG), None
         near = np.full((HEIGHT, WIDTH), FB / 6, np.float32)
+        near[:, : WIDTH // 8] = near[:, -(WIDTH // 8) :] = FB / 4
         fresh, pose = np.full(near.shape, True), Pose(0, 0, 0, 0, 0, 0, 1)
         seen = guide.profile(near, fresh)
         for number in range(20):
@@ -479,3 +480,13 @@ def test_tracks_and_regions_are_paired_at_the_least_cost(cost):
     assert len(pairs) == columns
     assert len({row for row, _ in pairs}) == len({column for _, column in pairs}) == columns
     assert sum(cost[pair] for pair in pairs) == pytest.approx(best)
+
+
+def test_shadows_on_the_floor_below_a_camera_are_no_objects():
+    """A camera looks down from 2.7 m: a shadow lies on the floor, a head is 1 m above it."""
+    near = np.full((HEIGHT, WIDTH), FB / 2.7, np.float32)
+    moved = np.zeros(near.shape, np.bool_)
+    moved[20:50, 20:50] = moved[60:90, 90:120] = True
+    near[20:50, 20:50] = FB / 1.7
+    found = Tracker(Settings(), RIG).regions(near, moved)
+    assert [round(FB / each.nearness_px, 1) for each in found] == [1.7]

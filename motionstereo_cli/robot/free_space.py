@@ -250,24 +250,29 @@ def _lengths(
     return np.maximum(arc, share * free(slant[:, None] * ahead))
 
 
-def is_level(nearness_px: NDArray[np.float32], strips: int) -> bool:
-    """Return whether one surface across the line of sight fills the view: a wall, or the floor.
+def level_surface(
+    nearness_px: NDArray[np.float32], strips: int, *, min_known: float = 0.0
+) -> float | None:
+    """Return up to which nearness one surface reaches that fills the view, None if none does.
 
-    Then no direction is farther than another.
+    A wall, or the floor for a camera that looks down, lies across the line of sight: then no
+    direction is farther than another.
 
     Args:
         nearness_px: disparity + doffs, (height, width) float32, NaN = unknown.
         strips: number of vertical strips, at most the width.
+        min_known: share of the strips of which something has to be known.
     """
-    far_px = quantiles(nearness_px, 1, _FARTHEST_SHARE, min_share=MIN_KNOWN_SHARE)[0]
-    level_px = np.float32(_LEVEL) * far_px + np.float32(_LEVEL_PX)
+    far_px = float(quantiles(nearness_px, 1, _FARTHEST_SHARE, min_share=MIN_KNOWN_SHARE)[0])
+    level_px = _LEVEL * far_px + _LEVEL_PX
     in_strip = quantiles(nearness_px, strips, _STRIP_SHARE)
-    known = np.count_nonzero(~np.isnan(nearness_px))
+    known, known_strips = (np.count_nonzero(~np.isnan(each)) for each in (nearness_px, in_strip))
+    if not known_strips or known_strips < min_known * strips:
+        return None
     with np.errstate(invalid="ignore"):
-        level = np.count_nonzero(nearness_px < level_px) >= _LEVEL_SHARE * known
-        level_strips = np.count_nonzero(in_strip < level_px)
-    known_strips = np.count_nonzero(~np.isnan(in_strip))
-    return bool(level and known_strips and level_strips >= _LEVEL_STRIPS * known_strips)
+        fills = np.count_nonzero(in_strip < level_px) >= _LEVEL_STRIPS * known_strips
+        is_most = np.count_nonzero(nearness_px < level_px) >= _LEVEL_SHARE * known
+    return level_px if fills and is_most else None
 
 
 def nearest(nearness_px: NDArray[np.float32]) -> float | None:

@@ -30,7 +30,7 @@ from motionstereo_cli.robot.free_space import (
     FreeSpace,
     find_ground,
     free_space,
-    is_level,
+    level_surface,
     nearest,
     way_ahead,
 )
@@ -198,7 +198,7 @@ class ImageGuide:
         strips = min(self.settings.steer_strips, near.shape[1])
         row_px = step[0] * (self.rig.focal_px / self.rig.fy_px if self.rig else 1.0)
         space = free_space(near, ground, strips, row_px=row_px, column_px=step[1])
-        return ImageProfile(space, nearest(near), is_level(near, strips))
+        return ImageProfile(space, nearest(near), level_surface(near, strips) is not None)
 
     def steer(
         self,
@@ -337,7 +337,8 @@ class MapGuide:
         image = None
         if self._is_far_sighted:
             image = ImageGuide(s, self.rig).profile(disparity_px, fresh)
-        level = image.level if image else is_level(thin, min(s.steer_strips, thin.shape[1]))
+        strips = min(s.steer_strips, thin.shape[1])
+        level = image.level if image else level_surface(thin, strips) is not None
         return MapProfile(bearings, nearest(thin), (width, height), level, image)
 
     def steer(

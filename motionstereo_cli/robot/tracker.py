@@ -12,7 +12,7 @@ import numpy as np
 
 from motionstereo_cli.method.settings import Settings
 from motionstereo_cli.robot.approach import MAX_CONTACT_S
-from motionstereo_cli.robot.free_space import MIN_KNOWN_SHARE
+from motionstereo_cli.robot.free_space import MIN_KNOWN_SHARE, level_surface
 from motionstereo_cli.robot.objects import (
     Movement,
     Observation,
@@ -41,6 +41,9 @@ MIN_SEEN = 3
 #: Around what moved by itself, so many px belong to it where their depth does. A region that moves
 #: by itself has at least this share of the image, and this share of its box has been seen to move.
 _AROUND_PX, _MIN_MOVING_SHARE, _MIN_MOVED, _MIN_MOVED_PX = 8, 0.0005, 0.05, 48
+
+#: A surface before which things move is known in at least this share of the view's strips.
+_SURFACE_STRIPS = 0.8
 
 #: What moves by itself is faster than this over ground, and than so many standard deviations.
 _MIN_OVER_GROUND_MPS, _SIGMAS = 0.2, 2.0
@@ -81,7 +84,13 @@ class Tracker:
             fresh: where the disparity shows what is there now, (height, width) bool.
         """
         near = self.rig.nearness_px(disparity_px) if self.rig else disparity_px
-        return regions(near, fresh, MIN_KNOWN_SHARE)
+        found = regions(near, fresh, MIN_KNOWN_SHARE)
+        strips = min(self.settings.steer_strips, near.shape[1])
+        surface_px = level_surface(near, strips, min_known=_SURFACE_STRIPS)
+        if surface_px is None:
+            return found
+        # What moves on a surface that fills the view is a shadow, or its light.
+        return tuple(each for each in found if each.nearness_px > surface_px)
 
     def moving_regions(self, disparity_px: Real, moved: NDArray[np.bool_]) -> tuple[Region, ...]:
         """Return the regions of a frame that moved by themselves, in this frame and the last one.
