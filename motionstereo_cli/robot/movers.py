@@ -30,8 +30,8 @@ Reals = NDArray[np.float64]
 #: as far back, which tells what is far or slow; at most so far.
 _WAY, _SHORT_WAY = 0.02, 0.02
 _FARTHER, GAPS = 3, 6
-#: Where disparity is unknown it is measured at pixels steeper than all in a square of so many px.
-_EDGE_PX, _MIN_SLOPE = 9, 5.0
+#: Where disparity is unknown it is measured at the steepest pixel of each square of so many px.
+_EDGE_PX, _MIN_SLOPE = 8, 2.5
 #: The second best has to be so many times as bad; and its standard deviation at most so large.
 _SECOND_BEST, _MAX_SIGMA_PX = 1.5, 0.3
 #: Levels of the pyramid, each half as large; what differs is looked for in the second one.
@@ -226,12 +226,15 @@ def _filled(now: Moment, eye: Eye) -> Real:
 
 
 def _edges(view: Real, where: NDArray[np.bool_]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return row and column of the steepest pixels of an image, each the steepest around."""
-    slope = np.abs(cv2.Sobel(view, cv2.CV_32F, 1, 0, scale=1 / 8))
-    slope[~where] = 0
-    steepest = slope >= np.asarray(cv2.dilate(slope, np.ones((_EDGE_PX, _EDGE_PX), np.uint8)))
-    row, column = np.nonzero(steepest & (slope > _MIN_SLOPE))
-    return row, column
+    """Return row and column of the steepest pixel in each square of some pixels of an image."""
+    slope = np.where(where, np.abs(cv2.Sobel(view, cv2.CV_32F, 1, 0, scale=1 / 8)), 0)
+    rows, columns = (side // _EDGE_PX for side in slope.shape)
+    squares = slope[: rows * _EDGE_PX, : columns * _EDGE_PX]
+    squares = squares.reshape(rows, _EDGE_PX, columns, _EDGE_PX).swapaxes(1, 2)
+    squares = squares.reshape(rows * columns, _EDGE_PX**2)
+    square = np.flatnonzero(squares.max(axis=1) > _MIN_SLOPE)
+    row, column = np.divmod(squares[square].argmax(axis=1), _EDGE_PX)
+    return square // columns * _EDGE_PX + row, square % columns * _EDGE_PX + column
 
 
 def _shifts(now: Moment, movers: Movers, gap: int, eye: Eye, way_px: float) -> Real:
