@@ -235,7 +235,10 @@ def recipes():
     """The blocks of code of the page of batches that have shards, by what runs them."""
     page = Path(motionstereo_cli.__file__).parent / "docs/batches.md"
     blocks = re.findall(r"^```\w*\n(.*?)^```$", page.read_text(), re.DOTALL | re.MULTILINE)
-    xargs, slurm, job = (block for block in blocks if "--shard" in block)
+    xargs, slurm, job = (
+        next(block for block in blocks if word in block and "--shard" in block)
+        for word in ("xargs", "#SBATCH", "apiVersion")
+    )
     (container,) = yaml.safe_load(job)["spec"]["template"]["spec"]["containers"]
     shell, option, kubernetes = container["command"]
     assert (shell, option) == ("sh", "-c")
