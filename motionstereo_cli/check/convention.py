@@ -1,4 +1,4 @@
-"""By what convention a map of disparity was written: its view and its scale, told by the images."""
+"""The convention of a map of disparity, its view and scale, found from the images."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ import numpy as np
 if TYPE_CHECKING:
     from motionstereo_cli.types import Grey, Real
 
-#: What whole numbers and others stand for 1 px in files of others: KITTI's first. Of fractions of
-#: the width it is 1 / width.
+#: Candidate scales of whole numbers, KITTI's first, and the limit of values that may be fractions
+#: of the width.
 _WHOLE = (256.0, 128.0, 100.0, 64.0, 32.0, 16.0, 8.0, 4.0, 2.0, 1.0)
 _MAX_FRACTION = 1.5
 
-#: Pixels compared in a frame, the least change of grey along a row that they have, and the
-#: difference of grey levels beyond which one is as bad as any.
+#: Pixels compared in a frame, their minimum slope of grey along a row, and the limit of differences
+#: in grey levels.
 _PIXELS, _TEXTURE, _WORST = 5_000, 12.0, 24.0
 #: Fewer than so many tell nothing.
 _MIN_PIXELS = 100
-#: A map of these images differs less than this, or by less than this share of itself inverted.
+#: Maximum difference of a map that fits, or its share of the difference with the other sign.
 _GOOD, _MAX_SHARE = 8.0, 0.65
-#: The other view has to differ by so much more, and everything else if one image is to do.
+#: Factors by which the other view has to differ more, and all others if one image is to suffice.
 _ALIKE, _SURE = 1.02, 1.1
 
 
@@ -32,10 +32,10 @@ class Convention(NamedTuple):
 
     Attributes:
         view: camera whose view the maps are in, ``left`` or ``right``.
-        scale: what they have for 1 px; below 0 where they have other signs.
-        differs: mean difference of grey levels of what corresponds, 0..24.
-        inverted: the same if x in the left view were smaller.
-        sure: whether it is much more with each other view and scale that was tried.
+        scale: value for 1 px; negative if signs are exchanged.
+        differs: mean difference of grey levels of corresponding pixels, 0..24.
+        inverted: the same with the other sign.
+        sure: whether all other views and scales differ much more.
     """
 
     view: str
@@ -46,12 +46,12 @@ class Convention(NamedTuple):
 
     @property
     def fits(self) -> bool:
-        """Whether maps read so may be of these images."""
+        """Whether maps fit these images under this convention."""
         return not (self.differs > _GOOD and self.differs > _MAX_SHARE * self.inverted)
 
 
 def scales_of(values: Real, width: int, *, whole_numbers: bool) -> tuple[float, ...]:
-    """Return what may stand for 1 px in a map as its file has it, the likeliest first.
+    """Return the candidate scales of a map, the likeliest first.
 
     Args:
         values: (height, width) float32, NaN = unknown.
@@ -70,12 +70,12 @@ def scales_of(values: Real, width: int, *, whole_numbers: bool) -> tuple[float, 
 def convention(
     looks: Iterable[tuple[str, Real, Grey, Grey]], scales: Sequence[float]
 ) -> Convention | None:
-    """Return the convention under which the images agree best, None where they tell nothing.
+    """Return the convention under which the images agree best, None if undecided.
 
     Args:
         looks: for each frame and view: the view, the map as its file has it, (height, width)
             float32, NaN = unknown; and the right and the left image, (height, width) uint8.
-        scales: that come into question.
+        scales: the candidates.
     """
     sums: dict[tuple[str, float], list[tuple[float, float]]] = {}
     for view, values, right, left in looks:
@@ -87,7 +87,7 @@ def convention(
         return None
     order = sorted(means, key=lambda key: means[key][0])
     best = order[0]
-    # Where both views agree alike, that of other programs is the left one.
+    # If both views agree equally, other programs mostly use the left one.
     if best[0] == "right" and (left_key := ("left", best[1])) in means:
         best = left_key if means[left_key][0] <= _ALIKE * means[best][0] else best
     differs = means[best][0]
@@ -98,9 +98,9 @@ def convention(
 def _differences(
     view: str, values: Real, scales: Sequence[float], right: Grey, left: Grey
 ) -> list[tuple[float, float]]:
-    """Return by scale the mean difference of grey where a map says that both see the same.
+    """Return by scale the mean difference of grey of corresponding pixels.
 
-    Each with that if disparity had the other sign. None where too little has texture.
+    Each with that for the other sign. Empty with too little texture.
     """
     if view == "left":  # in a mirror, the right one
         right, left = left[:, ::-1], right[:, ::-1]

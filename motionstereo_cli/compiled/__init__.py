@@ -1,9 +1,9 @@
 """Loops over pixels: Python files that Cython compiles when the package is installed.
 
-They are built once for every machine and, on 64-bit Linux PCs, once more for processors of the
-last ten years (x86-64-v3), with the same results to the bit. With ``MOTIONSTEREO_UNCOMPILED=1`` in
-the environment they run as plain Python, a hundred times slower: for tests and for debuggers.
-``MOTIONSTEREO_LOOPS`` names a folder to take them from instead, as ``make sanitize`` does.
+They are built once for every machine and, on 64-bit Linux PCs, once more for processors with
+x86-64-v3, with the same results to the bit. With ``MOTIONSTEREO_UNCOMPILED=1`` in the environment
+they run as plain Python, a hundred times slower: for tests and debuggers. ``MOTIONSTEREO_LOOPS``
+names another folder to load them from, as ``make sanitize`` does.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ _Scalar = TypeVar("_Scalar", bound=np.generic)
 
 HERE = Path(__file__).parent
 
-#: What /proc/cpuinfo calls the instructions of x86-64-v3.
+#: Flags of x86-64-v3 in /proc/cpuinfo.
 V3_FLAGS = {"avx2", "bmi1", "bmi2", "f16c", "fma", "abm", "movbe"}
 
 
 def checksum() -> str:
-    """Return what tells whether the loops have changed since they were compiled."""
+    """Return a checksum of the sources of the loops, which tells whether they were compiled."""
     paths = sorted(path for end in ("py", "pxd", "h") for path in HERE.glob(f"*.{end}"))
     return str(zlib.crc32(b"".join(path.read_bytes() for path in paths)))
 
@@ -44,7 +44,7 @@ def _runs_v3() -> bool:
 
 
 def _folders() -> list[str]:
-    """Return where the loops are: the first that has one is taken."""
+    """Return the folders of the compiled loops; the first that has a loop is used."""
     if elsewhere := os.environ.get("MOTIONSTEREO_LOOPS"):
         return [elsewhere]
     if os.environ.get("MOTIONSTEREO_UNCOMPILED") == "1":
@@ -65,12 +65,12 @@ __path__ = _folders()
 def checked_array(
     array: NDArray[_Scalar], dtype: type[_Scalar], shape: tuple[int, ...] | None = None
 ) -> NDArray[_Scalar]:
-    """Return an image as the loops take it, contiguous in memory: they check no index.
+    """Return an image for the loops, contiguous in memory; they do not check indices.
 
     Args:
         array: (height, width), neither of them 0.
-        dtype: what it has to be of.
-        shape: its height and width, where another image decides them.
+        dtype: its required type.
+        shape: its required height and width, None = any.
 
     Raises:
         InputError: it is anything else.
@@ -87,7 +87,7 @@ def checked_array(
 
 
 def checked_number(name: str, value: int, low: int, high: int = 32767) -> int:
-    """Return a number that a loop or the size of a workspace depends on.
+    """Return a number for a loop or the size of a workspace, after a check of its range.
 
     Raises:
         InputError: it is not within ``low`` and ``high``.

@@ -5,8 +5,8 @@ import numpy as np
 from cython.cimports.libc.math import cos, fabs, isfinite, sin, sqrt
 
 NAN = cython.declare(cython.double, np.nan)
-#: Unknowns of an alignment: place and turn, gain and offset of either view, and the constant error
-#: of disparity. One view has the first six, two of its own, and the last.
+#: Unknowns of an alignment: translation and rotation, gain and offset of both views, and the
+#: constant error of disparity. One view has the first six, two of its own, and the last.
 UNKNOWNS = cython.declare(cython.Py_ssize_t, 11)
 OF_ONE = cython.declare(cython.Py_ssize_t, 9)
 
@@ -37,7 +37,7 @@ class RigLevel:
 @cython.cclass
 @cython.dataclasses.dataclass
 class Weights:
-    """How far residuals are believed; see :mod:`motionstereo_cli.robot.alignment`."""
+    """Weights of residuals; see :mod:`motionstereo_cli.robot.alignment`."""
 
     grey: cython.double
     per_slope: cython.double
@@ -48,14 +48,14 @@ class Weights:
 @cython.cclass
 @cython.dataclasses.dataclass(eq=False)
 class Views:
-    """What is aligned at one level.
+    """The input of an alignment at one level.
 
     Attributes:
-        right, left: the views of now.
+        right, left: the current views.
         points: (n, 4): direction x and y per depth in the right camera, nearness in px of the full
             image, and its standard deviation.
         grey: (n,) of the points in the earlier right view.
-        stride: of so many points one counts.
+        stride: one of so many points is used.
     """
 
     right: cython.const[cython.float][:, ::1]
@@ -67,7 +67,7 @@ class Views:
 
 @cython.cclass
 class Workspace:
-    """What an alignment needs besides input and output, used again and again."""
+    """Reusable buffers of an alignment."""
 
     slopes: cython.double[::1]  # of a residual by the unknowns of one view, and the residual
     one: cython.double[:, ::1]  # normal equations of one view, the right side last
@@ -104,8 +104,8 @@ def align(
     Args:
         views, camera, weights: what is aligned, and how.
         prior: (2, 11) wanted values of the last five unknowns, and information on all.
-        iterations: at most so many.
-        least_step: smaller ones, in px of this level, are the last.
+        iterations: maximum number.
+        least_step: iterations end with a smaller step, in px of this level.
         work: the workspace.
         state: (17,) the motion as a matrix (3, 4), row by row, that takes places before to places
             now; gain and offset of the right and of the left view; constant error of disparity.
@@ -114,7 +114,7 @@ def align(
             NaN = not seen.
 
     Returns:
-        the number of points that the right view sees, -1 where the equations have no solution.
+        the number of points visible in the right view, -1 if the equations have no solution.
     """
     seen: cython.int = 0
     with cython.nogil:
@@ -159,7 +159,7 @@ def equations(
     normal: cython.double[:, ::1],
     residual: cython.float[::1],
 ) -> cython.int:
-    """Fill in the normal equations of both views and what is known before."""
+    """Fill in the normal equations of both views and the prior."""
     i: cython.Py_ssize_t
     side: cython.int
     normal[:, :] = 0
@@ -254,10 +254,10 @@ def look_at(
 ) -> cython.bint:
     """Fill in a point's grey now, its variance, and its slopes by motion and constant error.
 
-    With inverse depth as the scale, a point's place now is R ray + t / depth. False if out of view.
+    With inverse depth as the scale, a point is now at R ray + t / depth. False if out of view.
     """
     aside_m: cython.double = camera.baseline_m if side else 0.0
-    # The left view shows a point by the constant error less far off than nearness says.
+    # In the left view disparity is smaller than nearness by the constant error.
     error: cython.double = -camera.scale if side else 0.0
     inverse: cython.double = (points[p, 2] + m[16]) / camera.focal_baseline
     x: cython.double = points[p, 0]
@@ -281,7 +281,7 @@ def look_at(
     ju: cython.double = gx * camera.focal_x
     jv: cython.double = gy * camera.focal_y
     out: cython.double = ju * x + jv * y
-    # Turns are about the right camera: the point's place from that one.
+    # Rotations are about the right camera: the point relative to it.
     here: cython.double = x - aside_m * per_m
     j: cython.double[::1] = work.slopes
     j[0] = ju * per_m
@@ -394,7 +394,7 @@ def take_step(
     points: cython.const[cython.float][:, ::1],
     work: Workspace,
 ) -> cython.double:
-    """Change the state by ``work.step``; return about how far that moves points, in px."""
+    """Change the state by ``work.step``; return the typical displacement of points, in px."""
     i: cython.Py_ssize_t
     k: cython.Py_ssize_t
     step: cython.double[::1] = work.step

@@ -1,7 +1,7 @@
-"""What lies around each pixel: the loops of :mod:`motionstereo_cli.method.planes` that count.
+"""Counts around each pixel: the counting loops of :mod:`motionstereo_cli.method.planes`.
 
-Two counts are kept in one number, and only their differences are used: it may overflow. Compilers
-make vectors of loops over arrays that are arguments of a function of their own.
+Two counts are kept in one number, which may overflow because only differences are used. Compilers
+vectorise loops over arrays that are arguments of a separate function.
 """
 
 import cython
@@ -79,7 +79,7 @@ def believe(
     source: cython.float[:, ::1],
     weight: cython.uchar[:, ::1],
 ) -> None:
-    """Fill in what planes nearby are fitted to: trails where they are believed, else disparity.
+    """Fill in the samples of planes nearby: trails where they are trusted, else disparity.
 
     Args:
         disparity, trails: px, (rows, width), NaN = unknown.
@@ -170,7 +170,7 @@ def find_moving(
     counts: Counts,
     result: cython.uchar[:, ::1],
 ) -> None:
-    """Fill in where a plane is needed and what is textured around does not rest.
+    """Fill in where a plane is needed and the textured pixels around are not at rest.
 
     Args:
         textured, age, need: of each pixel, (rows, width).

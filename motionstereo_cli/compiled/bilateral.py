@@ -1,7 +1,7 @@
 """A bilateral filter in whole numbers: the loops of :func:`motionstereo_cli.method.dense.smoothed`.
 
-They give the same on every machine. All numbers fit 16 bits, so that compilers make vectors of the
-innermost loops; of loops over arrays only where these are arguments of a function of its own.
+Results are the same on every machine. All numbers fit 16 bits, so that compilers vectorise the
+innermost loops; they do so only for arrays that are arguments of a separate function.
 """
 
 import cython
@@ -18,14 +18,14 @@ BESIDE = cython.declare(cython.ushort, 205)
 DIAGONAL = cython.declare(cython.ushort, 164)
 SECOND = cython.declare(cython.ushort, 105)
 
-#: Makes a number positive, to be rounded down as OpenCV does.
+#: Makes a number positive, so that it is rounded down as in OpenCV.
 SHIFT = cython.declare(cython.float, 256)
 WHOLE = cython.declare(cython.int, 256)
 
 
 @cython.cclass
 class Workspace:
-    """What the filter needs besides input and output, used again for the next image.
+    """Reusable buffers of the filter.
 
     Args:
         width: of the images in px.
@@ -70,7 +70,7 @@ def smooth(
 @cython.inline
 @cython.exceptval(check=False)
 def mirrored(place: cython.int, size: cython.int) -> cython.int:
-    """Return a place within a size; beyond the border the image goes on mirrored."""
+    """Return an index within a size; beyond the border the image is mirrored."""
     place = abs(place)
     place = place if place < size else 2 * size - 2 - place
     return max(place, 0)
@@ -80,7 +80,7 @@ def mirrored(place: cython.int, size: cython.int) -> cython.int:
 @cython.nogil
 @cython.exceptval(check=False)
 def take(view: cython.const[cython.uchar][::1], row: cython.short[::1]) -> cython.void:
-    """Fill in a row and what lies beyond its borders."""
+    """Fill in a row and its continuation beyond the borders."""
     x: cython.int
     width: cython.int = cython.cast(cython.int, view.shape[0])
     for x in range(width):
@@ -99,7 +99,7 @@ def add(
     total: cython.short[::1],
     weight: cython.short[::1],
 ) -> cython.void:
-    """Add what the neighbours of each pixel weigh, and weighted how much brighter they are."""
+    """Add the weights of each pixel's neighbours, and their weighted differences."""
     x: cython.Py_ssize_t
     down: cython.int
     across: cython.int

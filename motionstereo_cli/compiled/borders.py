@@ -74,7 +74,7 @@ def go_in(
     farther: cython.float,
     result: cython.float[:, ::1],
 ) -> cython.void:
-    """Go from the border of an object inward, and find where it ends best.
+    """Go from the border of an object inward, and find the best position of the border.
 
     The pixels on the way get the disparity that lies behind, NaN = hidden from the left camera.
     """
@@ -120,12 +120,12 @@ def difference(
 ) -> cython.int:
     """Return how much the views differ at a disparity: a pixel and its two neighbours.
 
-    Those beside it, or else those above and below: never those across a border.
+    Neighbours beside it, or else above and below, but never across a border.
     """
     k: cython.int
     height: cython.int = cython.cast(cython.int, scene.right.shape[0])
     width: cython.int = cython.cast(cython.int, scene.right.shape[1])
-    # Beyond a border the view goes on as it is there.
+    # Beyond a border the view is continued by its last pixel.
     disparity = disparity if disparity > 0 else 0
     disparity = disparity if disparity < width else width
     whole: cython.int = cython.cast(cython.int, disparity)

@@ -12,7 +12,7 @@ NOTHING = cython.declare(cython.int, -16)
 
 @cython.cclass
 class Workspace:
-    """What the speckles of a frame need besides input and output, used again for the next one.
+    """Reusable buffers for the speckles of a frame.
 
     Args:
         height, width: size of the images in px.
@@ -21,11 +21,11 @@ class Workspace:
     sixteenths: cython.int[:, ::1]  # disparities of two rows in sixteenths of a px
     run: cython.int[:, ::1]  # which run each pixel of two rows belongs to
     place: cython.int[:, ::1]  # row, first column and the one after the last of each run
-    parent: cython.int[::1]  # of each run, another one of its patch, itself if it is the root
+    parent: cython.int[::1]  # of each run, its parent in its patch, itself if it is the root
     size: cython.int[::1]  # of each root, the pixels of its patch
 
     def __init__(self, height: cython.Py_ssize_t, width: cython.Py_ssize_t):
-        runs = height * width  # at most; what is not used takes no memory
+        runs = height * width  # at most; unused pages take no memory
         self.sixteenths = np.empty((2, width), np.int32)
         self.run = np.empty((2, width), np.int32)
         self.place = np.empty((runs, 3), np.int32)
@@ -37,7 +37,7 @@ class Workspace:
 @cython.nogil
 @cython.exceptval(check=False)
 def root_of(run: cython.int, work: Workspace) -> cython.int:
-    """Return the root of a run's patch, and halve the way to it."""
+    """Return the root of a run's patch, and halve the path to it."""
     while work.parent[run] != run:
         work.parent[run] = work.parent[work.parent[run]]
         run = work.parent[run]
@@ -53,15 +53,15 @@ def without_speckles(
 ) -> None:
     """Keep patches of more than ``speckle_px`` pixels.
 
-    Neighbours above, below and beside are of one patch where they differ by at most 1 px. Pixels
-    of a row that are become a run; runs of neighbouring rows are joined (union and find).
+    Neighbours above, below and beside are of one patch where they differ by at most 1 px. Such
+    pixels of a row form a run; runs of neighbouring rows are joined (union-find).
 
     Args:
         disparity: px, (height, width) float32, NaN = unknown.
         where: pixels that count, (height, width), 0 or 1.
-        speckle_px: pixels of the largest patch that goes.
+        speckle_px: size of the largest patch that is removed.
         work: workspace for this size.
-        result: gets the disparities that stay; NaN elsewhere.
+        result: receives the remaining disparities; NaN elsewhere.
     """
     x: cython.int
     y: cython.int

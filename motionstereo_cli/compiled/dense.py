@@ -1,30 +1,31 @@
 """Semi-global matching: the loops of :mod:`motionstereo_cli.method.dense`.
 
-Costs are int16, and the innermost loops run over disparities, along the memory: compilers turn
-them into vector instructions.
+Costs are int16, and the innermost loops run over disparities, which are contiguous in memory, so
+that compilers vectorise them.
 
-The path from below needs the costs of all rows below first. Rows are taken in strips, so that no
-volume of all costs is held: a first pass from the last strip to the second keeps what the path
-brings to each strip, and a second pass, from the first strip on, makes the costs of the strip
-again, goes up in it, and then along its rows and down. An image of one strip needs no first pass.
+The path from below needs the costs of all rows below first. Rows are processed in strips, so that
+the volume of all costs is never in memory: a first pass from the last strip to the second stores
+the path at the border of each strip, and a second pass, from the first strip on, computes the costs
+of the strip again, takes the path up, and then along its rows and down. An image of one strip needs
+no first pass.
 """
 
 import cython
 import numpy as np
 
 NAN = cython.declare(cython.float, np.nan)
-#: Cost of what lies outside the range, and more than any cost.
+#: Cost outside the range, above any other cost.
 OUTSIDE = cython.declare(cython.short, 20000)
 MAX_COST = cython.declare(cython.short, 32767)
 
 
-#: Bytes that the costs of a strip may take.
+#: Memory for the costs of a strip, in bytes.
 STRIP_BYTES = cython.declare(cython.Py_ssize_t, 1 << 25)
 
 
 @cython.cclass
 class Workspace:
-    """What the matching of a frame needs besides input and output, used again for the next one.
+    """Reusable buffers for matching a frame.
 
     Args:
         rows, width: of the images in px.
@@ -86,7 +87,7 @@ class Workspace:
 @cython.cclass
 @cython.dataclasses.dataclass
 class Weights:
-    """What the costs are made of; see :mod:`motionstereo_cli.method.dense`."""
+    """Parameters of the costs; see :mod:`motionstereo_cli.method.dense`."""
 
     max_grey: cython.short
     max_slope: cython.short
@@ -101,14 +102,14 @@ class Weights:
 @cython.cclass
 @cython.dataclasses.dataclass(eq=False)
 class Frame:
-    """What is matched: two views, and what is known before. All are (rows, width).
+    """Input of the matching: two views and proposals. All are (rows, width).
 
     Attributes:
         right, left: grey.
         right_slope, left_slope: slopes of grey, of the same kind.
         where: pixels to match, 0 or 1.
         proposed: preferred disparities in px.
-        weight: what speaks against all others, 0 where none is preferred.
+        weight: cost of all others, 0 where none is preferred.
     """
 
     right: cython.const[cython.short][:, ::1]
@@ -195,7 +196,7 @@ def extend(frame: Frame, y: cython.int, work: Workspace) -> cython.void:
 @cython.nogil
 @cython.exceptval(check=False)
 def differences(frame: Frame, y: cython.int, weights: Weights, work: Workspace) -> cython.void:
-    """Fill in how much each right pixel of a row differs from the left one of each disparity."""
+    """Fill in the difference of each right pixel of a row to the left one at each disparity."""
     x: cython.Py_ssize_t
     d: cython.Py_ssize_t
     low: cython.short[::1] = work.low
@@ -224,7 +225,7 @@ def differences(frame: Frame, y: cython.int, weights: Weights, work: Workspace) 
 @cython.nogil
 @cython.exceptval(check=False)
 def add_up(slot: cython.int, work: Workspace) -> cython.void:
-    """Add up a row's costs across, and put them in the place of an older row's in the windows."""
+    """Add up a row's costs across, and replace those of the oldest row in the windows."""
     x: cython.Py_ssize_t
     d: cython.Py_ssize_t
     single: cython.short[:, ::1] = work.single
@@ -283,7 +284,7 @@ def go_on(
     x: cython.Py_ssize_t,
     weights: Weights,
 ) -> cython.short:
-    """Take a path to the pixel ``x``, add its costs to the total, and return the least of them.
+    """Advance a path to the pixel ``x``, add its costs to the total, and return the least of them.
 
     Row ``now`` of ``path`` has the costs so far, of which ``least`` is the least, below 0 where the
     path begins; row ``after`` gets those at ``x``. ``edge`` is by how much grey changes on the way.
@@ -321,7 +322,7 @@ def go_on(
 def go_across(frame: Frame, y: cython.int, weights: Weights, work: Workspace) -> cython.void:
     """Go along a row from both ends in turn, and add the paths' costs to the total.
 
-    A step has to wait for the one before it; two ways in turn leave the processor something to do.
+    Each step depends on the last one; two alternating paths keep the processor busy.
     """
     i: cython.Py_ssize_t
     cost: cython.short[:, ::1] = work.cost[y % work.strip_rows]
@@ -425,7 +426,7 @@ def choose(
         found: cython.Py_ssize_t = 0
         while total[x, found] != least:
             found += 1
-        # Its neighbours do not compete with it.
+        # Its neighbours are not rivals.
         second: cython.short = min(
             min_of(total, x, 0, found - 1), min_of(total, x, found + 2, count)
         )
@@ -444,10 +445,10 @@ def choose(
 def paint(
     y: cython.int, work: Workspace, disparity: cython.float[:, ::1], margin: cython.float[:, ::1]
 ) -> cython.void:
-    """Fill in disparities between whole px: where lines of equal slope through three costs meet.
+    """Fill in sub-pixel disparities: where lines of equal slope through three costs meet.
 
     A left pixel is the partner of one right pixel, and of those that agree with it within 1 px. A
-    partner beyond the border was not seen: it has to go on where the pixel before had its own.
+    partner beyond the border is not visible: it has to continue the partner of the last pixel.
     """
     x: cython.int
     total: cython.short[:, ::1] = work.total[y % work.strip_rows]

@@ -14,7 +14,7 @@ ONE = cython.declare(cython.float, 1)
 
 @cython.cclass
 class Workspace:
-    """What a frame needs besides input and output, used again for the next one.
+    """Reusable buffers for a frame.
 
     Args:
         height, width: size of the images in px.
@@ -41,7 +41,7 @@ def quantiles(
 ) -> None:
     """Fill in the quantile of the known values in each strip, NaN where too few are known.
 
-    Exact: the values of the bucket that holds it are sorted out at last.
+    Exact: finally the values of its bucket are sorted.
 
     Args:
         nearness: (height, width) float32, NaN = unknown.
@@ -76,7 +76,7 @@ def gather(
     for y in range(nearness.shape[0]):
         for x in range(begin, end):
             value: cython.float = nearness[y, x]
-            # Buckets never fall as values grow.
+            # Buckets are monotonic in the values.
             place: cython.float = value * PER_PX
             place = place if place > ZERO else ZERO
             place = place if place < LAST else LAST
@@ -85,7 +85,7 @@ def gather(
             work.values[known] = value
             work.bucket[known] = bucket
             work.counts[bucket] += 1
-            known += bucket < BUCKETS  # no branch: none could be predicted
+            known += bucket < BUCKETS  # without a branch, which could not be predicted
     return known
 
 
@@ -193,7 +193,7 @@ def fit_lines(
     below_cost: cython.double,
     fits: cython.double[:, ::1],
 ) -> None:
-    """Fill in how much of an image lies on each line from row to nearness, less what is below.
+    """Fill in the share of an image on each line from row to nearness, minus what is below.
 
     Args:
         farther: share of what is known in each group of rows that lies before each bin, (rows,

@@ -30,7 +30,7 @@ def permanency(
         recharge(moved, charge_before, charge_max, charge_min, leak, charge)
 
 
-# Compilers make vectors of a loop that writes bytes only where it knows its arrays by themselves.
+# Compilers vectorise a loop that writes bytes only if they know that arrays do not overlap.
 
 
 @cython.cfunc

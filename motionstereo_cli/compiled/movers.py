@@ -5,7 +5,7 @@ import numpy as np
 from cython.cimports.libc.math import fabs, floor, isfinite, sqrt
 
 NAN = cython.declare(cython.float, np.nan)
-#: Pixels that are nearer are beside the camera.
+#: Minimum depth of points before the camera.
 MIN_DEPTH = cython.declare(cython.double, 0.05)
 #: Of what an alignment tells: shift along x and y and change of disparity in px; how sure; by how
 #: much disparity then misses that change; share of the squared differences that is left.

@@ -1,8 +1,8 @@
-"""Pixels as files hold them: the loops of :mod:`motionstereo_cli.files` and of the sinks."""
+"""Pixels in the formats of files: the loops of :mod:`motionstereo_cli.files` and of the sinks."""
 
 import cython
 
-#: Added to a float and taken off again, it rounds half to even, as rint does.
+#: Added to a float and subtracted again, it rounds half to even, as rint does.
 ROUND = cython.declare(cython.float, 8388608)
 ZERO = cython.declare(cython.float, 0)
 ONE = cython.declare(cython.float, 1)
@@ -37,8 +37,8 @@ def to_uint16(
                 result[y, x] = step if known else 0
 
 
-# Compilers make vectors of a loop that writes bytes only where arrays are arguments of a function
-# of its own: elsewhere such a byte might be part of what says where the arrays are.
+# Compilers vectorise a loop that writes bytes only if arrays are arguments of a separate function:
+# otherwise such a byte might alias the pointers of the arrays.
 
 
 def sub_filtered_8(image: cython.const[cython.uchar][:, ::1], result: cython.uchar[:, ::1]) -> None:

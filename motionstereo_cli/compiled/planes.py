@@ -8,7 +8,7 @@ import cython
 import numpy as np
 from cython.cimports.libc.math import sqrt
 
-#: Fewer samples than this make no plane; none has a smaller variance, in squared px.
+#: Minimum number of samples of a plane, and their minimum variance in squared px.
 LEAST = cython.declare(cython.int, 12)
 MIN_VARIANCE = cython.declare(cython.double, 0.0225)
 NAN = cython.declare(cython.float, np.nan)
@@ -23,7 +23,7 @@ LARGEST = cython.declare(cython.int, 1000 * 64)
 @cython.cclass
 @cython.dataclasses.dataclass
 class Window:
-    """Which samples a plane is fitted to, and when it counts.
+    """The samples that a plane is fitted to, and the conditions for using it.
 
     Attributes:
         reach_x, reach_y: samples lie so many px and rows away at most.
@@ -110,7 +110,7 @@ class Samples:
         width: cython.Py_ssize_t,
         max_disparity: cython.Py_ssize_t,
     ):
-        count = rows * width  # at most; what is not used takes no memory
+        count = rows * width  # at most; unused pages take no memory
         self.first = np.empty((rows, width + 1), np.int32)
         self.steps = np.empty(count, np.int32)
         self.depth = np.empty(count, np.int32)
@@ -137,7 +137,7 @@ class Plane:
         middle_x, middle_y: their centroid.
         xx, xy, yy: their spread around it, times their weight.
         share: of the samples' weight that the inliers have, 0 where there is no plane.
-        error_px: standard error that is to be expected here.
+        error_px: expected standard error here.
     """
 
     here: cython.double
@@ -191,7 +191,7 @@ def fit(
             for across in range((width + window.block_x - 1) // window.block_x):
                 left: cython.int = across * window.block_x
                 right: cython.int = min(left + window.block_x, width)
-                # The pixel that is wanted nearest to the block's middle stands for it.
+                # The wanted pixel nearest to the block's middle represents it.
                 nearest: cython.int = rows + width
                 y: cython.int = 0
                 x: cython.int = 0
@@ -354,7 +354,7 @@ def median_of(samples: Samples) -> cython.double:
 def solve(
     y: cython.int, x: cython.int, window: Window, samples: Samples, plane: Plane
 ) -> cython.void:
-    """Fit a plane a few times to what is near the last one, first to what is near the median."""
+    """Fit a plane repeatedly to samples near the last one, first to those near the median."""
     turn: cython.int
     plane.share = 0
     if samples.used < LEAST:
@@ -545,7 +545,7 @@ def improve(
 @cython.nogil
 @cython.exceptval(check=False)
 def judge(window: Window, samples: Samples, residual: cython.int, plane: Plane) -> cython.void:
-    """Fill in a plane's error and its inliers' share, if it counts."""
+    """Fill in a plane's error and its inliers' share, if it qualifies."""
     x: cython.double = plane.middle_x
     y: cython.double = plane.middle_y
     total: cython.double = 0.5 * samples.total

@@ -20,8 +20,8 @@ def measure(
     """Fill in disparity and its standard deviation, (n, 2), of points of the right view.
 
     Searched along the row, as far as ``range_px``, by the squared difference of grey in 9 x 5 px
-    less its mean; kept where the second best is ``ratio`` times as bad and the way back agrees;
-    refined by Gauss and Newton in 7 x 7 px. NaN where it is unsure.
+    less its mean; kept if the second best is ``ratio`` times as bad and the search back agrees;
+    refined by Gauss-Newton in 7 x 7 px. NaN where it is uncertain.
 
     Args:
         right, left: the views.
@@ -61,7 +61,7 @@ def best(
     ratio: cython.float,
     costs: cython.float[::1],
 ) -> cython.int:
-    """Return the disparity of a pixel by search, -1 where it is unsure."""
+    """Return the disparity of a pixel by search, -1 if it is uncertain."""
     d: cython.int
     row: cython.int
     column: cython.int

@@ -1,8 +1,7 @@
 """One step of Lucas and Kanade: the loops of :mod:`motionstereo_cli.method.refine`.
 
-Rows are gone through once. Sums over windows are made down first, then across; at the border the
-last pixel counts again for each that is missing. Compilers make vectors of loops over arrays that
-are arguments of a function of their own.
+Rows are processed once. Sums over windows are made down first, then across; at the border the last
+pixel is repeated. Compilers vectorise loops over arrays that are arguments of a separate function.
 """
 
 import cython
@@ -38,7 +37,7 @@ class Limits:
 
 @cython.cclass
 class Workspace:
-    """What a frame needs besides input and output, used again for the next one.
+    """Reusable buffers for a frame.
 
     Args:
         width: of the images in px.
@@ -202,7 +201,7 @@ def combine(
 @cython.nogil
 @cython.exceptval(check=False)
 def incline(grey: cython.const[cython.float][::1], slope: cython.float[::1]) -> cython.void:
-    """Fill in slopes of grey; 0 at the border, as if the image went on mirrored."""
+    """Fill in slopes of grey; 0 at the border, as if the image were mirrored."""
     x: cython.Py_ssize_t
     last: cython.Py_ssize_t = grey.shape[0] - 1
     slope[0] = 0
@@ -265,7 +264,7 @@ def move(
     whole: cython.const[cython.float][:, ::1],
     result: cython.float[::1],
 ) -> cython.void:
-    """Fill in a row of disparities that have moved."""
+    """Fill in a row of refined disparities."""
     x: cython.Py_ssize_t
     for x in range(disparity.shape[0]):
         here: cython.float = disparity[x]

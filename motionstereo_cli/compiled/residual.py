@@ -9,13 +9,13 @@ ZERO = cython.declare(cython.float, 0)
 ONE = cython.declare(cython.float, 1)
 HALF = cython.declare(cython.float, 0.5)
 LEVELS = cython.declare(cython.float, 256)
-PER_GREY_LEVEL = cython.declare(cython.int, 16)  # steps in which the median is told
-MOST = cython.declare(cython.float, 64)  # larger differences say no more
+PER_GREY_LEVEL = cython.declare(cython.int, 16)  # steps of the median
+MOST = cython.declare(cython.float, 64)  # limit of differences
 
 
 @cython.cclass
 class Workspace:
-    """What a frame needs besides input and output, used again for the next one.
+    """Reusable buffers for a frame.
 
     Args:
         height, width: size of the images in px.
@@ -126,7 +126,7 @@ def differences(
             if isnan(disparity[y, x]):
                 difference[y, x] = NAN
                 continue
-            # Beyond a border the view goes on as it is there.
+            # Beyond a border the view is continued by its last pixel.
             place: cython.float = min(max(x + disparity[y, x], ZERO), last)
             column: cython.int = cython.cast(cython.int, place)
             near: cython.float = cython.cast(cython.float, left[y, column])

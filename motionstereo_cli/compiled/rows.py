@@ -23,7 +23,7 @@ def halve_exactly(view: cython.const[cython.uchar][:, ::1], result: cython.float
             exact_mean(view[2 * y], view[min(2 * y + 1, view.shape[0] - 1)], result[y])
 
 
-# Compilers make vectors of loops over arrays that are arguments of a function of their own.
+# Compilers vectorise loops over arrays that are arguments of a separate function.
 
 
 @cython.cfunc

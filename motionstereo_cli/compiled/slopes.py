@@ -24,7 +24,7 @@ def fill_slopes(
     work: Workspace,
     result: cython.schar[:, ::1],
 ) -> None:
-    """Fill in half of what Sobel's filter gives, rounded down; the image goes on mirrored.
+    """Fill in half of Sobel's filter, rounded down; the image is mirrored at the border.
 
     Args:
         grey: (height, width).
@@ -42,7 +42,7 @@ def fill_slopes(
             incline(work.column, largest, result[y])
 
 
-# Compilers make vectors of loops over arrays that are arguments of a function of their own.
+# Compilers vectorise loops over arrays that are arguments of a separate function.
 
 
 @cython.cfunc

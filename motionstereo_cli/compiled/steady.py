@@ -17,7 +17,7 @@ def add(
     total: cython.float[:, ::1],
     count: cython.uchar[:, ::1],
 ) -> None:
-    """Add an earlier result where it says the same of the same thing, and count it.
+    """Add an earlier result where it agrees on the same surface, and count it.
 
     Args:
         disparity, grey, age: of now, (height, width).
@@ -52,7 +52,7 @@ def divide(count: cython.const[cython.uchar][:, ::1], total: cython.float[:, ::1
             divide_row(count[y], total[y])
 
 
-# Compilers make vectors of loops over arrays that are arguments of a function of their own.
+# Compilers vectorise loops over arrays that are arguments of a separate function.
 
 
 @cython.cfunc

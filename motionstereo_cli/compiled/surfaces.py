@@ -19,7 +19,7 @@ def enter(
     holes: cython.const[cython.uchar][:, ::1],
     nearest: cython.double,
 ) -> None:
-    """Enter the samples of a surface that nothing nearer hides.
+    """Enter the samples of a surface that are not hidden by nearer ones.
 
     Args:
         nearness, owner: of each sample, its reciprocal depth and the surface that it shows.

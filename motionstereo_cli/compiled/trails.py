@@ -10,7 +10,7 @@ ONE = cython.declare(cython.float, 1)
 
 @cython.cclass
 class Workspace:
-    """What matching a frame needs besides its input and output, used again for the next frame.
+    """Reusable buffers for matching a frame.
 
     Args:
         height, width: size of the images in px.
@@ -52,7 +52,7 @@ class Workspace:
         self.block_rows = block_rows
         self.columns = columns = -(-width // block_columns)
         rows = -(-height // block_rows)
-        trails = height * width  # at most; what is not used takes no memory
+        trails = height * width  # at most; unused pages take no memory
         self.first = np.zeros((2, height + 1), np.int32)
         self.start = np.empty((2, trails), np.int32)
         self.stop = np.empty((2, trails), np.int32)
@@ -120,7 +120,7 @@ def find_trails(
         runs: cython.int = 0
         for x in range(1, width):
             work.run_stop[runs] = x
-            runs += key[y, x] != key[y, x - 1]  # no branch: none could be predicted
+            runs += key[y, x] != key[y, x - 1]  # without a branch, which could not be predicted
         work.run_stop[runs] = width
         begin: cython.int = 0
         for k in range(runs + 1):
@@ -162,7 +162,7 @@ def pair_trails(work: Workspace) -> cython.bint:
             j = work.newest[key]
             while j >= 0 and work.start[1, j] < start:
                 j = work.following[j]
-            work.newest[key] = j  # starts only grow: those before are not needed again
+            work.newest[key] = j  # starts only grow, so earlier ones are not needed again
             while j >= 0 and work.start[1, j] <= start + most:
                 left_stop: cython.int = work.stop[1, j]
                 at_start: cython.int = work.start[1, j] - start
@@ -175,7 +175,7 @@ def pair_trails(work: Workspace) -> cython.bint:
                 work.pairs[count, 0] = j
                 work.pairs[count, 1] = first
                 work.pairs[count, 2] = last
-                # No branch: whether a pair is one cannot be predicted.
+                # Without a branch: whether a pair qualifies cannot be predicted.
                 count += (
                     (not (start_is_cut & stop_is_cut))
                     & (min(first, last) >= 0)

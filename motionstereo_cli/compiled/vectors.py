@@ -1,8 +1,7 @@
 """Semi-global matching in vectors: what :mod:`motionstereo_cli.compiled.dense` does, faster.
 
-The same results to the bit. The C source beside this file, ``semi_global.h``, is made of the vector
-types of GCC and clang; where the compiler is another one, and in plain Python, there is no such
-module.
+The same results to the bit. The C source beside this file, ``semi_global.h``, uses the vector types
+of GCC and clang; with other compilers, and in plain Python, this module does not exist.
 """
 
 import cython
@@ -19,14 +18,14 @@ from cython.cimports.motionstereo_cli.compiled.semi_global import (
     workspace_bytes,
 )
 
-#: Disparities in a chunk, and the most that there may be.
+#: Disparities in a chunk, and their maximum total.
 CHUNK = cython.declare(cython.int, 16)
 MAX_COUNT = 1024
 
 
 @cython.cclass
 class Workspace:
-    """What the matching of a frame needs besides input and output, used again for the next one."""
+    """Reusable buffers for matching a frame."""
 
     memory: cython.uchar[::1]
 
@@ -37,14 +36,14 @@ class Workspace:
 @cython.cclass
 @cython.dataclasses.dataclass(eq=False)
 class Frame:
-    """What is matched: two views, and what is known before. All are (rows, width).
+    """Input of the matching: two views and proposals. All are (rows, width).
 
     Attributes:
         right, left: grey.
         right_slope, left_slope: its slope.
         where: pixels to match, 0 or 1.
         proposed: preferred disparities in px.
-        weight: what speaks against all others, 0 where none is preferred.
+        weight: cost of all others, 0 where none is preferred.
     """
 
     right: cython.const[cython.uchar][:, ::1]
@@ -78,9 +77,9 @@ def semi_global(
         sets: which chunks of 16 disparities are looked at in each tile, a bit for each, at least
             one, (tiles down, tiles across) uint64.
         tile_rows, tile_width: size of a tile, px.
-        strip_bytes: what the costs of a strip of rows and those of its paths may take together:
-            an image of several strips takes half as long again.
-        work: used again for the next frame.
+        strip_bytes: memory for the costs of a strip of rows and of its paths: an image of several
+            strips takes half as long again.
+        work: reusable buffers.
         disparity, margin: get the result.
         rival: gets the second best disparity where it costs hardly more, of NaN; of no rows = not
             asked for.
@@ -137,10 +136,10 @@ def fill_sets(
     found: cython.ulonglong[:, ::1],
     sets: cython.ulonglong[:, ::1],
 ) -> None:
-    """Fill in which chunks may hold the disparities of each tile, by what a small image shows.
+    """Fill in the chunks that may hold the disparities of each tile, from a small image.
 
-    A tile gets what is within reach of any candidate in it or in a tile beside it. Where there is
-    none, it gets what the nearest tiles on its left and on its right have; else all.
+    A tile gets the chunks within reach of any candidate in it or in a neighbouring tile. Without
+    any, it gets those of the nearest tiles on its left and right, else all.
 
     Args:
         candidates: disparities in the small image, (n, rows, width) float32, NaN = none.

@@ -1,4 +1,4 @@
-"""Maps of numbers, such as disparity or depth, a file for each image."""
+"""Maps of numbers, such as disparity or depth: one file per image."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Two views as bright as each other: a difference in brightness would be taken for disparity."""
+"""Equal brightness of both views: a difference would be mistaken for disparity."""
 
 from __future__ import annotations
 
@@ -12,23 +12,23 @@ from numpy.typing import NDArray
 #: of 1920 x 1080. If they differ there, they are looked at again in one that is larger by this.
 _WIDTH_PX, _HEIGHT_PX, _CLOSER = 100, 60, 4
 
-#: cv2.StereoBM finds points that both views show: it compares slopes of grey, not grey. These
-#: suit images of that size; what it is not sure of does not count.
+#: Parameters of cv2.StereoBM for images of that size. It finds points that both views show by
+#: comparing slopes of grey, not grey; uncertain ones are dropped.
 _BLOCK_PX, _UNIQUENESS, _TEXTURE, _SPECKLE_PX = 9, 15, 20, 50
 
-#: Every second of its pixels, both ways, tells enough. Fewer than these tell nothing.
+#: Every second of its pixels, both ways, is used. At least so many are needed.
 _STEP, _LEAST_POINTS = 2, 50
 
-#: Differences beyond twice the median one, and these grey levels, are mistakes of the matching.
+#: Differences above twice the median, and above these grey levels, are wrong matches.
 _PLAIN = 6.0
 
-#: The gain is 1 unless brightness that varies by more than this standard deviation says otherwise.
+#: Gain is fitted only if the standard deviation of grey levels is larger than this, else it is 1.
 _LEVELS = 10.0
 
-#: Adjustments of less than this many grey levels may come from the matching itself.
+#: Smaller adjustments, in grey levels, may result from the matching itself.
 _LEAST = 1.5
 
-#: What gain and offset leave is averaged in a Gaussian window of this size in px.
+#: Size in px of the Gaussian window in which the remaining offsets are averaged.
 _SIGMA_PX = 48
 
 
@@ -38,7 +38,7 @@ def balanced(
     """Return the left view as bright as the right one, (height, width) uint8.
 
     A gain, an offset, and an offset that varies slowly over the image, fitted to points found in
-    both views. Where too few are found, the left view is returned as it is.
+    both views. If too few are found, the left view is returned unchanged.
 
     Args:
         right, left: (height, width) uint8.
@@ -46,7 +46,7 @@ def balanced(
     """
     height, width = right.shape
     scale = 2 ** max(1, round(math.log2(min(width / _WIDTH_PX, height / _HEIGHT_PX))))
-    # Most views need nothing, which shows in small ones; larger ones tell more exactly what.
+    # Most views need no adjustment, which small ones show; larger ones give it more exactly.
     found = _adjustment(right, left, max_disparity, scale)
     if found is not None and scale > 2:
         found = _adjustment(right, left, max_disparity, max(scale // _CLOSER, 2))
@@ -62,12 +62,12 @@ def balanced(
 def _adjustment(
     right: NDArray[np.uint8], left: NDArray[np.uint8], max_disparity: int, scale: int
 ) -> tuple[float, float, NDArray[np.float32] | None] | None:
-    """Return gain, offset, and a coarse image of offsets or None; None if nothing is to be done.
+    """Return gain, offset, and a coarse image of offsets or None; None without an adjustment.
 
     Args:
         right, left: (height, width) uint8.
         max_disparity: of the points looked for, px.
-        scale: by how much the views are made smaller for it.
+        scale: factor by which the views are reduced for it.
     """
     height, width = right.shape
     small = width // scale, height // scale
@@ -112,7 +112,7 @@ def _smooth(
     grid: tuple[int, int],
     size: tuple[int, int],
 ) -> NDArray[np.float32]:
-    """Return what gain and offset leave, averaged nearby; 0 far from all points.
+    """Return the offset that remains after gain and offset, smoothed; 0 far from all points.
 
     One value for 16 x 16 px of the views, whose width and height is ``size``.
     """

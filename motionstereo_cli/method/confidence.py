@@ -1,4 +1,4 @@
-"""How sure a disparity is: the chance that it is right within 1 px."""
+"""Confidence: the chance that a disparity is right within 1 px."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from motionstereo_cli.compiled import checked_array
 from motionstereo_cli.compiled import confidence as loops
 
-#: Logistic regression on what is known of a match: constant, log2 of votes, residual in grey
+#: Logistic regression on properties of a match: constant, log2 of votes, residual in grey
 #: levels, age in frames. Fitted to whether disparities are within 1 px of the truth, on the
 #: rendered corridor and cards, straight, turning, still and panning, at noise 1.5 and 4, each
 #: scene with the same weight.
@@ -18,10 +18,10 @@ _PER_DOUBLING = 0.918
 _PER_GREY_LEVEL = np.float32(-0.157)
 _PER_FRAME = np.float32(-0.093)
 
-#: More votes than this say no more.
+#: More votes add no confidence.
 _MAX_VOTES = 512
 
-#: A gap filled between two matches is right as often as a match with this evidence.
+#: A filled gap is right as often as a match with these votes and this residual.
 _FILLED_VOTES = np.float32(340)
 _FILLED_RESIDUAL = np.float32(3)
 
@@ -44,8 +44,8 @@ _SIGMAS_PX = (3.0, 3.0, 1.56, 1.02, 0.50, 0.31, 0.18)
 _BEYOND_PX = np.float32(1e6)  # more than any disparity
 _WINDOW_PX, _RANGES_PX, _FACTORS = 5, (0.05, 0.2, 0.8, 3.0, 8.0), (0.3, 0.6, 0.93, 0.93, 9.4)
 
-#: Tables, for logarithms and exponentials take their time: what votes contribute, and the
-#: logistic function from minus to plus the largest logit in steps of 1/64.
+#: Tables, because logarithms and exponentials are slow: the contribution of votes, and the logistic
+#: function from minus to plus the largest logit in steps of 1/64.
 _PER_VOTE = (_CONSTANT + _PER_DOUBLING * np.log2(np.maximum(np.arange(_MAX_VOTES + 1), 1))).astype(
     np.float32
 )
@@ -66,7 +66,7 @@ def confidence(
 ) -> NDArray[np.float32]:
     """Return the chance 0..1 that each disparity is within 1 px, (height, width) float32.
 
-    The chance is that of the truth *now*: an old trail may show what has moved on. NaN where the
+    It is the chance of being right *now*: an old trail may show what has moved away. NaN where the
     disparity is unknown.
 
     Args:

@@ -64,7 +64,7 @@ class Found(NamedTuple):
     at_limit: NDArray[np.bool_] | None = None
 
 
-#: What is so near to the limit of the range, in px, may be nearer than that.
+#: Disparities so close to the limit of the range, in px, may be beyond it.
 _LIMIT_PX = 0.5
 
 
@@ -136,7 +136,7 @@ def _regions(right: Memory, left: Memory, settings: Settings) -> Found:
 
 
 def _of_opencv(function: Callable[..., Real]) -> Callable[[Memory, Memory, Settings], Found]:
-    """Return a matcher that gives OpenCV's disparity, filtered, to charged pixels."""
+    """Return a matcher with OpenCV's filtered disparity of charged pixels."""
 
     def match(right: Memory, left: Memory, settings: Settings) -> Found:
         disparity = function(right.grey, left.grey, settings.max_disparity + 1, filtered=True)
@@ -197,13 +197,13 @@ _OWN = frozenset(MATCH) | {GIVEN}
 def register_matcher(
     name: str, function: Callable[[Memory, Memory, Settings], ArrayLike], what: str = ""
 ) -> None:
-    """Add a matcher, or replace one that was added, which settings then choose by its name.
+    """Add a matcher, or replace an added one; settings choose it by its name.
 
-    A package offers one to every user, the command line included, by an entry point of the group
+    A package offers one to all users, the command line included, by an entry point of the group
     ``motionstereo.matchers`` that names the function.
 
     Args:
-        name: what ``Settings(matcher=...)`` and ``--matcher`` call it.
+        name: its name for ``Settings(matcher=...)`` and ``--matcher``.
         function: takes the right and the left memory and the settings; returns the disparity in px
             of each right pixel, (height, width), NaN = unknown. What it gives outside
             0..``max_disparity`` becomes unknown, and so does what it gives for pixels at rest, but
@@ -212,7 +212,7 @@ def register_matcher(
         what: what it does, in a few words.
 
     Raises:
-        SettingsError: the package has a matcher of that name, or the function is none.
+        SettingsError: the package has a matcher of that name, or the function is not callable.
     """
     if name in _OWN or not name or not callable(function):
         raise SettingsError(f"matcher {name!r}: give another name, and a function")
@@ -254,7 +254,7 @@ def matcher_of(settings: Settings) -> Callable[[Memory, Memory, Settings], Found
 
 
 class Match(NamedTuple):
-    """What was matched in one frame, in the reference view, (height, width) each.
+    """The result of matching one frame, in the reference view, (height, width) each.
 
     Attributes:
         disparity_px: float32, NaN = unknown.
@@ -279,13 +279,13 @@ def match(
     with_confidence: bool = True,
     with_occlusion: bool = False,
 ) -> Match:
-    """Return what the two memories have in common, in the reference view.
+    """Match the two memories, in the reference view.
 
     Where disparity is given, that is taken.
     """
     extras = {"with_confidence": with_confidence, "with_occlusion": with_occlusion}
     if settings.reference == "left":
-        # In a mirror the left camera is the right one, and disparities stay what they are.
+        # In mirror images left and right cameras are exchanged, and disparities stay the same.
         given_px = None if given_px is None else mirrored(given_px)
         found = _match(in_mirror(left), in_mirror(right), settings, given_px, **extras)
         return Match(

@@ -1,4 +1,4 @@
-"""Images as a stereo network takes them: padded, scaled or in tiles; and its disparity checked."""
+"""Inputs of stereo networks: padded, scaled or in tiles; and checks of their disparity."""
 
 from __future__ import annotations
 

@@ -33,7 +33,7 @@ _WINDOW, _SMOOTH, _TEXTURED = (9, 3), 0.7, 1.0
 #: px.
 _AGREEING, _AGREE_PX, _AGREEMENT_WINDOW = 0.8, 1.5, (65, 33)
 
-#: What a smooth pixel weighs in a plane beside others.
+#: Weight of a smooth pixel in a plane; others have 1.
 _WEIGHT = 0.5
 
 #: Samples of one surface are not independent: a plane's error is as large as if there were fewer of
@@ -48,8 +48,8 @@ _MAX_ERROR_PX, _MAX_FAR_ERROR_PX, _FAR_PX, _MAX_UNSEEN_ERROR_PX = 0.5, 0.17, 6.0
 #: surface. Where things move, and far away.
 _MAX_CHANGE_PX, _MAX_FAR_CHANGE_PX = 6.0, 3.0
 
-#: A part rests if this share of the textured pixels around has not moved for so many frames, and
-#: there are enough of them.
+#: An area is at rest if this share of the textured pixels around has not moved for so many frames,
+#: and there are enough of them.
 _RESTING, _REST_FRAMES, _REST_WINDOW, _REST_PIXELS = 0.5, 2, (161, 65), 20
 
 _NEARBY, _AFAR, _FAR = (
@@ -72,7 +72,7 @@ _DECIDES, _WHERE_MOVING, _WHERE_FAR = (
 
 
 class Surface(NamedTuple):
-    """What grey and charge tell of each pixel, (rows, width) each.
+    """Properties of each pixel by grey and charge, (rows, width) each.
 
     Attributes:
         grey: of the right view, float32.
@@ -90,7 +90,7 @@ class Surface(NamedTuple):
 
     @classmethod
     def of(cls, grey: Reals, wanted: Mask, age_frames: NDArray[np.uint8]) -> Surface:
-        """Find out where grey is smooth and where it is textured."""
+        """Return where grey is smooth and where it is textured."""
         blurred = cv2.GaussianBlur(grey, (0, 0), 1)
         slope = np.abs(cv2.Sobel(blurred, cv2.CV_32F, 1, 0, scale=1 / 8))
         steep = (slope >= _SMOOTH).view(np.uint8)
@@ -101,7 +101,7 @@ class Surface(NamedTuple):
 def with_planes(
     disparity_px: Reals, trails_px: Reals, surface: Surface, max_disparity: int
 ) -> tuple[Reals, Reals]:
-    """Return disparity with planes on what is smooth, and the inliers' share, (rows, width).
+    """Return disparity with planes on smooth surfaces, and the inliers' share, (rows, width).
 
     Both are float32, NaN = unknown; the share is NaN where no plane decided.
 
@@ -135,6 +135,6 @@ def with_planes(
     weight = 2 * (1 - smooth)
     loops.fit(disparity_px, weight, grey, moving, _AFAR, _WHERE_MOVING, samples, *found)
     loops.fit(disparity_px, weight, grey, need, _FAR, _WHERE_FAR, samples, *found)
-    # A partner beyond the left view's border was not seen: only a sure plane tells of it.
+    # A partner beyond the left view's border is not visible: only a reliable plane gives it.
     loops.forget_unseen(error, _MAX_UNSEEN_ERROR_PX, result, share)
     return result, share

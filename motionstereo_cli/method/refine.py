@@ -1,4 +1,4 @@
-"""Disparity between whole px: one step of Lucas and Kanade.
+"""Sub-pixel refinement: one step of Lucas and Kanade.
 
 After "An Iterative Image Registration Technique with an Application to Stereo Vision" (1981):
 within a window, the shift that makes the left view equal the right one follows from grey's slope.
@@ -14,15 +14,15 @@ from motionstereo_cli.compiled import refine as loops
 
 Reals = NDArray[np.float32]
 
-#: Where disparities in a window of 15 px and 7 rows differ by more than this, in px, things end:
-#: there disparity stays as it is.
+#: Where disparities in a window of 15 px and 7 rows differ by more than this, in px, objects end,
+#: and disparity is not refined.
 _MAX_RANGE_PX = 3.0
 
 #: Damping in squared grey levels per px, and how much of the mean squared difference of grey is
-#: added to it: where views differ by more than a shift, it moves less.
+#: added to it: where views differ by more than a shift, steps are smaller.
 _DAMPING, _PER_DIFFERENCE = 1.0, 1.0
 
-#: Differences of more grey levels than this do not count. It moves by at most so many px.
+#: Limit of differences in grey levels, and of a step in px.
 _MAX_GREY, _MAX_STEP_PX = 20.0, 0.75
 
 _LIMITS = loops.Limits(  # type: ignore[call-arg]  # mypy does not know its dataclasses
@@ -31,7 +31,7 @@ _LIMITS = loops.Limits(  # type: ignore[call-arg]  # mypy does not know its data
 
 
 def refined(disparity_px: Reals, right: Reals, left: Reals) -> NDArray[np.float32]:
-    """Return disparity moved to where the views are alike, (rows, width) float32, NaN = unknown.
+    """Return disparity refined between whole px, (rows, width) float32, NaN = unknown.
 
     Args:
         disparity_px: (rows, width) float32, NaN = unknown.

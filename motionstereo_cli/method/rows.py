@@ -1,7 +1,7 @@
-"""Half the rows, and back: views are matched at half the height.
+"""Matching at half the height, and disparity of all rows from it.
 
-That takes half the time and is no worse, for noise averages out. Row j of the halves is the mean of
-rows 2 j and 2 j + 1.
+It takes half the time and is no worse, because noise averages out. Row j of the halves is the mean
+of rows 2 j and 2 j + 1.
 """
 
 from __future__ import annotations
@@ -15,13 +15,13 @@ from motionstereo_cli.compiled import rows as loops
 #: Rows that make one.
 ROWS = 2
 
-#: Half rows whose disparities differ by less than this in px are mixed; where they differ by more,
-#: a pixel takes the one that is nearer to it in grey by so many levels.
+#: Half rows whose disparities differ by less than this in px are interpolated; if they differ by
+#: more, a pixel takes the one that is closer in grey by so many levels.
 _TOLERANCE_PX, _NEARER = 1.5, 2.0
 
 
 def halved(view: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Return an image of means of two rows; of an odd number of rows the last one stands alone."""
+    """Return the means of pairs of rows; the last of an odd number of rows is kept."""
     view = checked_array(view, np.uint8)
     result = np.empty((-(-len(view) // ROWS), view.shape[1]), np.uint8)
     loops.halve(view, result)
@@ -47,9 +47,9 @@ def whole(
 ) -> NDArray[np.float32]:
     """Return the disparity of all rows, (height, width) float32, NaN = unknown.
 
-    The upper row of two lies a quarter of a half row above their middle. Where the half row above
-    has nearly the same disparity, it is mixed in; else grey decides between the two, so that the
-    ends of objects and of holes follow the image. The lower row likewise.
+    The upper row of a pair is a quarter of a half row above their middle. If the half row above
+    has nearly the same disparity, both are interpolated; else grey decides between them, so that
+    borders of objects and of holes follow the image. The lower row is treated likewise.
 
     Args:
         disparity_px: (ceil(height / 2), width) float32, NaN = unknown.

@@ -16,13 +16,13 @@ from motionstereo_cli.params import checked, param
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
 
-#: The largest range of disparities that a run takes, in px.
+#: Limit of --max-disparity, in px.
 MAX_DISPARITY = 2048
 
 #: The largest age in frames that can be told apart.
 FOREVER = 254
 
-#: What ``--max-disparity auto`` is until the range is measured.
+#: Value of ``--max-disparity auto`` until the range is measured.
 AUTO = 0
 
 
@@ -31,11 +31,11 @@ GIVEN, ONNX = "given", "onnx:"
 
 
 class Matcher(NamedTuple):
-    """What a matcher is to users; its function is in ``matching.py`` under the same name.
+    """A matcher's description; its function is in ``matching.py`` under the same name.
 
     Attributes:
         what: what it does, in a few words.
-        knows_confidence: whether it gives a confidence; without, all of it is NaN.
+        knows_confidence: whether it gives a confidence; otherwise that is NaN.
         is_averaged: whether its disparity is averaged in time.
         knows_rest: whether it tells the disparity of what stands still, too.
     """
@@ -61,7 +61,7 @@ MATCHERS = {
     GIVEN: Matcher("what --disparity has", knows_confidence=False, knows_rest=True),
 }
 
-#: What the codes of ``--save occlusion`` say of a pixel.
+#: Meanings of the codes of ``--save occlusion``.
 OCCLUSION = {
     0: "known",
     1: "not moved",
@@ -77,14 +77,14 @@ ENTRY_POINTS = "motionstereo.matchers"
 
 @cache
 def installed_matchers() -> dict[str, EntryPoint]:
-    """Return the matchers that installed packages offer, by name; none of them is loaded yet."""
+    """Return the matchers that installed packages offer, by name, without loading them."""
     from importlib.metadata import entry_points
 
     return {point.name: point for point in entry_points(group=ENTRY_POINTS)}
 
 
 def matchers() -> dict[str, Matcher]:
-    """Return every matcher that can be chosen: of the package, registered, of other packages."""
+    """Return all matchers: of the package, registered, and of other packages."""
     offered = {
         name: Matcher(f"of {point.value}", knows_confidence=False, knows_rest=True)
         for name, point in installed_matchers().items()
@@ -94,7 +94,7 @@ def matchers() -> dict[str, Matcher]:
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """What the processing of a stereo stream depends on, besides the frames and the rig.
+    """All parameters of the processing of a stereo stream.
 
     Raises:
         SettingsError: a value is out of range, or two values contradict each other.

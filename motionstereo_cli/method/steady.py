@@ -1,7 +1,7 @@
-"""Disparity that does not flicker: an average over the last frames, of what rests.
+"""Temporal average of disparity where nothing moves, against flicker.
 
-Only results that were found apart from one another are averaged, and only where nothing has moved
-since; so an average never holds on to what is gone, and knows nothing older than its frames.
+Only independent results of single frames are averaged, and only where nothing has moved since; so
+an average never keeps what is gone, and depends on nothing older than its frames.
 """
 
 from __future__ import annotations
@@ -17,20 +17,20 @@ from motionstereo_cli.compiled import steady as loops
 Reals = NDArray[np.float32]
 Greys = NDArray[np.uint8]
 
-#: A result is averaged where it differs by at most so many px, and grey by so many levels.
+#: Maximum differences of an averaged result: disparity in px, and grey in levels.
 _TOLERANCE_PX, _MAX_GREY = 0.6, 4
 
 
 def averaged(
     disparity_px: Reals, grey: Greys, age: Greys, before: Sequence[tuple[Reals, Greys]]
 ) -> Reals:
-    """Return disparity averaged with that of the frames before, (height, width) float32.
+    """Return disparity averaged with that of earlier frames, (height, width) float32.
 
     Args:
-        disparity_px: found in this frame alone, (height, width) float32, NaN = unknown.
+        disparity_px: of this frame alone, (height, width) float32, NaN = unknown.
         grey: of the reference view, with little noise, (height, width) uint8.
         age: frames since something moved there, (height, width) uint8.
-        before: disparity and grey of the frames before, each found alone, the oldest first.
+        before: disparity and grey of earlier frames, each of that frame alone, the oldest first.
     """
     now = checked_array(disparity_px, np.float32)
     shape = now.shape

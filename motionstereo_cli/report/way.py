@@ -1,4 +1,4 @@
-"""The way of the rig from above, with the map and with what moved by itself."""
+"""The path of the rig from above, with the map and movers."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ _SAME_S = 1e-3
 
 
 def way(run: Results, steering: SteeringTable | None) -> dict[str, Any] | None:
-    """Return the way for the page, None where the run has no poses that can be read.
+    """Return the path for the page, None if the run has no readable poses.
 
-    x points up in the picture, y to the left, as a robot that sets out sees it.
+    x points up in the picture and y to the left, as seen by the robot at its start.
     """
     poses = _poses(run)
     if poses is None:

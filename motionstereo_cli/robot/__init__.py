@@ -1,6 +1,6 @@
-"""What a robot makes of depth: moving objects, a heading, maps.
+"""Robot functions on top of depth: own motion, moving objects, heading, maps.
 
-The pure files know arrays and numbers only; :mod:`~motionstereo_cli.robot.tracker`,
-:mod:`~motionstereo_cli.robot.guide` and :mod:`~motionstereo_cli.robot.mapper` join them and keep
+The pure files use arrays and numbers only; :mod:`~motionstereo_cli.robot.tracker`,
+:mod:`~motionstereo_cli.robot.guide` and :mod:`~motionstereo_cli.robot.mapper` combine them and keep
 state from frame to frame.
 """

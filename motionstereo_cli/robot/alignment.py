@@ -1,10 +1,10 @@
-"""Direct alignment: how a rig has moved since an earlier pair of views, from grey alone.
+"""Direct alignment: the motion of a rig since an earlier pair of views, from grey alone.
 
-Points of the earlier right view, whose nearness that pair tells, are moved and projected into both
-views of now; the motion is the one where their grey agrees best (Gauss and Newton, Huber weights,
-from coarse to fine). Gain and offset of either view are found with it, and so is a constant error
-of disparity, as a small turn between the cameras makes it: nearness says how far off a point is,
-and its way through the image says it too.
+Points of the earlier right view, with nearness from the earlier pair, are moved and projected into
+both current views; the motion is the one for which their grey agrees best (Gauss-Newton, Huber
+weights, coarse to fine). Gain and offset of both views are estimated with it, and so is a constant
+error of disparity, as from a small rotation between the cameras: depth follows both from nearness
+and from motion in the image.
 """
 
 from __future__ import annotations
@@ -23,20 +23,20 @@ Real = NDArray[np.float32]
 Reals = NDArray[np.float64]
 
 LEVELS = 4
-#: At each level, from fine to coarse, one of so many points is enough where there are many, and so
-#: many steps.
+#: At each level, from fine to coarse: use one of so many points, if there are many, and so many
+#: steps.
 _STRIDES = 1, 1, 2, 4
 _MANY = 300
 _ITERATIONS = 8
-#: A step that moves points by less px is the last.
+#: Iterations end with a step that moves points by less, in px.
 _LEAST_STEP_PX = 0.03
 
-#: Points are the largest slopes, at least so large, in each cell of so many rows and columns.
+#: Points have the largest slopes, at least this, in each cell of so many rows and columns.
 _MAX_POINTS = 2000
 _CELLS = 8, 12
 _MIN_SLOPE = 2.5
 _BORDER_PX = 8
-#: Fewer tell nothing. Their nearness is known to better than this.
+#: Minimum number of points, and maximum standard deviation of their nearness in px.
 MIN_POINTS = 60
 _MAX_SIGMA_PX = 1.0
 _MIN_NEARNESS_PX = 0.1
@@ -47,19 +47,19 @@ _SECOND_BEST = 1.5
 _WEIGHTS = (3.0, 0.02, 1.345, 4 * 1.345)
 _COARSE_WEIGHTS = (6.0, 0.02, 1.345, 4.0)
 
-#: Gain is 1 and offset 0 as far as nothing says otherwise: information.
+#: Prior information that gain is 1 and offset 0.
 _GAIN_PRIOR, _OFFSET_PRIOR = 1e4, 1e-2
 _PINNED = 1e12
 
-#: A residual below this, in standard deviations, speaks for an alignment.
+#: A residual below this, in standard deviations, supports an alignment.
 _AGREES = 2.5
-#: An alignment counts in full where it sees this share of the points.
+#: Share of visible points from which an alignment has full score.
 _FULLY_SEEN = 0.4
 
 
 @dataclass(frozen=True, slots=True)
 class Lens:
-    """What the geometry of a rectified rig needs: px, px, px, px, px, m.
+    """The geometry of a rectified rig.
 
     Attributes:
         focal_px: focal lengths along x and y.
@@ -75,11 +75,11 @@ class Lens:
 
     @property
     def doffs_px(self) -> float:
-        """Nearness less disparity."""
+        """Nearness minus disparity."""
         return self.right_cx_px - self.left_cx_px
 
     def at(self, level: int) -> Any:
-        """Return the camera of a level for the loops."""
+        """Return the camera of a pyramid level for the loops."""
         q = 0.5**level
         return loops.RigLevel(  # type: ignore[call-arg]
             *(self.focal_px[0] * q, self.focal_px[1] * q),
@@ -90,7 +90,7 @@ class Lens:
 
 @dataclass(frozen=True, slots=True)
 class Keyframe:
-    """A pair of views as points.
+    """The points of a pair of views.
 
     Attributes:
         points: (n, 4) float32 direction x and y per depth, nearness in px, its standard deviation.
@@ -105,15 +105,15 @@ class Keyframe:
 
 @dataclass(frozen=True, slots=True)
 class Alignment:
-    """Where a keyframe's points are now.
+    """The alignment of a keyframe with the current views.
 
     Attributes:
-        motion: (4, 4) takes places in the keyframe's right camera to places in the one of now.
-        light: as :class:`Keyframe` has it.
-        error_px: constant error of disparity: what it is less than nearness.
+        motion: (4, 4) transforms points of the keyframe's right camera to the current one.
+        light: as in :class:`Keyframe`.
+        error_px: constant error of disparity: nearness minus disparity.
         score: share of the points whose grey agrees, 0..1.
         seen: share of the points in view, 0..1.
-        normal: (11, 11) normal equations: place, turn, light, error.
+        normal: (11, 11) normal equations: translation, rotation, light, error.
     """
 
     motion: Reals
@@ -135,12 +135,12 @@ def pyramid(image: NDArray[np.uint8]) -> list[Real]:
 def pick(
     grey: Real, count: int = _MAX_POINTS, cells: tuple[int, int] = _CELLS
 ) -> NDArray[np.int32]:
-    """Return the places of the largest slopes, all over an image: (n, 2) int32 column and row.
+    """Return the pixels of the largest slopes, spread over an image: (n, 2) int32 column and row.
 
     Args:
         grey: the image.
-        count: about how many at most.
-        cells: rows and columns of cells that each have their share.
+        count: approximate maximum number.
+        cells: rows and columns of cells, which each contribute equally.
     """
     slope = np.abs(cv2.Sobel(grey, cv2.CV_32F, 1, 0, scale=1 / 8))
     slope += 0.5 * np.abs(cv2.Sobel(grey, cv2.CV_32F, 0, 1, scale=1 / 8))
@@ -161,9 +161,9 @@ def pick(
 def nearness_of(
     right: Real, left: Real, places: NDArray[np.int32], lens: Lens, range_px: int
 ) -> Real:
-    """Return nearness and its standard deviation in px of places in the right view, (n, 2).
+    """Return nearness and its standard deviation in px at pixels of the right view, (n, 2).
 
-    NaN where it is unsure.
+    NaN where it is uncertain.
     """
     found = np.empty((len(places), 2), np.float32)
     costs = np.empty(range_px + 1, np.float32)
@@ -173,7 +173,7 @@ def nearness_of(
 
 
 def keyframe(right: list[Real], left: list[Real], lens: Lens, range_px: int) -> Keyframe | None:
-    """Return a pair of views as points; None where there are too few.
+    """Return the points of a pair of views; None if there are too few.
 
     Args:
         right, left: their pyramids.
@@ -209,16 +209,16 @@ def align(
     *,
     pinned: bool = False,
 ) -> Alignment | None:
-    """Return where a keyframe's points are now; None where that cannot be told.
+    """Align a keyframe with the current views; None if it fails.
 
     Args:
         key: the keyframe.
-        right, left: pyramids of the views of now.
+        right, left: pyramids of the current views.
         lens: the rig.
-        start: (4, 4) motion to begin with.
-        error_px, error_information: what is known before of the constant error of disparity, and
-            how well: one over its variance in px.
-        pinned: the motion is that of the start; only the light is found.
+        start: (4, 4) initial motion.
+        error_px, error_information: prior of the constant error of disparity in px, and one over
+            its variance.
+        pinned: keep the initial motion and estimate only the light.
     """
     prior = np.zeros((2, 11))
     prior[0, 6:] = 1, 0, 1, 0, error_px
@@ -245,7 +245,7 @@ def align(
 def mismatch(
     key: Keyframe, right: list[Real], lens: Lens, motions: Reals, error_px: float
 ) -> Reals:
-    """Return how badly grey agrees after each of some motions (n, 4, 4), at the coarsest level."""
+    """Return the mismatch of grey after each of some motions (n, 4, 4), at the coarsest level."""
     level = LEVELS - 1
     views, camera = _views(key, right, right, level), lens.at(level)
     residual = np.empty(len(key.points), np.float32)

@@ -1,7 +1,7 @@
-"""When the rig would meet what is in its way: the least time to contact along the heading.
+"""The least time to contact along the heading.
 
-What comes closer evenly has a depth, 1 / nearness up to a factor, that shrinks linearly with time,
-so its time to contact needs no unit of length and no rig.
+The depth of an object that approaches at constant speed, 1 / nearness up to a factor, decreases
+linearly with time, so its time to contact needs no unit of length and no rig.
 """
 
 from __future__ import annotations
@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 
 #: A speed is fitted to so many of the last frames, at least to the second.
 _FITTED, _MIN_FITTED = 8, 4
-#: From frame to frame nearness changes by no more than this factor, or it is of another thing; so
-#: it is where the heading has moved by more than this share of the image.
+#: If nearness changes by more than this factor between frames, or the heading moves by more than
+#: this share of the image, it is another object.
 _MAX_FACTOR, _MAX_MOVED = 1.3, 0.15
-#: What comes closer by less than so many times what the fit misses it by does not for sure.
+#: An approach is significant if it exceeds the residual of the fit by this factor.
 _SURE = 3.0
-#: A contact later than this is none: so slow a speed is not told from 0.
+#: Maximum time to contact: slower speeds cannot be distinguished from 0.
 MAX_CONTACT_S = 60.0
 
 
@@ -35,7 +35,7 @@ class Approach:
     seen: tuple[tuple[float, float, float], ...] = ()
 
     def after(self, time_s: float | None, place: float, near_px: float) -> Approach:
-        """Return what is known a frame later; nearness is NaN where nothing is in the way."""
+        """Return the state after a frame; nearness is NaN if nothing is in the way."""
         if time_s is None or not near_px > 0:
             return Approach()
         if self.seen:
@@ -47,7 +47,7 @@ class Approach:
 
     @property
     def contact_s(self) -> float | None:
-        """Time until contact in s; None where nothing comes closer, or that is unknown."""
+        """Time to contact in s; None if nothing approaches, or if unknown."""
         if len(self.seen) < _MIN_FITTED:
             return None
         time_s, _, near_px = np.array(self.seen).T

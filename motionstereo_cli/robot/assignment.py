@@ -1,7 +1,7 @@
-"""Pairing the rows and columns of a table of costs: the Hungarian method.
+"""Assignment of rows to columns of a table of costs: the Hungarian method.
 
-By shortest augmenting paths (Jonker and Volgenant, 1987): rows come in one after the other, and
-each takes a column away from another row where all together then cost less.
+By shortest augmenting paths (Jonker and Volgenant, 1987): rows are added one by one, and each takes
+over a column of another row if that lowers the total cost.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ def assignment(cost: NDArray[np.float64]) -> list[tuple[int, int]]:
     if cost.shape[0] > cost.shape[1]:
         return sorted((row, column) for column, row in assignment(cost.T))
     rows, columns = cost.shape
-    # One column more, the last: there, the row that comes in waits.
+    # One more column, the last, holds the row that is added.
     of_row, of_column = np.zeros(rows), np.zeros(columns + 1)
     owner = np.full(columns + 1, -1)
     for row in range(rows):

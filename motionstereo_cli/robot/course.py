@@ -1,6 +1,6 @@
-"""The course of a robot that knows its own motion, on a map of what it has seen of late.
+"""The course of a robot with known poses, on a map of what it has seen recently.
 
-It heads for where the way is free farthest. Where only single images are known, see
+It heads for the direction with the longest free way. For guidance by single images, see
 :mod:`~motionstereo_cli.robot.free_space`.
 """
 
@@ -15,32 +15,32 @@ from numpy.typing import NDArray
 
 
 def steadied(before: float | None, target: float, gain: float) -> float:
-    """Return the heading moved from the one before toward a target by a share ``gain``, 0..1."""
+    """Return the heading moved from the last one toward a target by a share ``gain``, 0..1."""
     return target if before is None else before + gain * (target - before)
 
 
-#: Directions that are weighed, about the robot's yaw: a full circle, in steps of 3 degrees.
+#: Candidate directions about the robot's yaw: a full circle, in steps of 3 degrees.
 DIRECTIONS_RAD = np.radians(np.arange(-180, 180, 3, dtype=np.float64))
 
-#: Longer distances count as this long: what lies beyond is too uncertain, and the map ends at 8 m.
+#: Limit of distances: beyond it depth is too uncertain, and the map ends at 8 m.
 _LONGEST_M = 7.0
 _STEP_M = 0.05
-#: Clearance that is kept beside the robot, and how fast it has to grow where it is less.
+#: Clearance beside the robot, and how fast it has to grow where it is less.
 _CLEARANCE_M = 0.2
 _WIDENING = 0.35
-#: Half the width of the strip that has to be known as free; its sides only must not be occupied.
+#: Half the width of the strip that has to be free; beside it nothing may be occupied.
 _KNOWN_M = 0.15
 
-#: Free distance that is worth a radian away from the direction of travel, or the last heading.
+#: Free distance that offsets a radian away from the direction of travel, or the last heading.
 _TRAVEL_COST_M = 1.0
 _CHANGE_COST_M = 0.5
 #: Directions farther from the direction of travel lead back.
 _BACK_RAD = math.radians(100)
-#: A free distance below the first is none: then the robot looks around until one of the second.
+#: Free distances below the first are blocked: the robot looks around until one exceeds the second.
 _MIN_FREE_M = 0.9
 _FOUND_FREE_M = 1.5
 _AHEAD_RAD = math.radians(35)
-#: After looking around that far without success, the direction back is as good as any.
+#: After looking around by this angle without success, the direction back is allowed.
 _LOOK_RAD = math.radians(540)
 #: Distance over which the direction of travel follows the robot.
 _TRAVEL_M = 2.5
@@ -48,13 +48,13 @@ _TRAVEL_M = 2.5
 
 @dataclass(frozen=True, slots=True)
 class Course:
-    """What a moving robot intends.
+    """The course of a moving robot.
 
     Attributes:
-        heading_rad: where it steers, as a yaw in the world.
+        heading_rad: its heading, as a yaw in the world.
         travel_rad: yaw of its recent path.
-        look: 1 while it turns left to look around, -1 to the right, 0 while it knows where to go.
-        looked_rad: how far it has turned since.
+        look: 1 while it turns left to look around, -1 to the right, 0 while it has a heading.
+        looked_rad: angle turned while looking around.
     """
 
     heading_rad: float
@@ -84,7 +84,7 @@ def free_distances(
         radius_m: radius of the robot in m.
     """
     x, y = (np.arange(size) + 0.5 - at for size, at in zip(occupied.shape, place, strict=True))
-    here = np.hypot(x[:, None], y) * cell_m <= radius_m  # where the robot is, nothing else is
+    here = np.hypot(x[:, None], y) * cell_m <= radius_m  # the robot's own place is free
     to_occupied, to_unknown = (
         cv2.distanceTransform((cells | here).astype(np.uint8), cv2.DIST_L2, 5) * np.float32(cell_m)
         for cells in (~occupied, free)
@@ -127,7 +127,7 @@ def plan(
     smooth_m = np.mean([np.roll(free_m, k) for k in (-2, -1, 0, 1, 2)], axis=0)
     worth = np.minimum(free_m, smooth_m) - _TRAVEL_COST_M * from_travel
     worth -= _CHANGE_COST_M * np.abs(wrapped(directions_rad - course.heading_rad))
-    # A short free distance is worth going on with, but not turning for.
+    # A short free distance is enough to continue, but not to turn to.
     ahead = (np.abs(wrapped(directions_rad - yaw_rad)) <= _AHEAD_RAD) & (course.look == 0)
     allowed = free_m >= np.where(ahead, _MIN_FREE_M, _FOUND_FREE_M)
     if looked_rad < _LOOK_RAD:
@@ -166,7 +166,7 @@ def wrapped(angle_rad: NDArray[np.float64]) -> NDArray[np.float64]:
 def _side_to_look(
     possible_m: NDArray[np.float64], directions_rad: NDArray[np.float64], travel_rad: float
 ) -> int:
-    """Return 1 where more may be free to the left of the path than to its right, else -1."""
+    """Return 1 if more may be free to the left of the path than to its right, else -1."""
     off = wrapped(directions_rad - travel_rad)
     left = possible_m[(off > 0.3) & (off < 2.2)].sum()
     right = possible_m[(off < -0.3) & (off > -2.2)].sum()

@@ -1,8 +1,8 @@
 """The free space before a camera, from one disparity image, and the direction to drive in.
 
-All is measured in heights of the camera over the ground, which the ground itself shows: where the
-ground is level, its nearness (disparity plus doffs) grows with the image's rows by
-``baseline / height`` px a row from the horizon on. So it needs no rig.
+Lengths are in camera heights over the ground, which the image itself gives: on level ground
+    nearness (disparity plus doffs) grows by ``baseline / height`` px per row below the horizon. So
+    no rig is needed.
 """
 
 from __future__ import annotations
@@ -16,40 +16,40 @@ from numpy.typing import NDArray
 from motionstereo_cli.compiled import checked_array, checked_number, reused
 from motionstereo_cli.compiled import free_space as loops
 
-#: Share of an image, and of a strip of it, below which its matches are taken for noise.
+#: Share of an image, and of a strip, below which its matches count as noise.
 MIN_KNOWN_SHARE = 0.002
 _MIN_STRIP_SHARE = 0.01
 
-#: Of what stands in a strip, the share allowed to be nearer than its nearness says: noise.
+#: Share of standing pixels in a strip that may be nearer than its nearness: noise.
 _NEARER_SHARE = 0.2
-#: Of the ground in a strip, the share allowed to be farther than it is said to be seen.
+#: Share of ground pixels in a strip that may be farther than the farthest ground.
 _FARTHER_SHARE = 0.05
-#: Of all that is known, the share that is farther than the nearest obstacle.
+#: Share of known pixels that are farther than the nearest obstacle.
 _NEAREST_SHARE = 0.99
 
-#: How far up the ground reaches, and what a vehicle passes under, in camera heights.
+#: Height up to which the ground reaches, and above which a vehicle passes under, in camera heights.
 _GROUND_UP, _OVERHEAD_UP = 0.2, 1.4
-#: Errors of the ground's own nearness: a share of it, and px.
+#: Tolerance of the ground's nearness: a share of it, and px.
 _GROUND_SHARE, _GROUND_PX = 0.15, 0.5
 
-#: The horizon is looked for so far about the image's middle row, as a share of its height.
+#: Search range of the horizon about the image's middle row, as a share of its height.
 _HORIZON_SHARE = 0.15
 _HORIZONS, _SLOPES, _BINS, _ROWS = 16, 32, 128, 32
-#: Of all that is known, the share that the bins reach beyond.
+#: Share of known pixels that the bins cover.
 _FULL_SCALE = 0.995
 #: Such a share of an image, as :func:`find_ground` counts it, has to lie on the ground: on a line
 #: through a mere wall lie 0.125, on the floor of a smooth corridor 0.14, on a road 0.3 to 0.4.
 _MIN_GROUND = 0.13
-#: What is below the ground counts this many times against it.
+#: Weight of pixels below the ground against it.
 _BELOW_COST = 2.0
 
 #: A vehicle's width, the longest way that is told from longer ones, and how far off the point is
 #: that it steers to, in camera heights; in a narrow place that point is nearer.
 VEHICLE, _FARTHEST, _AIM = 1.5, 25.0, 8.0
 _AIM_SHARE = 0.25
-#: Where nothing stands the way is open if ground is seen as far as a share 1 / this of the longest.
+#: Without obstacles the way is open if ground is seen as far as 1 / this of the longest way.
 _OPEN = 2.0
-#: Finer differences of nearness are noise.
+#: Smaller differences of nearness are noise.
 _MIN_PX = 0.25
 #: What a whole half image off straight ahead is worth in way, as a share of the longest, and how
 #: much shorter a way is that counts a third.
@@ -62,7 +62,7 @@ _GAP_LENGTH = 0.5
 _LEVEL, _LEVEL_PX = 1.12, 0.5
 _LEVEL_SHARE, _LEVEL_STRIPS = 0.5, 0.8
 _FARTHEST_SHARE, _STRIP_SHARE = 0.1, 0.25
-#: Unknown strips between known ones count as these if there are at most this many, as a share.
+#: Maximum gap of unknown strips that is interpolated, as a share of all.
 _GAP_SHARE = 0.25
 
 
@@ -72,7 +72,7 @@ class Ground:
 
     Attributes:
         slope: px of nearness a row.
-        horizon: row at which it would be endlessly far.
+        horizon: row at which it is at infinity.
     """
 
     slope: float
@@ -81,7 +81,7 @@ class Ground:
 
 @dataclass(frozen=True, slots=True)
 class FreeSpace:
-    """What stands in each vertical strip of an image.
+    """Obstacles and ground in each vertical strip of an image.
 
     Attributes:
         standing_px: nearness of the nearest obstacle there, (strips,) float32; NaN where
@@ -100,8 +100,8 @@ class FreeSpace:
 def find_ground(nearness_px: NDArray[np.float32], middle_row: float) -> Ground | None:
     """Return the ground in an image: the line from row to nearness that most of the image fits.
 
-    Nothing is below the ground, so what lies below a line speaks against it (compare Labayrade et
-    al. 2002, v-disparity). None where no line fits.
+    Nothing is below the ground, so pixels below a line count against it (compare Labayrade et al.
+    2002, v-disparity). None if no line fits.
 
     Args:
         nearness_px: disparity + doffs, (height, width) float32, NaN = unknown.
@@ -115,7 +115,7 @@ def find_ground(nearness_px: NDArray[np.float32], middle_row: float) -> Ground |
     bin_px = max(far_px, 1.0) * 1.1 / _BINS
     counts = np.zeros((_ROWS, _BINS), np.int32)
     loops.count_in_rows(nearness_px, bin_px, counts)
-    # Each row counts alike, but one with few known pixels less.
+    # Rows have equal weight, but less with few known pixels.
     few = 0.02 * width * height / _ROWS
     farther = np.zeros((_ROWS, _BINS + 1))
     np.cumsum(counts / np.maximum(counts.sum(axis=1, keepdims=True), few), 1, out=farther[:, 1:])
@@ -142,10 +142,9 @@ def free_space(
     row_px: float = 1.0,
     column_px: int = 1,
 ) -> FreeSpace:
-    """Return what stands in each strip of an image, and how far its ground is seen.
+    """Return the obstacle in each strip of an image, and how far its ground is seen.
 
-    What lies on the ground or hangs over it does not stand in the way. Without a ground all that
-    is known does.
+    What is flat on the ground or high above it is not an obstacle. Without a ground everything is.
 
     Args:
         nearness_px: disparity + doffs, (height, width) float32, NaN = unknown.
@@ -174,7 +173,7 @@ def free_space(
 def way_ahead(
     seen: FreeSpace, focal_px: float, cx_px: float, before: float | None = None
 ) -> tuple[float | None, NDArray[np.float32]]:
-    """Return where to steer, and how near the way ends in each strip.
+    """Return the heading, and the nearness of the end of the way in each strip.
 
     A vehicle can turn right or left by more or less: each such way is an arc, which is as long as
     it meets nothing and stays in the view. The heading is the mean of the ways, of which a longer
@@ -214,7 +213,7 @@ def way_ahead(
     worth = length / length.max() - _TURN_COST * np.abs(slant) / half
     worth -= _CHANGE_COST * np.abs(place - (0.5 if before is None else before))
     best = int(worth.argmax())
-    # Ways beside the best one, up to the next obstacle: the mean of two gaps is no gap.
+    # Only ways beside the best one, up to the next obstacle: the mean of two gaps is not a gap.
     short = np.flatnonzero(length < _GAP_LENGTH * length[best])
     gap = slice(
         short[short < best].max(initial=-1) + 1, short[short > best].min(initial=len(place))
@@ -229,8 +228,8 @@ def _lengths(
     """Return how far a vehicle can drive toward each strip, in camera heights.
 
     Args:
-        ahead: how far ahead of the camera something stands in each strip, NaN = unknown.
-        slant: how far aside the strips are, per height ahead, positive = right.
+        ahead: distance of the obstacle in each strip, NaN = unknown.
+        slant: lateral offset of the strips per distance ahead, positive = right.
         half: the same for the borders of the image.
         farthest: the longest way that counts.
     """
@@ -245,7 +244,7 @@ def _lengths(
     # An arc that is a * aim aside at the aim is a * z^2 / aim aside at z, and may leave the view.
     arc = free(slant[:, None] * ahead**2 / aim)
     arc = np.minimum(arc, aim * half / np.maximum(np.abs(slant), 1e-6))
-    # In a narrow place, a turn on the spot toward a far strip is as good as an arc.
+    # In a narrow place, turning on the spot toward a far strip is as good as an arc.
     share = min(1.0, _AIM / float(arc.max()))
     return np.maximum(arc, share * free(slant[:, None] * ahead))
 
@@ -308,14 +307,14 @@ def quantiles(
 
 
 def strip_borders(width: int, strips: int) -> NDArray[np.int64]:
-    """Return where strips of nearly equal width begin and end, (strips + 1,): alike in a mirror."""
+    """Return the borders of strips of nearly equal width, (strips + 1,), symmetric in a mirror."""
     index = np.arange(strips + 1)
     from_left = index * width // strips
     return np.where(2 * index <= strips, from_left, width - from_left[::-1])
 
 
 def _filled(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return values with NaN between known ones interpolated, unless too many lie together."""
+    """Return values with gaps between known ones interpolated, unless they are too wide."""
     index, known = np.arange(len(values)), np.flatnonzero(~np.isnan(values))
     if not len(known):
         return values

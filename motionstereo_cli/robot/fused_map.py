@@ -1,8 +1,8 @@
-"""All that was seen, in the world frame: a grid of the floor plane and a cloud of voxels.
+"""The fused map in the world frame: a grid of the floor plane and a cloud of voxels.
 
 Both grow with the area that was seen, not with time. Cells of the grid hold *evidence* in whole
-steps: positive = occupied, negative = free, 0 = unknown. Unlike the robot's own map of its
-surroundings nothing fades: what was seen once and never again stays.
+steps: positive = occupied, negative = free, 0 = unknown. Unlike the local map
+nothing fades: what was seen once stays.
 """
 
 from __future__ import annotations
@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 
 Cells = NDArray[np.int64]
 
-#: Evidence of one frame, and the most that is kept.
+#: Evidence of one frame, and its limit.
 _HIT = 2
 _MISS = -1
 _MOST = 30
-#: A cell counts as occupied or free from here on; a voxel is one that this many frames saw.
+#: Evidence from which a cell is occupied or free; number of frames that have to see a voxel.
 OCCUPIED = 6
 FREE = -2
 MIN_FRAMES = 3
@@ -68,7 +68,7 @@ def marked(
     grown = _grown(known, low, low + change.shape)
     i, j = low - grown.corner
     part = grown.evidence[i : i + change.shape[0], j : j + change.shape[1]]
-    part[:] = np.clip(part + change, -_MOST, _MOST)  # far from what int8 holds
+    part[:] = np.clip(part + change, -_MOST, _MOST)  # far from the limits of int8
     return grown
 
 

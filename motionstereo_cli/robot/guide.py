@@ -1,8 +1,7 @@
 """The heading of each frame.
 
-What a guide takes from one frame, its *profile*, is a few numbers that follow from that frame
-only. What it makes of one profile after the other is done in order: a guide's state is a value
-that goes in and comes out.
+A guide takes from each frame a *profile*: a few numbers that depend on that frame only. From
+profiles it computes headings in order; its state is a value that is passed in and returned.
 """
 
 from __future__ import annotations
@@ -51,26 +50,26 @@ from motionstereo_cli.types import MovingObject, Pose, Rig, Steering
 if TYPE_CHECKING:
     from motionstereo_cli.types import Real
 
-#: An object is a contact if it would be at the camera within this time, with at least this
-#: confidence. A robot keeps clear of where the first contact will be after each of these times.
+#: An object is a contact if its time to contact is below this, with at least this confidence. The
+#: robot keeps clear of the first contact's positions after each of these times.
 CONTACT_S = 3.0
 MIN_CONFIDENCE = 0.2
 FORESEEN_S = (0.5, 1.0)
 
-#: Standing objects are in the map already: a contact that matters moves over ground by itself.
-#: Above the second speed it is a mistake. It is at most this wide.
+#: Standing objects are in the map: a contact moves over ground, faster than the first speed. Above
+#: the second it is a mistake. It is at most this wide.
 CONTACT_MPS = (0.3, 2.5)
 CONTACT_RADIUS_M = 0.5
 
 #: A contact is a standing object if the map has more evidence than this within this distance of it:
-#: the camera sees ever new parts of a wall that it passes, as if the wall moved along.
+#: a wall that the camera passes always shows new parts, as if it moved along.
 STANDS = 3.0
 STANDS_WITHIN_M = 0.25
 
-#: To steer by an image, this many of its rows and columns are enough: larger ones take no longer.
+#: Rows and columns of an image that are used for guidance: larger images take no longer.
 STEERING_PX = 240
 
-#: The median of this many frames counts: one that says to steer elsewhere is not followed.
+#: Number of frames of which the median is used: a single deviating one is ignored.
 TARGETS = 3
 
 #: For so many frames of one surface across the view the heading of before is held.
@@ -90,7 +89,7 @@ _TRAIL = 16
 #: Focal length over width of an unknown lens: a view of 60 degrees.
 _FOCAL_PER_WIDTH = 0.87
 
-#: Bearings that a robot tells apart: less than a degree each for most lenses.
+#: Number of bearings: less than a degree each for most lenses.
 BEARINGS = 80
 
 _Profile = TypeVar("_Profile")
@@ -101,11 +100,11 @@ class Guide(Protocol, Generic[_Profile, _State]):
     """Steers frame by frame."""
 
     def profile(self, disparity_px: Real, fresh: NDArray[np.bool_]) -> _Profile:
-        """Return what is taken from a frame.
+        """Return the profile of a frame.
 
         Args:
             disparity_px: (height, width) float32, NaN = unknown.
-            fresh: where the disparity is of now and not of earlier frames, (height, width) bool.
+            fresh: where the disparity is of this frame, not of earlier ones, (height, width) bool.
         """
 
     def steer(
@@ -116,26 +115,26 @@ class Guide(Protocol, Generic[_Profile, _State]):
         objects: Iterable[MovingObject] = (),
         time_s: float | None = None,
     ) -> tuple[_State, Steering]:
-        """Return what is known after a frame, and its heading.
+        """Return the state after a frame, and its heading.
 
         Args:
-            state: what was known before; None at the first frame.
+            state: the state before; None at the first frame.
             seen: the profile of the frame.
-            pose: where the rig is.
-            objects: what moves; the first to arrive is kept clear of.
+            pose: the pose of the rig.
+            objects: moving objects; the guide avoids the first to arrive.
             time_s: when it was taken; None where the source has no time.
         """
 
 
 def guide_of(settings: Settings, rig: Rig | None, *, with_poses: bool) -> Guide[Any, Any]:
-    """Return the guide that uses all that is known of the rig."""
+    """Return the guide for a rig with or without poses."""
     if rig is None or not with_poses:
         return ImageGuide(settings, rig)
     return MapGuide(settings, rig)
 
 
 def nearest_contact(objects: Iterable[MovingObject]) -> MovingObject | None:
-    """Return the object that would be at the camera first; None where none would be soon."""
+    """Return the object with the least time to contact; None if none arrives soon."""
     first, first_s = None, CONTACT_S
     for each in objects:
         there_s = each.time_to_contact_s
@@ -146,7 +145,7 @@ def nearest_contact(objects: Iterable[MovingObject]) -> MovingObject | None:
 
 @dataclass(frozen=True, slots=True)
 class ImageProfile:
-    """What :class:`ImageGuide` takes from a frame.
+    """Profile of a frame for :class:`ImageGuide`.
 
     Attributes:
         space: what stands in each vertical strip of the image.
@@ -161,11 +160,11 @@ class ImageProfile:
 
 @dataclass(frozen=True, slots=True)
 class ImageHeading:
-    """What :class:`ImageGuide` keeps from frame to frame.
+    """State of :class:`ImageGuide`.
 
     Attributes:
         place: the last heading across the image, 0 left .. 1 right; None before the first.
-        targets: where the last frames said to steer, :data:`TARGETS` at most.
+        targets: targets of the last frames, :data:`TARGETS` at most.
         approach: what was in the way in the last frames.
         level_frames: for how many frames one surface has filled the view.
     """
@@ -178,7 +177,7 @@ class ImageHeading:
 
 @dataclass(frozen=True, slots=True)
 class ImageGuide:
-    """Steers by one image at a time, to where the way is free farthest.
+    """Steers by single images, along the longest free way.
 
     Args:
         settings: parameters of the guidance.
@@ -268,7 +267,7 @@ class ImageGuide:
 
 @dataclass(frozen=True, slots=True)
 class MapProfile:
-    """What :class:`MapGuide` takes from a frame.
+    """Profile of a frame for :class:`MapGuide`.
 
     Attributes:
         bearings: what stands nearest in each bearing.
@@ -287,12 +286,12 @@ class MapProfile:
 
 @dataclass(frozen=True, slots=True)
 class MapCourse:
-    """What :class:`MapGuide` keeps from frame to frame.
+    """State of :class:`MapGuide`.
 
     Attributes:
         map: the surroundings.
-        pose: where the rig was in the last frame.
-        course: what the robot intends; None while nothing has been seen.
+        pose: pose of the rig in the last frame.
+        course: the robot's course; None while nothing has been seen.
         place: the last heading across the image, 0 left .. 1 right; None before the first.
         approach: what was in the way in the last frames.
         image: what :class:`ImageGuide` keeps.
@@ -310,7 +309,7 @@ class MapCourse:
 
 @dataclass(frozen=True, slots=True)
 class MapGuide:
-    """Steers by a map of what was seen recently, around a rig whose poses are known.
+    """Steers by a map of what was seen recently around a rig with known poses.
 
     Args:
         settings: parameters of the guidance.
@@ -456,7 +455,7 @@ class MapGuide:
         return cells
 
     def _place_of(self, angle_rad: float, width: int) -> float:
-        """Return the place across the image of an angle, cut to what the image sees."""
+        """Return the position across the image of an angle, clipped to the image."""
         if abs(angle_rad) >= math.pi / 2:
             return 0.0 if angle_rad > 0 else 1.0
         cx_px = self.rig.cx_of(self.settings.reference)
@@ -482,13 +481,13 @@ _BLIND = Steering("blind", None, None, None, None)
 
 
 def _median(values: tuple[float, ...]) -> float:
-    """Return the median of a few numbers; np.median takes long, and at first loads np.ma."""
+    """Return the median of a few numbers; np.median is slow and imports np.ma."""
     ordered, count = sorted(values), len(values)
     return (ordered[(count - 1) // 2] + ordered[count // 2]) / 2
 
 
 def _thinning(image: Real) -> tuple[int, int]:
-    """Return of how many rows and columns one is enough to steer by."""
+    """Return the steps of rows and columns that are used for guidance."""
     height, width = (max(side // STEERING_PX, 1) for side in image.shape)
     return height, width
 

@@ -1,13 +1,13 @@
-"""What the robot remembers of its surroundings: a small map that moves along and fades.
+"""The local map: a small map that moves with the robot and fades.
 
 A grid in the world's directions, centred on the robot. Each cell holds *evidence*: positive =
-occupied, negative = free, near 0 = unknown. What is unknown is neither free nor occupied. A point
+occupied, negative = free, near 0 = unknown. A point
 seen in some direction makes its own cell occupied and those before it free, as in occupancy grids
 with an inverse sensor model (Thrun, Burgard and Fox, Probabilistic Robotics, chapter 9). Evidence
-halves in :data:`HALF_LIFE_FRAMES`, because an object that moves on leaves no sign.
+halves in :data:`HALF_LIFE_FRAMES`, because objects may move away unseen.
 
-A view looks over what is low and near. So a cell also holds the height of what stands in it: a
-sight that passes above that does not make the cell free.
+A camera looks over low objects nearby. So a cell also holds the height of its object, and is not
+made free by a line of sight that passes above it.
 """
 
 from __future__ import annotations
@@ -27,20 +27,20 @@ CELL_M = 0.1
 CELLS = 160
 HALF_LIFE_FRAMES = 50
 
-#: Evidence of one frame, and the most that is kept. A cell counts as free or occupied beyond
+#: Evidence of one frame, and its limit. A cell counts as free or occupied beyond
 #: CERTAIN: after two frames or more.
 _HIT = 0.5
 _MISS = -0.5
 _MOST = 4.0
 CERTAIN = 0.7
 
-#: How far points of the map around the robot are marked as occupied.
+#: Distance from the robot up to which points are marked as occupied.
 _HIT_REACH_M = 6.0
-#: Errors of a disparity, in px, that a free cell and an occupied place allow for.
+#: Tolerances of disparity, in px, for free cells and occupied ones.
 _FREE_ERROR_PX = 1.0
 _HIT_ERROR_PX = 0.5
 
-#: A bearing's nearness is that of its nearest pixels but for these.
+#: Nearest pixels of a bearing that are ignored: a share, and a number.
 _MIN_PIXELS = 4
 _NEARER_SHARE = 0.1
 
@@ -59,7 +59,8 @@ _SURE, _SURE_IF_LOW, _LOW_M = 0.9, 2.0, 0.25
 #: How far above the top of a thing a sight has to pass to be said to pass over it.
 _TOP_ERROR_M = 0.1
 
-#: Bearings without points are bridged: up to this angle as free, up to this length as occupied.
+#: Bearings without points are interpolated: up to this angle as free, up to this length as
+#: occupied.
 _BRIDGED_RAD = math.radians(10)
 _BRIDGED_M = 1.5
 
@@ -108,7 +109,7 @@ class FloorView:
 
 
 class Bearings(NamedTuple):
-    """What stands nearest in each bearing, a range of columns of equal width.
+    """The nearest obstacle in each bearing, a range of columns of equal width.
 
     Attributes:
         near_px: its nearness, (bearings,) float32 px, NaN = unknown.
@@ -128,13 +129,13 @@ def profile(
     below_m: float,
     above_m: float,
 ) -> Bearings:
-    """Return what stands nearest in each bearing.
+    """Return the nearest obstacle in each bearing.
 
-    Its nearness is such that a tenth of the bearing's points, but at least four, are as near.
+    A tenth of the bearing's points, but at least four, are as near as its nearness.
 
     Args:
         nearness_px: disparity + doffs, (height, width) float32, NaN = unknown.
-        fresh: pixels that show where objects are now, (height, width) bool.
+        fresh: pixels that show the present, (height, width) bool.
         view: the camera.
         bearings: number of bearings.
         below_m, above_m: points farther below or above the camera are no obstacles.
@@ -190,7 +191,7 @@ def nearest_by_bearing(near_px: Reals, bearing: NDArray[np.intp], bearings: int)
 
 
 def moved(known: LocalMap, x_m: float, y_m: float) -> LocalMap:
-    """Return the map with its middle at a place: what falls off its edge is forgotten."""
+    """Return the map with its middle at a place; what is beyond its edge is dropped."""
     corner = _corner(x_m, y_m)
     evidence, top_m = np.zeros_like(known.evidence), np.zeros_like(known.top_m)
     spans = []
@@ -209,7 +210,7 @@ def moved(known: LocalMap, x_m: float, y_m: float) -> LocalMap:
 def seen(
     known: LocalMap, found: Bearings, view: FloorView, size: tuple[int, int], below_m: float
 ) -> LocalMap:
-    """Return the map a frame later, with what a camera has seen in it.
+    """Return the map after a frame, with what a camera has seen.
 
     Args:
         known: the map.
@@ -234,13 +235,13 @@ def seen(
     lowest_m = sight.ahead_m * np.float32((view.cy_px - (height - 1)) / view.focal_y_px)
     needed = np.where(known.top_m < np.float32(_LOW_M - below_m), _SURE_IF_LOW, _SURE)
     passed_over = (evidence > needed) & (known.top_m < lowest_m + np.float32(_TOP_ERROR_M))
-    # What lies behind its front is as low, and no sight from here tells that it has ended.
+    # Behind its front it is assumed to be as low, and its end is not visible from here.
     beside = cv2.dilate(passed_over.astype(np.uint8), _LOW_THING).astype(np.bool_)
     passed_over |= beside & (np.abs(evidence) < CERTAIN)
     evidence[sight.free & ~passed_over] += np.float32(_MISS)
     top_m = _filled(found.top_m)[sight.bearing]
     top_m = np.where(evidence > 0, (known.top_m + top_m) / 2, top_m)
-    # What comes into a place that was free for long is believed as soon as anything.
+    # An object that enters a long-free cell is believed as soon as any other.
     hit = sight.hit
     evidence[hit] = np.maximum(evidence[hit], 0) + np.float32(_HIT)
     return LocalMap(evidence.clip(-_MOST, _MOST), np.where(hit, top_m, known.top_m), known.corner)
@@ -273,7 +274,7 @@ def sighted(
     reach_m: float,
     error_px: float,
 ) -> Sight:
-    """Return which cells of a grid a camera sees through, and in which it sees something.
+    """Return the cells of a grid that a camera sees through, and those in which it sees something.
 
     Args:
         shape: number of cells along the world's x and y.
@@ -294,7 +295,7 @@ def sighted(
     bearing = np.where(inside, bearing, 0).astype(np.intp)
     near = np.where(inside, bridged[bearing], np.float32(np.nan))
     with np.errstate(divide="ignore", invalid="ignore"):
-        # Depth errors grow with the square of depth: a disparity's error is the same everywhere.
+        # Depth errors grow with the square of depth, because errors of disparity are constant.
         off_px = np.abs(view.focal_baseline / ahead - near)
         depth_m = view.focal_baseline / near
         free = ahead < view.focal_baseline / (near + _FREE_ERROR_PX)
@@ -323,7 +324,7 @@ def _corner(x_m: float, y_m: float) -> tuple[int, int]:
 def _camera_frame(
     shape: tuple[int, ...], corner: tuple[int, int], view: FloorView, cell_m: float
 ) -> tuple[Reals, Reals]:
-    """Return how far ahead and leftward of the camera each cell's middle is, in m."""
+    """Return the position of each cell's middle, ahead and left of the camera, in m."""
     x, y = (
         ((np.arange(shape[axis]) + corner[axis] + 0.5) * cell_m - place).astype(np.float32)
         for axis, place in ((0, view.x_m), (1, view.y_m))
@@ -335,9 +336,9 @@ def _camera_frame(
 
 
 def _bridged(near_px: Reals, view: FloorView, width: int) -> tuple[Reals, NDArray[np.bool_]]:
-    """Return the profile with short gaps filled, and where it is dense enough to be a surface.
+    """Return the profile with short gaps filled, and where it is dense enough for a surface.
 
-    A plane is linear in disparity: between two points a wall runs in a straight line.
+    A plane is linear in disparity, so a wall between two points is interpolated linearly.
     """
     bearing = np.arange(len(near_px))
     points = np.flatnonzero(~np.isnan(near_px))

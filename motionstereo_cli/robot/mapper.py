@@ -1,6 +1,6 @@
-"""From depth to points in space, and from many frames to one map of the surroundings.
+"""Mapping: from depth to points in space, and from many frames to one map.
 
-Beside the pipeline, because a map is an output: nothing of the processing depends on it.
+It is outside the pipeline because the processing does not depend on the map.
 """
 
 from __future__ import annotations
@@ -35,11 +35,11 @@ if TYPE_CHECKING:
 
     Points = NDArray[np.float64]
 
-#: Error of a disparity that the map allows for, and the most that it may make of a place's
-#: distance: what is farther does not go into the map.
+#: Error of disparity, and the largest relative error of distance from it: farther points do not
+#: enter the map.
 _ERROR_PX = 0.25
 _ERROR_M = 0.16
-#: Nor does what is farther than this many cells.
+#: Nor do points farther than this many cells.
 _MAX_CELLS = 400
 
 _BEARINGS = 80
@@ -48,19 +48,19 @@ _BEARINGS = 80
 #: lie in two or more layers of this height.
 _STANDING_POINTS, _LAYER_M, _LAYERS = 4, 0.15, 64
 
-#: New voxels are kept apart until there are this many: a large cloud is then rarely touched.
+#: New voxels are collected up to this number, so that the large cloud is merged rarely.
 _RECENT = 30_000
 
 
 def camera_points(
     depth_m: Real, view: Grey, which: NDArray[np.bool_], camera: str, rig: Rig
 ) -> tuple[Points, Grey]:
-    """Return what a frame shows as points of a camera's optical frame, with their grey.
+    """Return the points of a frame in a camera's optical frame, with their grey.
 
     Args:
         depth_m: depth in the camera's view, (height, width) float32, NaN = unknown.
         view: the camera's image, (height, width) uint8.
-        which: pixels to give, (height, width) bool; those of unknown depth are left out.
+        which: pixels to return, (height, width) bool; those of unknown depth are left out.
         camera: ``right`` or ``left``.
         rig: both cameras.
 
@@ -80,13 +80,13 @@ def camera_points(
 
 @dataclass(frozen=True, slots=True)
 class Surroundings:
-    """All that a map knows.
+    """The state of a map.
 
     Attributes:
         grid: the floor plane.
         cloud: voxels seen so far, except those in ``recent``.
         recent: voxels of the last frames.
-        heights_m: lowest and highest z in the world that was in the robot's way in every frame.
+        heights_m: range of z in the world that was in the robot's way in every frame.
     """
 
     grid: Grid
@@ -114,7 +114,7 @@ class Floor:
 
 
 class Mapper:
-    """Fuses what moves just now, frame by frame, into one map in the world frame of the poses.
+    """Fuses the fresh points of frames into one map in the world frame of the poses.
 
     Args:
         settings: parameters of the processing: what counts as an obstacle.
@@ -135,11 +135,11 @@ class Mapper:
         self.known: Surroundings | None = None
 
     def add(self, seen: Points, grey: Grey, pose: Pose) -> None:
-        """Take in what moves in a frame.
+        """Add the fresh points of a frame.
 
         Args:
             seen, grey: its points, as :func:`camera_points` gives them.
-            pose: where the rig was.
+            pose: the pose of the rig.
         """
         s = self._settings
         known = self.known or self._nothing(pose)
@@ -166,7 +166,7 @@ class Mapper:
         self.known = _settled(known) if len(recent.key) > _RECENT else known
 
     def floor(self) -> Floor:
-        """Return the floor plane as far as it is known: at least one cell."""
+        """Return the known part of the floor plane: at least one cell."""
         grid = trimmed(Grid.empty() if self.known is None else self.known.grid)
         x_m, y_m = (corner * self._cell_m for corner in grid.corner)
         return Floor(grid.evidence >= OCCUPIED, grid.evidence <= FREE, x_m, y_m, self._cell_m)
@@ -174,8 +174,8 @@ class Mapper:
     def points(self) -> tuple[Points, Grey]:
         """Return the cloud, one point a voxel: (n, 3) float64 m in the world, (n,) uint8 grey.
 
-        What has been seen in only a few frames is left out, and so is what stood in the robot's
-        way where the floor plane is free: it moved on.
+        Points seen in only a few frames are left out, and so are those in the robot's way where the
+        floor plane is free: they have moved away.
         """
         if self.known is None:
             return np.zeros((0, 3)), np.zeros(0, np.uint8)
@@ -197,7 +197,7 @@ class Mapper:
     def _marked(self, grid: Grid, placed: Points, pose: Pose) -> Grid:
         """Return the grid with a frame's points, which are in the world frame.
 
-        They are looked at as a level camera would see them, so that a tilted one does no harm.
+        They are projected as for a level camera, so that tilt does not matter.
         """
         s, rig, cell_m, yaw = self._settings, self._rig, self._cell_m, pose.yaw_rad
         cos, sin = math.cos(yaw), math.sin(yaw)
@@ -259,7 +259,7 @@ def standing(
 
 
 def _settled(known: Surroundings) -> Surroundings:
-    """Return the same with all voxels in the cloud."""
+    """Return the map with recent voxels merged into the cloud."""
     return replace(
         known,
         cloud=merged(known.cloud, known.recent),

@@ -1,4 +1,4 @@
-"""Finds what moves by itself, whatever the rig does."""
+"""Finds movers: what moves by itself while the rig moves."""
 
 from __future__ import annotations
 
@@ -40,18 +40,18 @@ class MoverFinder:
         motion: Motion | None,
         changed: NDArray[np.bool_] | None,
     ) -> tuple[Movers, NDArray[np.bool_]]:
-        """Return what is known after a frame, and where something moved by itself.
+        """Return the state after a frame, and where something moved by itself.
 
-        For a rig that stands still that is all that changed.
+        For a rig at rest that is all that changed.
 
         Args:
-            movers: what was known before; None at the first frame.
+            movers: the state before; None at the first frame.
             right, left: the views, (height, width) uint8.
             disparity_px: of the reference view, NaN = unknown.
             motion: of the rig, from this frame to the one before; None where unknown.
             changed: where the band of grey has changed in the reference view.
         """
-        if motion is None:  # nothing before can be compared with
+        if motion is None:  # there is no earlier frame to compare with
             movers, step = None, np.eye(4)
         else:
             step = self._of_reference(motion.before_from_now)

@@ -1,11 +1,11 @@
-"""What moves by itself: change that the rig's own motion does not explain.
+"""Movers: change that the rig's own motion does not explain.
 
-A pixel of the view of now is a place in space by its disparity, and by the rig's own motion that
-place was somewhere in an earlier view. If it stands, its grey was there, in both cameras. Where it
-was not, a patch around it is aligned with the earlier views: it moved by itself if its grey is
-found beside where it should be, in both, farther off than an error of its disparity explains, and
-at the disparity that it then had to have. Patches that moved alike are one thing; it has some size,
-and it moved likewise in the frame before.
+A pixel of the current view is a point in space by its disparity, and the rig's own motion gives its
+position in an earlier view. If it stands still, its grey is found there, in both cameras. If not, a
+patch around it is aligned with the earlier views: it moved by itself if its grey is found elsewhere
+in both, farther away than an error of its disparity explains, and at a consistent disparity.
+Patches with similar motion form one mover; it has a minimum size, and moved likewise in the last
+frame.
 """
 
 from __future__ import annotations
@@ -25,16 +25,16 @@ Grey = NDArray[np.uint8]
 Real = NDArray[np.float32]
 Reals = NDArray[np.float64]
 
-#: A view is compared with one so many frames before that what stands has crossed about the first
-#: share of the image's width and, where it has crossed less than the second, with one three times
-#: as far back, which tells what is far or slow; at most so far.
+#: A view is compared with an earlier one for which the static scene moved by about the first share
+#: of the image's width and, where it moved by less than the second, with one three times as far
+#: back, which reveals far and slow movers; at most so many frames back.
 _WAY, _SHORT_WAY = 0.02, 0.02
 _FARTHER, GAPS = 3, 6
 #: Where disparity is unknown it is measured at the steepest pixel of each square of so many px.
 _EDGE_PX, _MIN_SLOPE = 8, 2.5
-#: The second best has to be so many times as bad; and its standard deviation at most so large.
+#: Minimum ratio of the second best cost to the best, and maximum standard deviation.
 _SECOND_BEST, _MAX_SIGMA_PX = 1.5, 0.3
-#: Levels of the pyramid, each half as large; what differs is looked for in the second one.
+#: Levels of the pyramid, each half as large; differences are searched at the second one.
 LEVELS = 3
 #: Smoothing before, standard deviation in px.
 _BLUR_PX = 0.8
@@ -45,13 +45,13 @@ CELL_PX, _REACH_PX = 4, 4
 #: so many times that are unexplained, in a cell and in a patch.
 _NOISE = 1.5, 0.9, 0.6
 _PER_SLOPE, _UNEXPLAINED_CELL, _UNEXPLAINED_PATCH = 0.03, 12.0, 12.0
-#: A patch is of one surface: nearness in it differs by at most the larger of these.
+#: Maximum difference of nearness within a patch, so that it is one surface: the larger of these.
 _JUMP_PX, _JUMP_SHARE = 0.5, 0.06
 #: Standard deviation of disparity: px, and share of nearness.
 _SIGMA_PX, _SIGMA_SHARE = 0.25, 0.02
 #: No patch moves farther, in px of its level.
 _MAX_SHIFT_PX = 16.0
-#: What was nearer then by more than the larger of these hid a place.
+#: What was nearer by more than the larger of these hid a point.
 _HIDDEN_PX, _HIDDEN_SHARE = 1.5, 0.25
 
 #: A patch moved if that is so many squared standard deviations and px, if so little of what
@@ -60,14 +60,14 @@ _HIDDEN_PX, _HIDDEN_SHARE = 1.5, 0.25
 _SURE, _LEAST_PX, _LEFT = 60.0, 0.5, 0.3
 _OFF_PX, _OFF_SHARE = 0.5, 0.05
 _MAX_NEARER = 0.3
-#: Patches beside each other moved alike if their shifts differ by at most the larger of these.
+#: Maximum difference of the shifts of neighbouring patches of a mover: the larger of these.
 _ALIKE_PX, _ALIKE_SHARE = 0.7, 0.2
-#: So many patches are a thing; of them, so large a share moved in the frame before as well.
+#: Minimum number of patches of a mover, and the share of them that also moved in the last frame.
 _MIN_PATCHES, _LASTING = 3, 0.3
 #: That is, by a shift that differs by at most the larger of these.
 _LASTING_PX, _LASTING_SHARE = 2.0, 0.5
 
-#: What it finds in a frame depends on so many frames before.
+#: Number of earlier frames on which a result depends.
 RUN_IN_FRAMES = GAPS + 1
 
 
@@ -95,7 +95,7 @@ class Eye:
     range_px: int
 
     def at(self, level: int) -> Any:
-        """Return the camera of a level for the loops."""
+        """Return the camera of a pyramid level for the loops."""
         q = 0.5**level
         return loops.Camera(  # type: ignore[call-arg]
             *(self.focal_px[0] * q, self.focal_px[1] * q, self.cx_px * q, self.cy_px * q),
@@ -105,7 +105,7 @@ class Eye:
 
 @dataclass(frozen=True, slots=True)
 class Moment:
-    """A frame that later ones are compared with.
+    """An earlier frame for comparison.
 
     Attributes:
         views: at each level, grey of the camera and of the other one, (2, height, width) uint8.
@@ -205,7 +205,7 @@ def _motion(movers: Movers, now: Moment, gap: int) -> Reals:
 def _filled(now: Moment, eye: Eye) -> Real:
     """Return the disparity, also around edges where it is unknown because nothing changed.
 
-    What drives ahead at the speed of the rig hardly changes, and has no charge.
+    A vehicle ahead at the speed of the rig hardly changes, and has no charge.
     """
     view, other = (image.astype(np.float32) for image in now.views[0])
     row, column = _edges(view, np.isnan(now.disparity_px))
@@ -240,7 +240,7 @@ def _edges(view: Real, where: NDArray[np.bool_]) -> tuple[NDArray[np.intp], NDAr
 def _shifts(now: Moment, movers: Movers, gap: int, eye: Eye, way_px: float) -> Real:
     """Return how patches moved since a frame, (rows, columns, fields), NaN = explained or unknown.
 
-    What differs at the second level is aligned at all of them, from coarse to fine.
+    Patches that differ at the second level are aligned at all levels, from coarse to fine.
 
     Args:
         now, movers, eye: as :func:`see` has them.
@@ -315,7 +315,7 @@ def _moved(shifts: Real, near: Real) -> NDArray[np.bool_]:
 
 
 def _things(moved: NDArray[np.bool_], shifts: Real, near: Real) -> tuple[int, NDArray[np.int32]]:
-    """Return how many things moved, and the cells of each, 0 = none, which counts as one."""
+    """Return the number of movers plus one, and the mover of each cell, 0 = none."""
     rows, columns = moved.shape
     maze = np.zeros((2 * rows - 1, 2 * columns - 1), np.uint8)
     maze[::2, ::2] = moved

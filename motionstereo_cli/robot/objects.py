@@ -1,8 +1,8 @@
-"""Moving objects: regions of what has just moved, followed from frame to frame.
+"""Moving objects: regions of fresh motion, followed from frame to frame.
 
 A region is a connected patch of fresh disparity without a jump inside it. Each frame's regions
-are assigned to the objects known so far at the least total cost (the Hungarian method). How fast
-an object comes closer follows from where it was in the last frames.
+are assigned to known objects at the least total cost (the Hungarian method). The speed of an object
+follows from its positions in the last frames.
 """
 
 from __future__ import annotations
@@ -22,27 +22,26 @@ from motionstereo_cli.robot.assignment import assignment
 
 Reals = NDArray[np.float32]
 
-#: Regions are made of cells of this many pixels squared: that is the resolution of their boxes.
+#: Side of the cells of regions in px, which is the resolution of their boxes.
 CELL_PX = 4
-#: A cell is known where at least this share of its pixels is.
+#: Share of known pixels from which a cell is known.
 _MIN_SHARE = 0.125
-#: Within a region, the nearness of neighbouring cells differs by no more than the larger of these.
-#: Within a cell, that is the most of its standard deviation.
+#: Maximum difference of nearness between neighbouring cells of a region: the larger of these.
+#: Within a cell, it limits the standard deviation.
 _JUMP_PX = 0.5
 _JUMP_SHARE = 0.03
 #: Gaps of twice this many cells are bridged.
 _GAP_CELLS = 2
-#: What has nearer neighbours on more than this share of its sides is what objects stand before.
+#: A region with nearer neighbours on more than this share of its sides is background.
 _BEHIND_SHARE = 0.5
 
-#: An object is looked for where it is expected, at most this many of its sizes away and at a
-#: nearness that differs by no more than this factor.
+#: Search range of an object about its expected position, in its sizes, and as a factor of nearness.
 _MAX_SIZES = 1.0
 _MAX_FACTOR = 1.3
-#: Its path in the image is predicted from its last observations, but no farther than it has come in
-#: them: what goes out of sight has often just come to rest.
+#: Its path in the image is extrapolated from its last observations, but no farther than they span:
+#: objects that disappear have often just come to rest.
 _WAY_SIGHTINGS = 5
-#: It is forgotten when it has been out of sight for this many frames.
+#: An object is dropped after it was out of sight for this many frames.
 _MAX_MISSED = 30
 
 #: Speeds are fitted to this many of the last observations, once there are as many as the second.
@@ -57,7 +56,7 @@ _HALF_WORTH_PX = 0.5
 
 @dataclass(frozen=True, slots=True)
 class Region:
-    """A connected patch of the image that has just moved, all about equally far away.
+    """A connected patch of the image that has just moved, at about one depth.
 
     Attributes:
         x, y, width, height: its box in px, upper left corner first, to :data:`CELL_PX`.
@@ -83,10 +82,10 @@ class Observation:
     """An object in one frame.
 
     Attributes:
-        time_s: when, in s.
-        region: where it is in the image.
+        time_s: time in s.
+        region: its region in the image.
         offset_m: from the camera to it, along the x and y axes of the world.
-        place_m: where it is in the world, x and y.
+        place_m: its position in the world, x and y.
     """
 
     time_s: float
@@ -97,10 +96,10 @@ class Observation:
 
 @dataclass(frozen=True, slots=True)
 class Track:
-    """An object as far as it has been followed.
+    """A followed object.
 
     Attributes:
-        number: what it is called.
+        number: its number.
         observations: the last frames that it was seen in, oldest first.
         seen: frames that it has been seen in.
         missed: frames since it was last seen; 0 = it is in the last frame.
@@ -115,8 +114,8 @@ class Track:
 def regions(nearness_px: Reals, fresh: NDArray[np.bool_], min_share: float) -> tuple[Region, ...]:
     """Return the regions of an image that may be objects.
 
-    Left out are what others stand before, as the background of a camera that turns, and what
-    reaches from the left border of the image to the right one.
+    Background, as of a turning camera, is left out, and so are regions that reach from the left
+    border of the image to the right one.
 
     Args:
         nearness_px: disparity + doffs, (height, width) float32, NaN = unknown.
@@ -228,12 +227,12 @@ def _region(
 def follow(
     tracks: Sequence[Track], observations: Sequence[Observation], time_s: float, next_number: int
 ) -> tuple[Track, ...]:
-    """Return the tracks a frame later.
+    """Return the tracks after a frame.
 
     Args:
-        tracks: those of the frame before.
-        observations: what is in this frame.
-        time_s: when that is, later than all before.
+        tracks: those of the last frame.
+        observations: those of this frame.
+        time_s: time of this frame, later than all before.
         next_number: the number of the first new track.
     """
     pairs = _assigned(tracks, [observation.region for observation in observations], time_s)
@@ -259,7 +258,7 @@ def _assigned(tracks: Sequence[Track], found: Sequence[Region], time_s: float) -
     size = np.maximum(wanted[..., 2:4], given[..., 2:4])
     sizes = np.hypot(*np.moveaxis((given[..., :2] - wanted[..., :2]) / size, -1, 0))
     factor = np.abs(np.log(given[..., 4] / wanted[..., 4])) / math.log(_MAX_FACTOR)
-    # Where two tracks claim a region, the one that has been followed longer has it.
+    # If two tracks match a region, the one that was followed longer gets it.
     young = 0.3 / np.array([[track.seen] for track in tracks])
     cost = sizes / _MAX_SIZES + factor + young
     cost[(sizes > _MAX_SIZES) | (factor > 1)] = 1e6
@@ -274,7 +273,7 @@ def _measures(region: Region) -> tuple[float, ...]:
 
 
 def _expected(track: Track, time_s: float) -> tuple[float, ...]:
-    """Return the measures of the region that a track should have at a time."""
+    """Return the expected measures of a track's region at a time."""
     first, last = track.observations[-_WAY_SIGHTINGS:][0], track.observations[-1]
     x, y, *rest = _measures(last.region)
     if first is not last:
@@ -286,13 +285,13 @@ def _expected(track: Track, time_s: float) -> tuple[float, ...]:
 
 @dataclass(frozen=True, slots=True)
 class Movement:
-    """How an object has moved recently, evenly and straight.
+    """The recent motion of an object, at constant velocity.
 
     Attributes:
         from_camera_mps: along the x and y axes of the world, as seen from the camera.
         over_ground_mps: the same over ground.
         residual: by how much its observations miss that, the median, as a share of its distance.
-        sigma_mps: standard deviation of the speed over ground, by what the observations miss it by.
+        sigma_mps: standard deviation of the speed over ground, from these residuals.
     """
 
     from_camera_mps: tuple[float, float]
@@ -302,7 +301,7 @@ class Movement:
 
 
 def movement(track: Track) -> Movement | None:
-    """Return how an object moves; None where it is not known yet.
+    """Return the motion of an object; None while unknown.
 
     Speeds are the median of the slopes between all pairs of observations (Theil and Sen).
     """
@@ -328,7 +327,7 @@ def movement(track: Track) -> Movement | None:
 
 
 def trust(track: Track, moves: Movement | None) -> float:
-    """Return how far to believe in an object and its speed, 0..1.
+    """Return the confidence of an object and its speed, 0..1.
 
     The share of the fitted frames that it has been seen in, times the known share of its pixels,
     times 1 / (1 + r / 0.5 px) for observations that miss the fitted movement by r, in disparity.

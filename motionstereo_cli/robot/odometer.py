@@ -1,4 +1,4 @@
-"""Finds where the rig is from its two videos alone."""
+"""Visual odometry: poses of the rig from its two videos alone."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Odometer:
-    """Finds where the rig is; the world is its robot frame at the first frame.
+    """Finds the poses of the rig; the world is its robot frame at the first frame.
 
     Args:
         rig: the camera.
@@ -63,14 +63,14 @@ class Odometer:
         *,
         error_sigma_px: float = NO_ERROR_SIGMA_PX,
     ) -> tuple[Odometry, Motion | None]:
-        """Return what is known after a frame, and the motion; see :mod:`.odometry`.
+        """Return the state after a frame, and the motion; see :mod:`.odometry`.
 
         Args:
-            before: what was known before; None at the first frame.
+            before: the state before; None at the first frame.
             last: right and left view of the frame before; None at the first frame.
             right, left: the views.
             number: of the frame.
-            error_sigma_px: how large the constant error of disparity may be.
+            error_sigma_px: standard deviation of the constant error of disparity.
         """
         return step(
             before,
@@ -82,7 +82,7 @@ class Odometer:
     def follow(
         self, path: TravelledPath | None, motion: Motion | None
     ) -> tuple[TravelledPath, Pose, Fix]:
-        """Return the path after a frame, and where the rig is."""
+        """Return the path after a frame, and the pose of the rig."""
         path = travelled(path or setting_out(), motion)
         turn = OPTICAL_FROM_ROBOT.T @ path.pose[:3, :3] @ OPTICAL_FROM_ROBOT
         middle = np.array([-self.rig.baseline_m / 2, 0.0, 0.0])

@@ -1,11 +1,11 @@
 """Own motion of the rig, from frame to frame, and the path that it adds up to.
 
-How the rig moved from one frame to the next follows from at most :data:`BLOCK_FRAMES` frames: each
-frame is aligned with a keyframe, and one whose number is a multiple of that always becomes the
-next one, from which all begins anew. The path is the sum (:func:`travelled`).
+The motion between two frames depends on at most :data:`BLOCK_FRAMES` frames: each frame is aligned
+with a keyframe, and a frame whose number is a multiple of that always becomes the next keyframe,
+without any earlier state. The path is the sum of motions (:func:`travelled`).
 
-Cameras are those of :mod:`motionstereo_cli.robot.alignment`: places of the right one's optical
-frame, x right, y down, z forward, in m. Vectors of six are shifts in m and turns in rad.
+Coordinates are those of :mod:`motionstereo_cli.robot.alignment`: the right camera's optical frame,
+x right, y down, z forward, in m. Vectors of six are translations in m and rotations in rad.
 """
 
 from __future__ import annotations
@@ -34,9 +34,9 @@ Grey = NDArray[np.uint8]
 Real = NDArray[np.float32]
 Reals = NDArray[np.float64]
 
-#: A frame whose number is a multiple of this is a keyframe, and forgets what was before.
+#: A frame whose number is a multiple of this is a keyframe, independent of earlier ones.
 BLOCK_FRAMES = 8
-#: So is one that sees less than this share of the last one's points.
+#: So is one that sees less than this share of the last keyframe's points.
 _MIN_SEEN = 0.7
 
 #: An alignment is good enough with this share of the block's median score; at first, of 1. Corners
@@ -47,19 +47,19 @@ _MIN_SCORE = 0.3
 _MIN_INLIERS, _MIN_INLIER_SHARE = 15, 0.4
 _CORNERS, _CORNER_CELLS = 400, (4, 8)
 
-#: Starts where nothing is known: turns to either side, and ways ahead as shares of the depth.
+#: Initial motions without a prior: turns to either side, and ways ahead as shares of the depth.
 _TURNS_RAD = np.radians([0, -2, 2, -4, 4, -6, 6, -8, 8, -10, 10])
 _AHEAD = (0.0, 0.03, 0.06, 0.1, 0.16, -0.03)
 _TRIED = 2
 
-#: No rig turns farther in a frame, nor comes farther than this share of its points' depth.
+#: Limits of the motion in a frame: rotation, and translation as a share of the points' depth.
 _MAX_TURN_RAD, _MAX_AHEAD = float(np.radians(15)), 0.5
 
 #: A camera that moves its points by less than the first of these, the median, stands still; so does
 #: one that moves them by less than the second where grey agrees nearly as well if it does.
 _STILL_PX, _NEARLY_STILL_PX, _STILL_SCORE = 0.1, 8.0, 0.94
 
-#: What is known before of the constant error of disparity.
+#: Prior standard deviation of the constant error of disparity.
 ERROR_SIGMA_PX = 0.3
 #: How much of what a block says of it counts, because its points share their errors, and how well
 #: it is known at best.
@@ -76,7 +76,7 @@ _COVARIANCE = 10.0
 
 @dataclass(frozen=True, slots=True)
 class Motion:
-    """How the rig moved from one frame to the next.
+    """The motion of the rig between two frames.
 
     Attributes:
         before_from_now: (4, 4) takes places in the right camera of now to those in the one before.
@@ -99,10 +99,10 @@ class Motion:
 
 @dataclass(frozen=True, slots=True)
 class Odometry:
-    """What is kept from frame to frame, at most since the last keyframe by number.
+    """The state of odometry, at most since the last keyframe by number.
 
     Attributes:
-        key: the last keyframe; None where there was too little to see.
+        key: the last keyframe; None if too few points were visible.
         motion: (4, 4) takes places in its camera to those in the last one.
         velocity: (4, 4) the last motion, from before to after; None where unknown.
         per_error: (6,) shift and turn of ``motion`` per px of the constant error of disparity.
@@ -132,18 +132,18 @@ def step(
     range_px: int,
     error_sigma_px: float = NO_ERROR_SIGMA_PX,
 ) -> tuple[Odometry, Motion | None]:
-    """Return what is known after a frame, and how the rig moved since the one before.
+    """Return the state after a frame, and the motion of the rig since the last one.
 
-    The motion is None where it cannot be told: the rig is lost. At the first frame it is none.
+    The motion is None if the rig is lost. At the first frame it is zero.
 
     Args:
-        before: what was known before; None at the first frame.
+        before: the state before; None at the first frame.
         last: the views before.
         now: the views.
         number: of the frame.
         lens: the rig.
         range_px: largest disparity.
-        error_sigma_px: how large the constant error of disparity may be. As good as none, and
+        error_sigma_px: standard deviation of the constant error of disparity. As good as none, and
             :func:`travelled` corrects for what is found; :data:`ERROR_SIGMA_PX` to measure one
             that may be large.
     """
@@ -162,7 +162,7 @@ def step(
     motion, per_error = _motion(before, found, certain, new=new)
     if new:
         key = keyframe(right, left, lens, range_px)
-        # What a fresh block begins with must not depend on what was before it.
+        # The start of a new block must not depend on earlier frames.
         velocity = None if number % BLOCK_FRAMES == 0 else _inverse(motion.before_from_now)
         return replace(_anew(key), velocity=velocity), motion
     assert before.key is not None
@@ -236,19 +236,19 @@ def _aligned(
 
 
 def _depth_m(key: Keyframe, lens: Lens) -> float:
-    """Return about how far off a keyframe's points are."""
+    """Return the typical depth of a keyframe's points."""
     return lens.focal_px[0] * lens.baseline_m / float(np.median(key.points[:, 2]))
 
 
 def _plausible(motion: Reals, depth_m: float) -> bool:
-    """Return whether a rig may move so from one frame to the next."""
+    """Return whether a motion between two frames is plausible."""
     cos = (float(np.trace(motion[:3, :3])) - 1) / 2
     near = float(np.linalg.norm(motion[:3, 3])) <= _MAX_AHEAD * depth_m
     return near and cos >= np.cos(_MAX_TURN_RAD)
 
 
 def _starts(depth_m: float) -> Reals:
-    """Return motions (n, 4, 4) that are worth a try: turns and ways ahead.
+    """Return candidate motions (n, 4, 4): turns and ways ahead.
 
     Args:
         depth_m: about how far off things are.
@@ -266,7 +266,7 @@ def _starts(depth_m: float) -> Reals:
 def _at_rest(
     key: Keyframe, found: Alignment | None, right: list[Real], left: list[Real], lens: Lens
 ) -> Alignment | None:
-    """Return the alignment of a rig that stands still; None where it moves."""
+    """Return the alignment of a rig at rest; None if it moves."""
     flow_px = 0.0
     if found is not None:
         flow_px, key = _flow_px(key, found.motion, lens), replace(key, light=found.light)
@@ -280,7 +280,7 @@ def _at_rest(
 
 
 def _flow_px(key: Keyframe, motion: Reals, lens: Lens) -> float:
-    """Return how far a motion moves a keyframe's points in the image, the median."""
+    """Return the median displacement of a keyframe's points in the image by a motion."""
     rays = np.column_stack([key.points[:, :2], np.ones(len(key.points))])
     inverse = key.points[:, 2] / (lens.focal_px[0] * lens.baseline_m)
     moved = rays @ motion[:3, :3].T + inverse[:, None] * motion[:3, 3]
@@ -323,7 +323,7 @@ def _motion(
 def _by_corners(
     last: ViewPair, image: Grey, lens: Lens, range_px: int
 ) -> tuple[Reals, bool] | None:
-    """Return the motion by corners that are found again, and whether many of them agree on it."""
+    """Return the motion from matched corners, and whether many of them agree."""
     right, left = pyramid(last.right)[0], pyramid(last.left)[0]
     places = pick(right, _CORNERS, _CORNER_CELLS)
     near = nearness_of(right, left, places, lens, range_px)[:, 0]
@@ -363,7 +363,7 @@ def _by_corners(
 
 @dataclass(frozen=True, slots=True)
 class TravelledPath:
-    """Where the rig has come to.
+    """The path of the rig.
 
     Attributes:
         pose: (4, 4) takes places in the right camera of now to those in the first one.
@@ -390,9 +390,9 @@ def setting_out() -> TravelledPath:
 def travelled(path: TravelledPath, motion: Motion | None) -> TravelledPath:
     """Return the path a frame later.
 
-    A motion is corrected, to first order, for what the constant error of disparity is by all frames
-    and not by its own block. Where the rig is lost the last motion is taken to go on: a guess,
-    which :attr:`TravelledPath.lost` tells.
+    A motion is corrected, to first order, for the constant error of disparity estimated from all
+    frames. While the rig is lost the last motion is assumed to continue, which
+    :attr:`TravelledPath.lost` tells.
     """
     if motion is None:
         moved, unsure = path.last, np.diag([_LOST_M**2] * 3 + [_LOST_RAD**2] * 3)
@@ -418,7 +418,7 @@ def travelled(path: TravelledPath, motion: Motion | None) -> TravelledPath:
 
 
 def told(error_px: float) -> float:
-    """Return a measured constant error of disparity in px, 0 where it is too small to be told."""
+    """Return a measured constant error of disparity in px, 0 if it is insignificant."""
     low_px, high_px = _ERROR_TOLD_PX
     return error_px * min(max((abs(error_px) - low_px) / (high_px - low_px), 0.0), 1.0)
 

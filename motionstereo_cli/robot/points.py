@@ -1,4 +1,4 @@
-"""Points in space: from depth to the camera's frame, and from there to the world's."""
+"""Points in space: from depth to the camera's frame, and on to the world's."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def points(
     cx_px: float,
     cy_px: float,
 ) -> Reals:
-    """Return where pixels lie in their camera's optical frame, (n, 3) float64 m, in reading order.
+    """Return pixels as points of their camera's optical frame, (n, 3) float64 m, in reading order.
 
     The frame is that of OpenCV and REP 103: origin in the optical centre, x right, y down, z along
     the optical axis: x = (column - cx) z / fx, y = (row - cy) z / fy.

@@ -1,4 +1,4 @@
-"""Follows what moves from frame to frame."""
+"""Tracking of moving objects from frame to frame."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
     from motionstereo_cli.types import Real
 
-#: A region is an object once it has been seen in this many frames.
+#: Number of frames after which a region is an object.
 MIN_SEEN = 3
 
 #: Around what moved by itself, so many px belong to it where their depth does. A region that moves
@@ -51,10 +51,10 @@ _MIN_OVER_GROUND_MPS, _SIGMAS = 0.2, 2.0
 
 @dataclass(frozen=True, slots=True)
 class Tracks:
-    """What is known of moving objects after a frame.
+    """The moving objects after a frame.
 
     Attributes:
-        each: what is followed, in the last frame or lately out of sight.
+        each: the tracks, in the last frame or recently out of sight.
         last_id: the number of the last new track.
         time_s: time of the last frame, its number where the source has no time.
     """
@@ -77,11 +77,11 @@ class Tracker:
     rig: Rig | None
 
     def regions(self, disparity_px: Real, fresh: NDArray[np.bool_]) -> tuple[Region, ...]:
-        """Return the regions of a frame that may be objects; they follow from this frame only.
+        """Return the regions of a frame that may be objects; they depend on this frame only.
 
         Args:
             disparity_px: (height, width) float32, NaN = unknown.
-            fresh: where the disparity shows what is there now, (height, width) bool.
+            fresh: where the disparity shows the present, (height, width) bool.
         """
         near = self.rig.nearness_px(disparity_px) if self.rig else disparity_px
         found = regions(near, fresh, MIN_KNOWN_SHARE)
@@ -121,7 +121,7 @@ class Tracker:
             pose: where the rig is; None where it is not known.
         """
         time_s = float(frame.index) if frame.time_s is None else frame.time_s
-        # Where time goes back, another recording begins.
+        # If time goes back, another recording begins.
         before = tracks.each if time_s > tracks.time_s else ()
         observations = [self._observation(region, time_s, pose) for region in found]
         each = follow(before, observations, time_s, tracks.last_id + 1)
@@ -178,13 +178,13 @@ def _holds(region: Region, moved: NDArray[np.bool_]) -> bool:
 
 
 def _by_itself(moves: Movement) -> bool:
-    """Return whether an object moves over ground, beyond what may be an error."""
+    """Return whether an object moves over ground significantly."""
     speed_mps = math.hypot(*moves.over_ground_mps)
     return speed_mps > max(_MIN_OVER_GROUND_MPS, _SIGMAS * moves.sigma_mps)
 
 
 def _contact_s(ahead: float, closing: float | None) -> float | None:
-    """Return the time to contact; None where it does not come, or is too far off to be known."""
+    """Return the time to contact; None if the object does not approach, or it is too long."""
     if closing is None or closing * MAX_CONTACT_S < ahead:
         return None
     return ahead / closing

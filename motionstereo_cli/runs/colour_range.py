@@ -1,4 +1,4 @@
-"""The ends of the scale of depth colours are measured before the first frame."""
+"""The ends of the scale of depth colours, measured before the first frame."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from motionstereo_cli.sinks.scale import ENDS, measured_ends
 if TYPE_CHECKING:
     from motionstereo_cli.types import Real, StereoFrame
 
-#: Every how many frames of a window depth is looked at; every how many pixels and rows of it.
+#: Interval of frames of a window whose depth is used, and of its pixels and rows.
 _STEP_FRAMES, _STEP_PX = 8, 2
 
 #: A recording whose windows lie near one another is decoded up to here.
@@ -34,7 +34,7 @@ def with_colour_range(job: Job) -> Job:
     """Return the job with measured ends of the depth colours where an output shows them.
 
     They are the same for all frames, and numbers of ``output_settings``. The sample is that of
-    ``--max-disparity auto``. A run that goes on keeps the numbers that it began with.
+    ``--max-disparity auto``. A resumed run keeps its numbers.
 
     Args:
         job: the job, with a range of disparities that is a number.
@@ -61,14 +61,14 @@ def with_colour_range(job: Job) -> Job:
         rest = iter(frames)
         sample = list(itertools.islice(rest, WINDOW_FRAMES))
         frames = itertools.chain(sample, rest)
-    # What a thread keeps for the next frame goes with it.
+    # The thread's workspaces are freed with it.
     with ThreadPoolExecutor(1, "sample") as thread:
         nearness_px = thread.submit(_nearness_px, sample, job).result()
     found = measured_ends(nearness_px, None if rig is None else rig.focal_baseline)
     job = dataclasses.replace(job, frames=frames)
     if found is None:
         return job
-    # An end that was given stays as it is, and the other one keeps its distance.
+    # A given end is kept, and the other one stays at least a factor of 2 away.
     if rig is None:
         nearest, farthest = max(found[0], 2 * far), min(found[1], near / 2 or found[1])
         return _settled(job, {"near_px": near or nearest, "far_px": far or farthest})

@@ -1,4 +1,4 @@
-"""``--disparity FOLDER``: what another program found takes the place of the matching."""
+"""``--disparity FOLDER``: disparity of another program in place of the matching."""
 
 from __future__ import annotations
 
@@ -20,15 +20,14 @@ if TYPE_CHECKING:
 #: Where in a recording its images are compared with the maps.
 _PLACES = (0.0, 0.5, 0.9)
 _VIEWS = ("left", "right")
-#: Other values are advised where the images then differ by less than this share.
+#: Other values are advised if the images then differ by less than this share.
 _BETTER = 0.7
 
 
 def take_disparity(plan: RunPlan, source: StereoSource, warned: Warned) -> None:
-    """Have the frames of a source bring the disparity of the plan's folder, if there is one.
+    """Add the disparity of the plan's folder, if there is one, to the frames of a source.
 
-    Which view the maps are of and what they have for 1 px is found from images, where it is not
-    said.
+    View and scale of the maps are found from images, unless they are given.
 
     Args:
         plan: the run.

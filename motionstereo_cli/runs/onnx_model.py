@@ -1,7 +1,8 @@
 """``--matcher onnx:MODEL``: a stereo network, by ONNX Runtime.
 
-How it takes images is said by a TOML file beside it, or found from its inputs. A model is data: it
-is read whole, so that it cannot refer to other files, and no operators of others are loaded.
+A TOML file beside the model describes its inputs; otherwise they are found from its shapes. A model
+is data: it is read whole, so that it cannot refer to other files, and no custom operators are
+    loaded.
 """
 
 from __future__ import annotations

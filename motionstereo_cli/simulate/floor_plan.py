@@ -1,7 +1,7 @@
-"""Floor plans that a robot drives in: a small TOML file, and what stands in it.
+"""Floor plans for the robot: a small TOML file, and its contents as prisms.
 
-Places are ``[x, y]`` on the floor in m. Everything that stands is a :class:`Prism`: walls with the
-doors cut out of them, boxes, and poles.
+Places are ``[x, y]`` on the floor in m. Everything is a :class:`Prism`: walls with doors cut out of
+them, boxes, and poles.
 """
 
 from __future__ import annotations

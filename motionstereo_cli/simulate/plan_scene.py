@@ -1,4 +1,4 @@
-"""A floor plan as cameras see it, and how far it is from a robot."""
+"""Rendering of a floor plan, and its distance from a robot."""
 
 from __future__ import annotations
 

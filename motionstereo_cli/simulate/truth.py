@@ -1,4 +1,4 @@
-"""What moves by itself in a rendered view: the truth that objects are measured by."""
+"""True moving objects of a rendered view, for the evaluation of objects."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Views, depth and poses as the recordings of TUM RGB-D have them, for programs that fuse these."""
+"""Views, depth and poses in the layout of TUM RGB-D, for programs that fuse them."""
 
 from __future__ import annotations
 

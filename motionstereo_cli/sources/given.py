@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from motionstereo_cli.types import Real
 
-#: A gap between two disparities that differ by less than this, in px, is no edge.
+#: A gap between two disparities that differ by more than this, in px, is an edge.
 _CRACK_PX = 1.0
 
 
