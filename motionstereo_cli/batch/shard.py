@@ -204,7 +204,10 @@ class _Worker:
 
     def _started(self) -> ProcessPoolExecutor:
         pool = ProcessPoolExecutor(
-            1, mp_context=self._context, initializer=_prepared, initargs=(self._stop,)
+            1,
+            mp_context=self._context,
+            initializer=_prepared,
+            initargs=(self._stop, dict(os.environ)),
         )
         with _deaf():
             pool.submit(int)  # the first task starts the process
@@ -230,9 +233,10 @@ def _deaf() -> Iterator[None]:
         signal.signal(signal.SIGINT, former)
 
 
-def _prepared(stop: Event) -> None:
+def _prepared(stop: Event, environ: Mapping[str, str]) -> None:
     global _stop  # noqa: PLW0603  # an event goes to a process at its start only
     _stop = stop
+    os.environ.update(environ)  # the server that forks may be older than the batch
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     threading.Thread(target=_end_with_parent, daemon=True).start()
