@@ -24,7 +24,7 @@ from motionstereo_cli.sinks.bag import TOPICS
 from motionstereo_cli.sinks.images import depth_png
 from motionstereo_cli.sinks.outputs import OUTPUTS
 from motionstereo_cli.sinks.sink import RunContext
-from motionstereo_cli.types import MovingObject, Pose, Rig, StereoFrame
+from motionstereo_cli.types import MovingObject, Pose, Rig, Steering, StereoFrame
 
 RIG = Rig(width=64, height=48, focal_px=50.0, baseline_m=0.1, cx=31.5, cy=23.5, doffs=2.0)
 SETTINGS = Settings(max_disparity=16, speckle_px=0, min_votes=1)
@@ -38,7 +38,11 @@ def results():
         StereoFrame(n, 40 * n, n / 25, texture[:, x : x + 64], texture[:, x + 4 : x + 68])
         for n, x in enumerate(range(0, 24, 2))
     ]
-    return list(process(frames, SETTINGS, RIG))
+    # A flat scene has no heading.
+    steering = Steering("ok", 0.1, 0.2, 3.0, 2.0)
+    return [
+        dataclasses.replace(result, steering=steering) for result in process(frames, SETTINGS, RIG)
+    ]
 
 
 def messages_of(path):

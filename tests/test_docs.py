@@ -26,7 +26,7 @@ PAGES = [ROOT / "README.md", *sorted((ROOT / "motionstereo_cli/docs").glob("*.md
 
 #: What is not tried: installing, and what needs other machines or programs.
 ELSEWHERE = re.compile(
-    r"^(pip|pipx|uv|uvx|docker|dask|make|ffmpeg|eval|_MOTION\w*)\b|HOST:|SLURM_|onnx:|complete"
+    r"^(pip|pipx|uv|uvx|docker|dask|make|ffmpeg|eval|_MOTION\w*)\b|HOST:|SLURM_|onnx:|s3:|complete"
 )
 
 #: The size of all recordings here, in px: a quarter of the sample's.
