@@ -53,7 +53,8 @@ class Store:
             )
         except (ImportError, ValueError) as error:
             raise InputError(
-                f"{address} cannot be reached ({error}): pip install 'motionstereo[cloud]'"
+                f"{address} cannot be reached ({error}): pip install 'motionstereo[cloud]', and "
+                "for gs:// gcsfs"
             ) from None
 
     def _at(self, name: str) -> str:

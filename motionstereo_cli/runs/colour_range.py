@@ -24,10 +24,10 @@ if TYPE_CHECKING:
     from motionstereo_cli.types import Real, StereoFrame
 
 #: Interval of frames of a window whose depth is used, and of its pixels and rows.
-_STEP_FRAMES, _STEP_PX = 8, 2
+_STEP_FRAMES, _STEP_PX = 4, 2
 
 #: A recording whose windows lie near one another is decoded up to here.
-_DECODED_FRAMES = 100
+_DECODED_FRAMES = 50
 
 
 def with_colour_range(job: Job) -> Job:
