@@ -1,5 +1,6 @@
 """Batches in an object store: a real server on this machine, which may go away for a while."""
 
+import contextlib
 import json
 import os
 import re
@@ -119,7 +120,11 @@ def objects(out):
 
     system = s3fs.S3FileSystem(use_listings_cache=False, skip_instance_cache=True)
     top = f"archive/{out}/"
-    return {path.removeprefix(top): system.cat_file(path) for path in system.find(top)}
+    found = {}
+    for path in system.find(top):
+        with contextlib.suppress(FileNotFoundError):  # it has just been removed
+            found[path.removeprefix(top)] = system.cat_file(path)
+    return found
 
 
 def check_whole(out, bucket, tmp_path):
