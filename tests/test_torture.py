@@ -19,7 +19,7 @@ from bench.torture import Verdict, _difference, _faults, format_markdown
 SHORT = """
 import sys
 from bench.torture import format_markdown, torture
-trials = {"damaged": 8, "repeat": 1, "kill": 1, "disk": 2, "hostile": 4}
+trials = {"damaged": 4, "repeat": 1, "kill": 1, "disk": 1, "hostile": 2}
 verdicts = torture(trials, seed=int(sys.argv[1]))
 print(format_markdown(verdicts))
 failures = [failure for verdict in verdicts for failure in verdict.failures]
