@@ -210,7 +210,7 @@ def process(
             in the robot frame of the first one.
         with_objects: find moving objects; with poses, the guidance keeps clear of them.
         extras: which of :data:`EXTRAS` the results have; the others are None, and take no time.
-        jobs: frames matched at a time; up to so many are read ahead of a result.
+        jobs: frames matched at a time; all but one of them are read before a result is given.
         state: the state before the first frame, from an earlier result; None: the initial one.
 
     Raises:

@@ -7,7 +7,6 @@ import contextlib
 import dataclasses
 import importlib.util
 import json
-import signal
 import subprocess
 import sys
 import warnings
@@ -19,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 from motionstereo_cli.errors import InputError
 from motionstereo_cli.files.reading import read_bytes
 from motionstereo_cli.runs.cores import usable_cores
+from motionstereo_cli.runs.interrupts import deaf_children
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -130,7 +130,7 @@ def _started(cluster: Cluster, tasks: int, say: Callable[[str, str], object]) ->
     options = {"threads_per_worker": 1, "dashboard_address": "127.0.0.1:0"}
     for trial in range(_STARTS):
         try:
-            with _deaf_children():
+            with deaf_children():
                 local = LocalCluster(n_workers=workers, **options)
             break
         except Exception as error:  # such as a process that was killed before it was ready
@@ -198,16 +198,6 @@ async def _shake_hands(address: str, security: Any) -> None:
     arguments = security.get_connection_args("client") if security else {}
     comm = await asyncio.wait_for(connect(address, timeout=_ANSWER_S, **arguments), 2 * _ANSWER_S)
     await comm.close()
-
-
-@contextlib.contextmanager
-def _deaf_children() -> Iterator[None]:
-    """Make started processes ignore Ctrl-C, which a terminal sends to all of them."""
-    former = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, former)
 
 
 def _common_builds(client: Client, *, local: bool) -> dict[str, str]:

@@ -14,7 +14,7 @@ import os
 import signal
 import threading
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
@@ -29,6 +29,7 @@ from motionstereo_cli.batch.own_folder import check_builds, claim, read_status, 
 from motionstereo_cli.errors import SettingsError
 from motionstereo_cli.files.lock import locked
 from motionstereo_cli.runs.cores import usable_cores
+from motionstereo_cli.runs.interrupts import deaf_children
 from motionstereo_cli.runs.plan import RunPlan
 from motionstereo_cli.sinks.records import Status
 
@@ -209,7 +210,7 @@ class _Worker:
             initializer=_prepared,
             initargs=(self._stop, dict(os.environ)),
         )
-        with _deaf():
+        with deaf_children():
             pool.submit(int)  # the first task starts the process
         return pool
 
@@ -221,16 +222,6 @@ class _Worker:
     def submit(self, function: Callable[..., Any], *given: Any) -> Future[Any]:
         """Have the process call a function."""
         return self._pool.submit(function, *given)
-
-
-@contextlib.contextmanager
-def _deaf() -> Iterator[None]:
-    """Have processes that are started ignore Ctrl-C, which a terminal sends to all of them."""
-    former = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, former)
 
 
 def _prepared(stop: Event, environ: Mapping[str, str]) -> None:

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from motionstereo_cli.errors import InputError
-from motionstereo_cli.files.reading import MAX_PIXELS, open_regular
-from motionstereo_cli.files.stills import DamagedImageError, read_still, shown
+from motionstereo_cli.files.reading import MAX_PIXELS
+from motionstereo_cli.files.stills import DamagedImageError, content_of, read_still, shown
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -54,11 +54,7 @@ def read_map(path: Path, max_pixels: int = MAX_PIXELS, within: Path | None = Non
         still = read_still(path, max_pixels, within)
         return MapFile(still.pixels, still.size_bytes, still.sha256)
     max_bytes = _NPY_ITEM_BYTES * max_pixels + _NPY_HEAD_BYTES
-    try:
-        with open_regular(path, within) as file:
-            content = file.read(max_bytes + 1)
-    except OSError as error:
-        raise DamagedImageError(error.strerror or str(error)) from error
+    content = content_of(path, max_bytes, within)
     if len(content) > max_bytes:
         raise InputError(f"{path} is larger than --max-pixels {max_pixels}: is it one map?")
     return MapFile(_npy(content), len(content), hashlib.sha256(content).digest())

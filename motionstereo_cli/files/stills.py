@@ -119,6 +119,19 @@ def shown(files: Iterable[Path], suffixes: Collection[str]) -> list[Path]:
     ]
 
 
+def content_of(path: Path, max_bytes: int, within: Path | None = None) -> bytes:
+    """Return a file's content, at most one byte more than ``max_bytes``.
+
+    Raises:
+        DamagedImageError: it cannot be read.
+    """
+    try:
+        with open_regular(path, within) as file:
+            return file.read(max_bytes + 1)
+    except OSError as error:
+        raise DamagedImageError(error.strerror or str(error)) from error
+
+
 def read_still(path: Path, max_pixels: int = MAX_PIXELS, within: Path | None = None) -> Still:
     """Read an image from a regular file: PNG, JPEG, TIFF, BMP, PPM, WebP, or PFM by its name.
 
@@ -127,11 +140,7 @@ def read_still(path: Path, max_pixels: int = MAX_PIXELS, within: Path | None = N
         InputError: it is too large, or has pixels of a kind that says nothing of grey levels.
     """
     max_bytes = _MAX_BYTES_PER_PIXEL * max_pixels + _NOTES_BYTES
-    try:
-        with open_regular(path, within) as file:
-            content = file.read(max_bytes + 1)
-    except OSError as error:
-        raise DamagedImageError(error.strerror or str(error)) from error
+    content = content_of(path, max_bytes, within)
     if len(content) > max_bytes:
         raise _too_large(path, f" ({len(content)} bytes or more)", max_pixels)
     stated = None

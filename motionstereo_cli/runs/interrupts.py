@@ -12,6 +12,16 @@ _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
 @contextlib.contextmanager
+def deaf_children() -> Iterator[None]:
+    """Make processes started in the block ignore Ctrl-C, which a terminal sends to all of them."""
+    former = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, former)
+
+
+@contextlib.contextmanager
 def finishing() -> Iterator[None]:
     """Defer interrupts until the block ends; a second one is not deferred.
 

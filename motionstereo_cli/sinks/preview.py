@@ -109,8 +109,8 @@ def with_movers(
 def mover_text(each: MovingObject) -> str:
     """Return id, speed over ground and time to contact of an object in words."""
     words = [f"{each.id}"]
-    if each.velocity_mps is not None:
-        words.append(f"{math.hypot(*each.velocity_mps):.1f} m/s")
+    if each.over_ground_mps is not None:
+        words.append(f"{each.over_ground_mps:.1f} m/s")
     if each.time_to_contact_s is not None:
         words.append(f"{each.time_to_contact_s:.1f} s")
     return "  ".join(words)
