@@ -46,21 +46,31 @@ DISPARITY = 6
 RIG = "width: 96\nheight: 64\nfocal_px: 80\nbaseline_m: 0.1\ncx: 47.5\ncy: 31.5\n"
 
 
-@pytest.fixture(scope="session")
-def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with left.mp4, right.mp4 and rig.yaml: bars that move 2 px a frame."""
-    folder = tmp_path_factory.mktemp("recording")
+def recorded(folder: Path, side_px: int = 0) -> Path:
+    """Write left.mp4, right.mp4 and rig.yaml: bars that move 2 px a frame; return the folder.
+
+    ``side_px`` columns are twice as near: one flat surface that fills the view has no heading.
+    """
     columns = np.arange(WIDTH + DISPARITY + 2 * FRAMES)
     levels = np.random.default_rng(5).integers(0, 256, len(columns) // 9 + 1)
     scene = np.broadcast_to(levels[columns // 9], (HEIGHT, len(columns))).astype(np.uint8)
     for side, shift in (("left", 0), ("right", DISPARITY)):
         video = VideoWriter(folder / f"{side}.mp4", Fraction(1, 50))
+        begin = 0 if side == "right" else 2 * DISPARITY
         for index in range(FRAMES):
             start = 2 * index + shift
-            video.write(np.ascontiguousarray(scene[:, start : start + WIDTH]), index)
+            view = np.ascontiguousarray(scene[:, start : start + WIDTH])
+            view[:, begin : begin + side_px] = scene[:, 2 * index : 2 * index + side_px]
+            video.write(view, index)
         video.close()
     (folder / "rig.yaml").write_text(RIG)
     return folder
+
+
+@pytest.fixture(scope="session")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The recording of a flat surface."""
+    return recorded(tmp_path_factory.mktemp("recording"))
 
 
 @pytest.fixture
@@ -91,8 +101,10 @@ def images(folder: str, count: int = FRAMES) -> set[str]:
 # A run that goes well.
 
 
-def test_run_writes_what_the_contract_says(run_args, rig, recording):
-    done = called(*run_args, *rig, "-o", "out")
+def test_run_writes_what_the_contract_says(run_args, tmp_path_factory):
+    recording = recorded(tmp_path_factory.mktemp("room"), side_px=WIDTH // 3)
+    views = [str(recording / name) for name in ("left.mp4", "right.mp4")]
+    done = called(run_args[0], *views, "--rig", str(recording / "rig.yaml"), "-o", "out")
     assert (done.returncode, done.stdout) == (0, "")
     said = [line for line in done.stderr.splitlines() if "compiling" not in line]
     assert [line.split(":")[0] for line in said] == ["note", "note"]
@@ -108,7 +120,7 @@ def test_run_writes_what_the_contract_says(run_args, rig, recording):
     assert [row["frame"] for row in rows] == [str(index) for index in range(FRAMES)]
     assert [float(row["time_s"]) for row in rows] == [index / 50 for index in range(FRAMES)]
     assert rows[0]["status"] == "blind"
-    assert rows[-1]["status"] == "blind"  # one flat surface fills the view
+    assert rows[-1]["status"] == "ok"
     depth_mm = cv2.imread(str(out / "depth/000011.png"), cv2.IMREAD_UNCHANGED)
     assert depth_mm.shape == (HEIGHT, WIDTH)
     assert np.median(depth_mm[depth_mm > 0]) == pytest.approx(80 * 0.1 / DISPARITY * 1000, rel=0.05)
