@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import re
 import time
 from collections.abc import Callable, Iterable
@@ -46,6 +47,8 @@ class Store:
             import fsspec
         except ImportError:
             raise InputError(f"{address} needs fsspec: pip install 'motionstereo[cloud]'") from None
+        # It prints tracebacks of connections that broke; what matters is raised.
+        logging.getLogger("asyncio").setLevel(logging.CRITICAL)
         self.address = address.rstrip("/")
         try:
             self._system, self._root = fsspec.core.url_to_fs(
