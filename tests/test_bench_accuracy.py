@@ -8,8 +8,8 @@ import pytest
 
 from bench import accuracy, depth
 from motionstereo_cli import register_matcher
-from motionstereo_cli.method import matching
-from motionstereo_cli.method.block_matching import stereo_bm, stereo_sgbm
+from motionstereo_cli.method import block_matching, matching
+from motionstereo_cli.method.block_matching import consensus, stereo_bm, stereo_sgbm
 from motionstereo_cli.simulate.scenes import render_scene
 
 WIDTH = 200
@@ -26,7 +26,7 @@ def views():
 
 
 @pytest.mark.parametrize("filtered", [False, True])
-@pytest.mark.parametrize("peer", [stereo_bm, stereo_sgbm])
+@pytest.mark.parametrize("peer", [stereo_bm, stereo_sgbm, consensus])
 def test_peers_find_the_disparity_of_the_right_view(peer, filtered, views):
     found = peer(*views, 64, filtered=filtered)
     assert found.shape == (HEIGHT, WIDTH)
@@ -35,11 +35,26 @@ def test_peers_find_the_disparity_of_the_right_view(peer, filtered, views):
     assert np.mean(np.abs(inner - DISPARITY) < 0.1) > 0.99
 
 
-@pytest.mark.parametrize("peer", [stereo_bm, stereo_sgbm])
+@pytest.mark.parametrize("peer", [stereo_bm, stereo_sgbm, consensus])
 def test_peers_say_unknown_and_never_a_negative_disparity(peer, views):
     beyond = peer(*views, 16)  # a range that ends before the wall
     assert np.mean(np.isnan(beyond)) > 0.3
     assert np.nanmin(beyond) >= 0
+
+
+def test_a_consensus_has_what_two_windows_agree_on(views, monkeypatch):
+    right, left = views
+    left = left.copy()
+    left[40:50, 95:105] = 128  # more than the small window holds, less than the large one
+    sizes, found = block_matching._CONSENSUS_BLOCKS_PX, {}
+    for each in (sizes, sizes[:1] * 2, sizes[1:] * 2):
+        monkeypatch.setattr(block_matching, "_CONSENSUS_BLOCKS_PX", each)
+        found[each] = consensus(right, left, 64)
+    both, small, large = found.values()
+    agree = np.abs(small - large) <= 1
+    np.testing.assert_array_equal(np.isnan(both), ~agree)
+    np.testing.assert_allclose(both[agree], (small + large)[agree] / 2)
+    assert 0.5 < agree.mean() < 1
 
 
 def test_the_bench_prints_every_matcher_on_every_scene(tmp_path, capsys):

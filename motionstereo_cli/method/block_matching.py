@@ -20,6 +20,9 @@ _STEPS_PER_PX = 16  # of cv2's fixed-point disparities
 _BM_BLOCK_PX = 21
 _SGBM_BLOCK_PX = 11
 
+#: Sides of the windows of the consensus, and by how many px its two results may differ.
+_CONSENSUS_BLOCKS_PX, _CONSENSUS_PX = (5, _SGBM_BLOCK_PX), 1.0
+
 
 def stereo_bm(right: Grey, left: Grey, max_disparity: int, *, filtered: bool = False) -> Real:
     """Return cv2.StereoBM's disparity of the right view.
@@ -43,22 +46,38 @@ def stereo_sgbm(right: Grey, left: Grey, max_disparity: int, *, filtered: bool =
     return _right_view(sgbm_matcher(max_disparity), right, left, filtered=filtered)
 
 
+def consensus(right: Grey, left: Grey, max_disparity: int, *, filtered: bool = False) -> Real:
+    """Return what cv2.StereoSGBM finds with a small and with a large window alike.
+
+    With paths from all eight sides, so that it does not share the bias of fewer paths on slanted
+    ground. Arguments and result as for :func:`stereo_bm`.
+    """
+    small, large = (
+        _right_view(sgbm_matcher(max_disparity, block, paths=8), right, left, filtered=filtered)
+        for block in _CONSENSUS_BLOCKS_PX
+    )
+    return np.where(np.abs(small - large) <= _CONSENSUS_PX, (small + large) / 2, np.float32(np.nan))
+
+
 def bm_matcher(max_disparity: int) -> cv2.StereoMatcher:
     """Return the cv2.StereoBM of :func:`stereo_bm`."""
     return cv2.StereoBM.create(_range(max_disparity), _BM_BLOCK_PX)
 
 
-def sgbm_matcher(max_disparity: int) -> cv2.StereoMatcher:
-    """Return the cv2.StereoSGBM of :func:`stereo_sgbm`."""
+def sgbm_matcher(
+    max_disparity: int, block_px: int = _SGBM_BLOCK_PX, paths: int = 5
+) -> cv2.StereoMatcher:
+    """Return the cv2.StereoSGBM of :func:`stereo_sgbm`, or one with eight paths."""
     return cv2.StereoSGBM.create(
         minDisparity=0,
         numDisparities=_range(max_disparity),
-        blockSize=_SGBM_BLOCK_PX,
-        P1=8 * _SGBM_BLOCK_PX**2,
-        P2=32 * _SGBM_BLOCK_PX**2,
+        blockSize=block_px,
+        P1=8 * block_px**2,
+        P2=32 * block_px**2,
         disp12MaxDiff=-1,
         uniquenessRatio=10,
         preFilterCap=63,
+        mode=cv2.StereoSGBM_MODE_HH if paths == 8 else cv2.StereoSGBM_MODE_SGBM,
     )
 
 

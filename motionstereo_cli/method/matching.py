@@ -12,7 +12,7 @@ import numpy as np
 
 from motionstereo_cli.errors import InputError, SettingsError
 from motionstereo_cli.method.balance import balanced
-from motionstereo_cli.method.block_matching import stereo_bm, stereo_sgbm
+from motionstereo_cli.method.block_matching import consensus, stereo_bm, stereo_sgbm
 from motionstereo_cli.method.borders import hidden_filled, trimmed
 from motionstereo_cli.method.cleaning import filled, without_speckles
 from motionstereo_cli.method.confidence import confidence, confidence_by_margin, margin_of_planes
@@ -188,6 +188,7 @@ MATCH: dict[str, Callable[[Memory, Memory, Settings], Found]] = {
     "regions": _regions,
     "sgbm": _of_opencv(stereo_sgbm),
     "bm": _of_opencv(stereo_bm),
+    "consensus": _of_opencv(consensus),
 }
 
 #: The matchers of the package itself, which cannot be replaced.

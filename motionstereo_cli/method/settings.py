@@ -58,6 +58,12 @@ MATCHERS = {
     ),
     "sgbm": Matcher("OpenCV's StereoSGBM, for comparison", knows_confidence=False, knows_rest=True),
     "bm": Matcher("OpenCV's StereoBM, for comparison", knows_confidence=False, knows_rest=True),
+    "consensus": Matcher(
+        "what OpenCV's StereoSGBM finds along eight paths with two windows alike, to measure "
+        "against",
+        knows_confidence=False,
+        knows_rest=True,
+    ),
     GIVEN: Matcher("what --disparity has", knows_confidence=False, knows_rest=True),
 }
 
