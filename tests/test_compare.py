@@ -25,7 +25,7 @@ from motionstereo_cli.evaluation.compare import (
 from motionstereo_cli.evaluation.compare_picture import draw_worst
 from motionstereo_cli.evaluation.compare_report import format_json, format_junit, format_table
 from motionstereo_cli.evaluation.settings import CompareSettings
-from motionstereo_cli.sinks.read_back import read_table
+from motionstereo_cli.sinks.read_back import Table
 
 STEERING = """\
 frame,pts,time_s,status,steer,steer_rad,depth_m,nearest_m,charged,matched
@@ -147,7 +147,7 @@ DIFFERENCES = {
         ("steering.csv", "rows", 1, 1, 1, "missing"),
     ),
     "row too many": (
-        edited("steering.csv", "3,1536", "4,2048,,,,,,,,\n3,1536"),
+        edited("steering.csv", "0.1900,0.1800\n", "0.1900,0.1800\n4,2048,,,,,,,,\n"),
         ("steering.csv", "rows", 1, 4, 4, "not in golden"),
     ),
     "column missing": (
@@ -376,13 +376,12 @@ def test_pfm_images_are_compared_in_px(sides):
 def test_rows_are_told_apart_by_frame_and_id(tmp_path):
     path = tmp_path / "objects.csv"
     path.write_text("frame,id,x\n3,1,10\n3,2,20\n4,1,11\n")
-    table = read_table(path)
+    table = Table(path)
     assert table.columns == ("frame", "id", "x")
-    assert [(key, row["x"]) for key, row in table.rows.items()] == [
-        ((3, "1"), "10"),
-        ((3, "2"), "20"),
-        ((4, "1"), "11"),
+    shown = [
+        (frame, {key: row["x"] for key, row in rows.items()}) for frame, rows in table.by_frame()
     ]
+    assert shown == [(3, {"1": "10", "2": "20"}), (4, {"1": "11"})]
 
 
 def test_objects_are_compared_by_frame_and_id(sides):
@@ -407,19 +406,22 @@ def test_objects_are_compared_by_frame_and_id(sides):
         ("", "its first line has to name each column"),
         ("time,x\n1,2\n", "its first line has to name each column"),
         ("frame,x,x\n1,2,3\n", "its first line has to name each column"),
-        ("frame,x\n1,2\n1,3\n", "row 3: frame 1 comes twice"),
+        ("frame,x\n1,2\n1,3\n", "frame 1 comes twice"),
+        ("frame,id,x\n1,5,2\n1,5,3\n", "frame 1 comes twice"),
+        ("frame,x\n2,2\n1,3\n", "frame 1 comes after frame 2"),
         ("frame,x\none,2\n", "row 2: 'one' is no frame number"),
         ("frame,x\n" + "9" * 9999 + ",2\n", r"row 2: '9+\.\.\. is no frame number"),
         ("frame,x\n1\n", "row 2 has 1 cells and not 2"),
         ('frame,x\n1,"2\n', "cannot read the table .*unexpected end of data"),
-        ("frame,x\n1," + "2" * 200_000 + "\n", "field larger than field limit"),
+        ("frame,x\n1," + "2" * 70_000 + "\n", "a line of more than 65536 bytes"),
+        ('frame,x\n1,"' + "\n2" * 100_000 + '"\n', "field larger than field limit"),
     ],
 )
 def test_what_is_no_table_is_named(tmp_path, text, words):
     path = tmp_path / "steering.csv"
     path.write_text(text)
     with pytest.raises(InputError, match=words) as refused:
-        read_table(path)
+        list(Table(path).by_frame())
     assert len(str(refused.value).splitlines()) == 1
     assert len(str(refused.value)) < 400
 

@@ -46,7 +46,7 @@ from motionstereo_cli.rig import format_rig, read_rig
 from motionstereo_cli.rig.calibration import read_calibration
 from motionstereo_cli.rig.poses import read_poses
 from motionstereo_cli.runs.folder import prepare
-from motionstereo_cli.sinks.read_back import Maps, read_table
+from motionstereo_cli.sinks.read_back import Maps, Table
 from motionstereo_cli.sources.folder import FolderRecording
 from motionstereo_cli.types import Rig
 
@@ -262,9 +262,10 @@ def test_tables(fuzz, tmp_path):
 
     def check(content):
         path.write_bytes(content)
-        table = result_of(read_table, path)
+        table = result_of(Table, path)
         if table is not None:
-            assert all(tuple(row) == table.columns for row in table.rows.values())
+            frames = result_of(lambda: list(table.by_frame())) or []
+            assert all(tuple(row) == table.columns for _, rows in frames for row in rows.values())
 
     fuzz(damaged([STEERING.encode(), objects]), check)
 

@@ -81,12 +81,11 @@ def compare(
     from motionstereo_cli.evaluation.compare import compare as compare_library
     from motionstereo_cli.evaluation.compare_picture import draw_worst
     from motionstereo_cli.files.encode import encode_png
-    from motionstereo_cli.files.reading import damage_of
     from motionstereo_cli.files.targets import check_targets, write_output
 
     inputs = (actual, golden, *config_files())
     check_targets((picture, junit, json_path), inputs)
-    with tqdm(unit="image", disable=None) as bar, damage_of(golden):
+    with tqdm(unit="image", disable=None) as bar:
         report = compare_library(
             actual, golden, settings, tolerances=tolerance, progress=bar.update
         )

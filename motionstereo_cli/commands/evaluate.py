@@ -95,25 +95,23 @@ def evaluate(
     from motionstereo_cli.evaluation.evaluate import Comparison
     from motionstereo_cli.evaluation.evaluate import evaluate as evaluate_library
     from motionstereo_cli.files.encode import encode_png
-    from motionstereo_cli.files.reading import damage_of
     from motionstereo_cli.files.targets import check_targets, write_output
     from motionstereo_cli.rig import read_rig
     from motionstereo_cli.sinks.read_back import Maps
 
-    with damage_of(result):
-        comparison = Comparison(
-            Maps(result, out_kind, within=result),
-            Maps(truth, truth_kind),
-            rig=None if rig is None else read_rig(rig),
-            mask=mask,
-        )
+    comparison = Comparison(
+        Maps(result, out_kind, within=result),
+        Maps(truth, truth_kind),
+        rig=None if rig is None else read_rig(rig),
+        mask=mask,
+    )
     given = [path for path in (rig, mask) if path is not None]
     inputs = (result, truth, *given, *config_files())
     check_targets((csv_path, json_path, None if picture is None else picture_path), inputs)
     if picture is not None:
         drawn = encode_png(evaluate_report.draw_errors(comparison.pair(picture)))
         write_output(picture_path, drawn, inputs)
-    with damage_of(result), tqdm(total=len(comparison.numbers), unit="frame", disable=None) as bar:
+    with tqdm(total=len(comparison.numbers), unit="frame", disable=None) as bar:
         report = evaluate_library(comparison, bar.update)
 
     _say_what_is_not_scored(comparison, report)

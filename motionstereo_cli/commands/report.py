@@ -27,15 +27,13 @@ def report(*, out: Path, page: Path | None) -> int:
     network. For a run it plays the videos in OUT while they stay there, and otherwise shows one
     frame of each. For a batch it has one row for each recording, failures first.
     """
-    from motionstereo_cli.files.reading import damage_of
     from motionstereo_cli.report import PAGE, write_report
     from motionstereo_cli.report.batch_page import TABLE, batch_page
     from motionstereo_cli.report.run_page import run_page
 
     place = out / PAGE if page is None else Path(PAGE) if str(page) == "-" else page
     show = batch_page if (out / TABLE).is_file() else run_page
-    with damage_of(out):
-        html = show(out, place)
+    html = show(out, place)
     if str(page) == "-":
         click.echo(html, nl=False)
         return 0

@@ -7,6 +7,8 @@ compared whole. A file of GOLDEN that ACTUAL lacks, or that cannot be read, is a
 from __future__ import annotations
 
 import contextlib
+import heapq
+import itertools
 import math
 import os
 from collections.abc import Callable, Iterator, Mapping
@@ -21,7 +23,7 @@ from motionstereo_cli.evaluation.settings import COLUMN_TOLERANCE, CompareSettin
 from motionstereo_cli.files.reading import check_regular, real
 from motionstereo_cli.files.records import read_json, typed
 from motionstereo_cli.sinks.outputs import OUTPUTS, RECORD
-from motionstereo_cli.sinks.read_back import Maps, read_record, read_table, shortened
+from motionstereo_cli.sinks.read_back import Maps, Table, read_record, shortened
 from motionstereo_cli.sinks.records import RunRecord
 from motionstereo_cli.sinks.scale import ENDS
 
@@ -29,6 +31,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from motionstereo_cli.types import Real
+
+    #: Rows of a frame by their id, each by column.
+    _Rows = dict[str, dict[str, str]]
 
 #: Parts of run.json that may differ between machines, without a word or with a note.
 _IGNORED = frozenset(
@@ -219,12 +224,15 @@ class _Comparison:
         output = Compared(name, "rows")
         self._check_regular(name)
         try:
-            golden = read_table(self._golden / name)
+            golden = Table(self._golden / name)
             self.columns.update(golden.columns)
-            actual = read_table(self._actual / name)
+            actual = Table(self._actual / name)
+            self._rows(output, actual, golden)
         except InputError as error:
             output.differ("files", str(error))
-            return output
+        return output
+
+    def _rows(self, output: Compared, actual: Table, golden: Table) -> None:
         for column in golden.columns:
             if column not in actual.columns:
                 output.differ(column, "the column is missing")
@@ -234,15 +242,14 @@ class _Comparison:
         shared = [column for column in golden.columns if column in actual.columns]
         if shared != [column for column in actual.columns if column in golden.columns]:
             output.differ("columns", "they are in another order")
-        for key in sorted(golden.rows.keys() | actual.rows.keys()):
-            if key in golden.rows and key in actual.rows:
-                mine, theirs = actual.rows[key], golden.rows[key]
-                for column in shared:
-                    self._cell(output, key[0], column, mine, theirs)
-                output.compared += 1
-            else:
-                output.differ("rows", "missing" if key in golden.rows else "not in golden", key[0])
-        return output
+        for frame, mine, theirs in _side_by_side(actual, golden):
+            for name in sorted(mine.keys() | theirs.keys()):
+                if name in mine and name in theirs:
+                    for column in shared:
+                        self._cell(output, frame, column, mine[name], theirs[name])
+                    output.compared += 1
+                else:
+                    output.differ("rows", "missing" if name in theirs else "not in golden", frame)
 
     def _cell(
         self,
@@ -364,6 +371,19 @@ def _frames_of(golden: Path) -> int | None:
         if counts := read_record(golden / RECORD).counts:
             return counts.written
     return None
+
+
+def _side_by_side(actual: Table, golden: Table) -> Iterator[tuple[int, _Rows, _Rows]]:
+    """Yield the number of each frame and its rows by id, of both tables; none where it lacks."""
+
+    def of(table: Table, side: int) -> Iterator[tuple[int, int, _Rows]]:
+        for frame, rows in table.by_frame():
+            yield frame, side, rows
+
+    both = heapq.merge(of(actual, 0), of(golden, 1), key=lambda each: each[:2])
+    for frame, group in itertools.groupby(both, lambda each: each[0]):
+        found = {side: rows for _, side, rows in group}
+        yield frame, found.get(0, {}), found.get(1, {})
 
 
 def _said(path: Path) -> dict[str, Any]:

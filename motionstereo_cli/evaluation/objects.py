@@ -8,6 +8,7 @@ benchmark.
 from __future__ import annotations
 
 import math
+import os
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
@@ -21,7 +22,7 @@ from motionstereo_cli.evaluation.settings import ObjectSettings
 from motionstereo_cli.files.reading import MAX_RESULT_BYTES, open_regular, read_text
 from motionstereo_cli.robot.assignment import assignment
 from motionstereo_cli.sinks.outputs import RECORD
-from motionstereo_cli.sinks.read_back import read_record, read_table, shortened
+from motionstereo_cli.sinks.read_back import Table, read_record, shortened
 from motionstereo_cli.sinks.records import Counts
 
 if TYPE_CHECKING:
@@ -144,11 +145,21 @@ def read_objects(path: Path, settings: ObjectSettings) -> list[ObjectBox]:
         )
     with open_regular(path) as file:
         is_table = b"," in file.readline(4096)
+        if file.seek(0, os.SEEK_END) > MAX_RESULT_BYTES:
+            raise InputError(
+                f"{path} is larger than {MAX_RESULT_BYTES} bytes, the limit of tables of objects: "
+                "evaluate parts of the recording, run with --start and --end"
+            )
     return list(_of_table(path) if is_table else _of_labels(path, settings.label_rate))
 
 
 def _of_table(path: Path) -> Iterator[ObjectBox]:
-    for (frame, name), row in read_table(path).rows.items():
+    seen: set[tuple[int, str]] = set()
+    for frame, row in Table(path):
+        name = row.get("id", "")
+        if (frame, name) in seen:
+            raise InputError(f"{path}: object {name} comes twice in frame {frame}")
+        seen.add((frame, name))
 
         def number(column: str, row: dict[str, str] = row, frame: int = frame) -> float:
             cell = row.get(column, "")

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import contextlib
 import errno
 import hashlib
 import os
 import stat
-from collections.abc import Iterator
 from io import BufferedReader
 from pathlib import Path
 
-from motionstereo_cli.errors import InputError, is_damage
+from motionstereo_cli.errors import InputError
 
 #: Larger images, in px, come from damaged or hostile files unless the user says
 #: otherwise. Beyond the second number Pillow reads none.
@@ -22,7 +20,8 @@ PILLOW_MAX_PIXELS = 178_000_000
 MAX_CALIBRATION_BYTES = 16_000_000
 MAX_TABLE_BYTES = 256_000_000
 
-#: Tables of runs: rows of five hours at 30 images per second. Records are far smaller.
+#: Tables of objects and of poses that are kept whole; those of runs are read row by row. Records
+#: are far smaller.
 MAX_RESULT_BYTES, MAX_RECORD_BYTES = 48_000_000, 16_000_000
 
 
@@ -101,27 +100,6 @@ def open_fifo(path: Path) -> int:
         OSError: it cannot be opened.
     """
     return os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0))
-
-
-@contextlib.contextmanager
-def damage_of(path: Path, advice: str = "write it again") -> Iterator[None]:
-    """Turn errors that damaged content causes in a block into one that names the file.
-
-    Args:
-        path: the file, or the folder of several.
-        advice: what to do.
-
-    Raises:
-        InputError: the block raised an error that damaged content can cause.
-    """
-    try:
-        yield
-    except Exception as error:
-        if not is_damage(error):
-            raise
-        raise InputError(
-            f"{path} is damaged ({type(error).__name__}: {str(error)[:100]}): {advice}"
-        ) from error
 
 
 def check_regular(path: Path, within: Path) -> None:

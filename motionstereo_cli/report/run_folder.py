@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Collection, Iterable, Mapping
+from array import array
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -13,9 +14,9 @@ import numpy as np
 
 from motionstereo_cli.errors import InputError
 from motionstereo_cli.files.atomic import part_of
-from motionstereo_cli.files.reading import MAX_RESULT_BYTES, read_bytes, real
+from motionstereo_cli.files.reading import real
 from motionstereo_cli.sinks.outputs import OUTPUTS, RECORD
-from motionstereo_cli.sinks.read_back import read_record, read_table
+from motionstereo_cli.sinks.read_back import Table, lines_of, read_record
 from motionstereo_cli.sinks.records import RunRecord
 from motionstereo_cli.sinks.sink import DEFAULT_TIME_BASE, EPOCH_S
 
@@ -31,7 +32,11 @@ FRAME_S = float(DEFAULT_TIME_BASE)
 #: Pixel formats of H.264 that browsers play.
 _PLAYED = ("yuv420p", "yuvj420p")
 
-Rows = Collection[dict[str, str]]
+#: Rows of a steering table that a page has at most: 28 hours at 30 images per second.
+MAX_FRAMES = 3_000_000
+
+#: Statuses that a table has at most, of three that there are.
+_MAX_STATUSES = 16
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,33 +152,20 @@ class Results:
         Raises:
             InputError: it cannot be read, or is not a steering table.
         """
-        rows = self._rows("steering") or self._lines("steering-jsonl")
-        return _steering(self.path, rows) if rows else None
+        for output, rows_of in (("steering", _rows), ("steering-jsonl", _objects_of_lines)):
+            path = self._file(output)
+            if os.path.lexists(path) and (found := _steering(path, rows_of(path))):
+                return found
+        return None
 
-    def objects(self) -> Rows | None:
+    def objects(self) -> Iterator[dict[str, str]] | None:
         """Return the rows of the table of moving objects, None where there is none.
 
         Raises:
             InputError: it cannot be read.
         """
-        return self._rows("objects")
-
-    def _rows(self, output: str) -> Rows | None:
-        path = self._file(output)
-        part = path.suffix == ".part"
-        return read_table(path, part=part).rows.values() if os.path.lexists(path) else None
-
-    def _lines(self, output: str) -> Rows | None:
-        path = self._file(output)
-        if not os.path.lexists(path):
-            return None
-        try:
-            content = read_bytes(path, "the table", MAX_RESULT_BYTES, within=self.path)
-            lines = content.decode().split("\n")[:-1]
-            rows = [json.loads(line) for line in lines]
-            return [{k: "" if v is None else str(v) for k, v in row.items()} for row in rows]
-        except (OSError, ValueError, AttributeError, RecursionError) as error:
-            raise InputError(f"cannot read the table {path}: {error}") from error
+        path = self._file("objects")
+        return _rows(path) if os.path.lexists(path) else None
 
     def _file(self, output: str) -> Path:
         """Return an output's file or, if it is not complete, its partial file."""
@@ -195,26 +187,45 @@ def read_results(path: Path) -> Results:
     raise InputError(f"{path} has no {RECORD} of a run: give the output folder of run (its --out)")
 
 
-def numbers(texts: Iterable[str]) -> NDArray[np.float64]:
-    """Return the numbers of a column; empty = NaN.
-
-    Raises:
-        ValueError: a cell is not a number.
-    """
-    return np.array([float(text) if text else np.nan for text in texts])
+def _rows(path: Path) -> Iterator[dict[str, str]]:
+    for _, rows in Table(path, part=path.suffix == ".part").by_frame():
+        yield from rows.values()
 
 
-def _steering(path: Path, rows: Rows) -> SteeringTable:
-    cells: dict[str, list[str]] = {name: [] for name in ("frame", "time_s", "status", *SERIES)}
+def _objects_of_lines(path: Path) -> Iterator[dict[str, str]]:
+    """Yield the rows of a table of JSON lines; an incomplete last line is dropped."""
+    for number, line in enumerate(lines_of(path, part=True), 1):
+        try:
+            row = json.loads(line)
+            yield {name: "" if value is None else str(value) for name, value in row.items()}
+        except (ValueError, AttributeError, RecursionError) as error:
+            raise InputError(f"cannot read the table {path}: line {number}: {error}") from error
+
+
+def _steering(path: Path, rows: Iterable[Mapping[str, str]]) -> SteeringTable | None:
+    """Return a steering table, None if it has no rows; it takes 72 bytes a row."""
+    frames, status, statuses = array("q"), list[str](), dict[str, str]()
+    numbers = {name: array("d") for name in ("time_s", *SERIES)}
     try:
-        for row in rows:  # each is made when it is asked for
-            for name, column in cells.items():
-                column.append(row[name])
-        return SteeringTable(
-            frames=np.array([int(text) for text in cells["frame"]]),
-            time_s=numbers(cells["time_s"]),
-            status=tuple(cells["status"]),
-            series={name: numbers(cells[name]) for name in SERIES},
-        )
-    except (KeyError, TypeError, ValueError) as error:
-        raise InputError(f"the steering table in {path} is damaged: {error}") from error
+        for row in rows:
+            if len(status) == MAX_FRAMES:
+                raise InputError(
+                    f"{path} has more than {MAX_FRAMES} frames, the limit of a page: make pages of "
+                    "parts of the recording, run with --start and --end"
+                )
+            frames.append(int(row["frame"]))
+            status.append(statuses.setdefault(row["status"], row["status"]))
+            if len(statuses) > _MAX_STATUSES:
+                raise ValueError(f"it has more than {_MAX_STATUSES} statuses")
+            for name, column in numbers.items():
+                column.append(float(row[name] or "nan"))
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
+        raise InputError(f"the steering table {path} is damaged: {error}") from error
+    if not status:
+        return None
+    return SteeringTable(
+        frames=np.array(frames),
+        time_s=np.array(numbers.pop("time_s")),
+        status=tuple(status),
+        series={name: np.array(column) for name, column in numbers.items()},
+    )

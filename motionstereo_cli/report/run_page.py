@@ -240,7 +240,7 @@ def _objects(run: Results, steering: SteeringTable) -> dict[str, Any] | None:
     try:
         shown, count = tracks(rows, x_of, step)
     except (KeyError, ValueError) as error:
-        raise InputError(f"{run.path / 'objects.csv'} is damaged: {error}") from error
+        raise InputError(f"cannot show {run.path / 'objects.csv'}: {error}") from error
     return {"shown": shown, "count": count}
 
 

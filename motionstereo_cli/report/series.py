@@ -22,6 +22,9 @@ SOON_S, LATER_S = 2.0, 5.0
 #: Maximum number of objects on a page: those with the least time to contact.
 MAX_OBJECTS = 24
 
+#: Times that objects are there, from a frame to another, that a page counts at most.
+MAX_SPANS = 500_000
+
 
 def kept_rows(
     series: Iterable[NDArray[np.float64]], codes: NDArray[np.int64], most: int = MAX_ROWS
@@ -94,8 +97,12 @@ def tracks(
         each with its begin, its end and its urgency (0 contact soon, 1 later, 2 hardly or unknown);
         the least ``contact`` in s, ``nearest`` in m and most ``closing`` in m/s; ``own``, 1 if it
         moves by itself, and its greatest ``speed`` over ground in m/s; None if unknown.
+
+    Raises:
+        KeyError, ValueError: a row is damaged, or there are too many.
     """
     found: dict[int, dict[str, Any]] = {}
+    count = 0
     for row in rows:
         number, frame = int(row["id"]), int(row["frame"])
         if frame not in x_of:
@@ -116,6 +123,12 @@ def tracks(
             spans[-1][1] = end
         else:
             spans.append([begin, end, level])
+            count += 1
+            if count > MAX_SPANS:
+                raise ValueError(
+                    f"objects come more than {MAX_SPANS} times, the limit of a page: make pages of "
+                    "parts of the recording, run with --start and --end"
+                )
         track["contact"] = _least(track["contact"], contact)
         track["nearest"] = _least(track["nearest"], depth)
         track["closing"] = _most(track["closing"], closing)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from array import array
 from collections import defaultdict
 from typing import TYPE_CHECKING, Any
 
@@ -90,7 +91,7 @@ def _things(run: Results, steering: SteeringTable | None, poses: Reals) -> dict[
     times = steering.time_s if steering.timed else steering.frames.astype(np.float64)
     time_of = dict(zip(steering.frames.tolist(), times.tolist(), strict=True))
     cx_px = rig.cx_of(run.reference)
-    found: dict[str, list[tuple[float, float]]] = defaultdict(list)
+    found: dict[str, array[float]] = defaultdict(lambda: array("d"))
     for row in rows:
         try:
             time_s, depth_m = time_of[int(row["frame"])], float(row["depth_m"])
@@ -107,8 +108,8 @@ def _things(run: Results, steering: SteeringTable | None, poses: Reals) -> dict[
         cos, sin = math.cos(pose.yaw_rad), math.sin(pose.yaw_rad)
         place = x_m + cos * depth_m - sin * left_m, y_m + sin * depth_m + cos * left_m
         if all(map(math.isfinite, place)):
-            found[row["id"]].append(place)
-    return {name: np.array(places) for name, places in found.items() if len(places) > 1}
+            found[row["id"]].extend(place)
+    return {name: np.reshape(places, (-1, 2)) for name, places in found.items() if len(places) > 2}
 
 
 def _floor(run: Results) -> dict[str, Any] | None:

@@ -22,7 +22,7 @@ from motionstereo_cli.files.atomic import (
 )
 from motionstereo_cli.files.folders import make_folder, remove, remove_empty
 from motionstereo_cli.files.lock import LOCK, locked
-from motionstereo_cli.files.reading import damage_of, real
+from motionstereo_cli.files.reading import real
 from motionstereo_cli.files.targets import sum_of
 from motionstereo_cli.runs.checkpoint import (
     check_same,
@@ -49,9 +49,6 @@ from motionstereo_cli.sinks.records import FolderRecord, RunRecord
 
 if TYPE_CHECKING:
     from motionstereo_cli.pipeline import State
-
-
-_START_AGAIN = "give --overwrite to start again"
 
 
 class RunFolder(Sinks):
@@ -212,10 +209,9 @@ class RunFolder(Sinks):
         overwrite = self._overwrite
         if self._resume:
             if finished := record_of(self.path, self._kind):
-                with damage_of(self.path / self._kind.record, _START_AGAIN):
-                    check_same(self.path, self._identity, finished)
-                    self._check_sums(finished)
-                    clear(self.path, finished, self._kind)
+                check_same(self.path, self._identity, finished)
+                self._check_sums(finished)
+                clear(self.path, finished, self._kind)
                 self.finished = finished
                 return
             if begun := read_record(part_of(self.path / self._kind.record), self._kind):

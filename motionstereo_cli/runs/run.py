@@ -23,7 +23,7 @@ from motionstereo_cli.errors import (
     SettingsError,
 )
 from motionstereo_cli.files.atomic import reported
-from motionstereo_cli.files.reading import damage_of, real
+from motionstereo_cli.files.reading import real
 from motionstereo_cli.files.targets import check_target, is_stream, open_stream
 from motionstereo_cli.method.settings import FOREVER, GIVEN
 from motionstereo_cli.pipeline import State, steps
@@ -130,8 +130,7 @@ def run(plan: RunPlan, watcher: Watcher | None = None, stdout: BinaryIO | None =
         try:
             with sinks:
                 if sinks.finished is not None:
-                    with damage_of(plan.out, "give --overwrite to start again"):
-                        return report_of(sinks.finished, plan)
+                    return report_of(sinks.finished, plan)
                 resumed = sinks.totals.frames
                 _open(sinks, job, stdout)
                 _write(sinks, job, watcher)

@@ -6,17 +6,18 @@ The encodings are those of :mod:`~motionstereo_cli.sinks.images`.
 from __future__ import annotations
 
 import csv
-import io
-from collections.abc import Iterator, Mapping, Sequence
+import itertools
+import math
+from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from motionstereo_cli.errors import InputError
 from motionstereo_cli.files.maps import SUFFIXES, numbered_files, read_map
-from motionstereo_cli.files.reading import MAX_RESULT_BYTES, read_bytes, real
+from motionstereo_cli.files.reading import open_regular, real
 from motionstereo_cli.files.records import read_json, typed
 from motionstereo_cli.files.stills import DamagedImageError, read_still
 from motionstereo_cli.rig import read_rig
@@ -40,6 +41,9 @@ _FOLDERS = tuple(
 
 #: Maximum length of a value in a message.
 _SHOWN = 60
+
+#: Longer than any line of a table.
+_MAX_LINE_BYTES = 65_536
 
 #: Prefixes of folder names by kind; KITTI's is disp_occ_0.
 _NAMED = {"disp": "disparity", "depth": "depth"}
@@ -150,85 +154,98 @@ def size_of(image: NDArray[Any]) -> str:
     return f"{image.shape[1]}x{image.shape[0]}"
 
 
-class Rows(Mapping[tuple[int, str], dict[str, str]]):
-    """Rows of a table by frame and id, in little more memory than the file takes.
+class Table:
+    """A CSV table that ``run`` wrote: a row for each frame, or for each frame and id.
 
-    Args:
-        columns: their names.
-    """
-
-    def __init__(self, columns: tuple[str, ...]) -> None:
-        self._columns = columns
-        self._joined: dict[tuple[int, str], str] = {}
-
-    def add(self, key: tuple[int, str], cells: Sequence[str]) -> None:
-        """Add a row."""
-        self._joined[key] = "\0".join(each.replace("\0", "\ufffd") for each in cells)
-
-    def __getitem__(self, key: tuple[int, str]) -> dict[str, str]:
-        return dict(zip(self._columns, self._joined[key].split("\0"), strict=True))
-
-    def __iter__(self) -> Iterator[tuple[int, str]]:
-        return iter(self._joined)
-
-    def __len__(self) -> int:
-        return len(self._joined)
-
-
-class Table(NamedTuple):
-    """A CSV table with a row for each frame, or for each frame and id.
-
-    Attributes:
-        columns: names, in order.
-        rows: by frame and id (empty if there is no such column), the cells by column.
-    """
-
-    columns: tuple[str, ...]
-    rows: Rows
-
-
-def read_table(path: Path, *, part: bool = False) -> Table:
-    """Read a CSV table that ``run`` wrote.
+    Iterating yields the number of the frame and the cells by column of each row. The file is read
+    row by row, so that memory does not grow with its size.
 
     Args:
         path: the file.
         part: it may be cut off: an incomplete last line is dropped.
 
+    Attributes:
+        columns: names, in order.
+
     Raises:
         InputError: it cannot be read, has an unnamed column, two columns of one name, no column
-            ``frame``, a row of another length, or two rows for the same frame and id.
+            ``frame``, or a row of another length; while iterating, too.
     """
-    content = read_bytes(path, "the table", MAX_RESULT_BYTES, within=path.parent)
-    if part:
-        content = content[: content.rfind(b"\n") + 1]
-    text = io.TextIOWrapper(io.BytesIO(content), "utf-8-sig", errors="replace", newline="")
-    try:
-        return _table(path, csv.reader(text, strict=True))
-    except csv.Error as error:
-        raise InputError(f"cannot read the table {path}: {error}") from error
 
+    def __init__(self, path: Path, *, part: bool = False) -> None:
+        self.path = path
+        self._part = part
+        self.columns = tuple(next(self._cells(), ()))
+        if "frame" not in self.columns or len(set(self.columns)) < len(self.columns):
+            raise InputError(f"{path} is no table of a run: its first line has to name each column")
 
-def _table(path: Path, lines: Iterator[list[str]]) -> Table:
-    header = next(lines, [])
-    if "frame" not in header or len(set(header)) < len(header):
-        raise InputError(f"{path} is no table of a run: its first line has to name each column")
-    rows = Rows(tuple(header))
-    for number, cells in enumerate(lines, 2):
-        if len(cells) != len(header):
-            raise InputError(
-                f"{path} row {number} has {len(cells)} cells and not {len(header)}: write it again"
-            )
-        row = dict(zip(header, cells, strict=True))
+    def __iter__(self) -> Iterator[tuple[int, dict[str, str]]]:
+        path, columns = self.path, self.columns
+        for number, cells in enumerate(itertools.islice(self._cells(), 1, None), 2):
+            if len(cells) != len(columns):
+                raise InputError(
+                    f"{path} row {number} has {len(cells)} cells and not {len(columns)}: write it "
+                    "again"
+                )
+            row = dict(zip(columns, cells, strict=True))
+            try:
+                frame = int(row["frame"])
+            except ValueError:
+                raise InputError(
+                    f"{path} row {number}: {shortened(row['frame'])} is no frame number: write it "
+                    "again"
+                ) from None
+            yield frame, row
+
+    def by_frame(self) -> Iterator[tuple[int, dict[str, dict[str, str]]]]:
+        """Yield the number of each frame, and its rows by their id, empty without such a column.
+
+        Raises:
+            InputError: frames are not in order, or two rows are of the same frame and id.
+        """
+        last = -math.inf
+        for frame, group in itertools.groupby(self, lambda each: each[0]):
+            if frame < last:
+                raise InputError(
+                    f"{self.path}: frame {frame} comes after frame {last}: write it again"
+                )
+            rows: dict[str, dict[str, str]] = {}
+            for _, row in group:
+                if row.get("id", "") in rows:
+                    raise InputError(f"{self.path}: frame {frame} comes twice: write it again")
+                rows[row.get("id", "")] = row
+            yield frame, rows
+            last = frame
+
+    def _cells(self) -> Iterator[list[str]]:
         try:
-            key = int(row["frame"]), row.get("id", "")
-        except ValueError:
-            raise InputError(
-                f"{path} row {number}: {shortened(row['frame'])} is no frame number: write it again"
-            ) from None
-        if key in rows:
-            raise InputError(f"{path} row {number}: frame {key[0]} comes twice: write it again")
-        rows.add(key, cells)
-    return Table(tuple(header), rows)
+            yield from csv.reader(lines_of(self.path, part=self._part), strict=True)
+        except csv.Error as error:
+            raise InputError(f"cannot read the table {self.path}: {error}") from error
+
+
+def lines_of(path: Path, *, part: bool = False) -> Iterator[str]:
+    """Yield the lines of a table in the folder of a run, with their ends.
+
+    Args:
+        path: the file; no link may lead out of its folder.
+        part: an incomplete last line is dropped.
+
+    Raises:
+        InputError: it cannot be read, or has a line that is too long.
+    """
+    try:
+        with open_regular(path, path.parent) as file:
+            while line := file.readline(_MAX_LINE_BYTES + 1):
+                if len(line) > _MAX_LINE_BYTES:
+                    raise InputError(
+                        f"cannot read the table {path}: it has a line of more than "
+                        f"{_MAX_LINE_BYTES} bytes: write it again"
+                    )
+                if not part or line.endswith(b"\n"):
+                    yield line.decode("utf-8", errors="replace").removeprefix("\ufeff")
+    except OSError as error:
+        raise InputError(f"cannot read the table {path}: {error.strerror}") from error
 
 
 def read_record(path: Path) -> RunRecord:
