@@ -24,7 +24,8 @@ lint: $(READY)  ## check style, types and spelling
 	$(BIN)/mypy
 	$(BIN)/codespell $(wildcard *.md .github .ci motionstereo_cli tests) Makefile pyproject.toml
 
-# 40 frames of straight corridor, the turn to the left (40..64), and the straight after it.
+# 40 frames of straight corridor, the turn to the left (40..64), and the straight after it. The golden
+# record has no time: it would differ each time.
 sample: $(READY)  ## render sample_data again, and what a run gives of it now
 	$(BIN)/motionstereo simulate out/sample --overwrite --frames 310:410 --noise-sigma 1.5
 	cp out/sample/left.mp4 out/sample/right.mp4 out/sample/rig.yaml sample_data/
@@ -34,7 +35,8 @@ sample: $(READY)  ## render sample_data again, and what a run gives of it now
 		--rig sample_data/rig.yaml --save $(GOLDEN) --out out/golden --overwrite
 	rm -rf sample_data/golden
 	mkdir -p sample_data/golden/depth sample_data/golden/disparity
-	cp out/golden/steering.csv out/golden/run.json sample_data/golden/
+	cp out/golden/steering.csv sample_data/golden/
+	sed '/^  "timing": {$$/,/^  },$$/d' out/golden/run.json > sample_data/golden/run.json
 	for image in depth/000020 depth/000054 depth/000072 disparity/000020 disparity/000072; do \
 		cp out/golden/$$image.png sample_data/golden/$$image.png; done
 

@@ -395,6 +395,15 @@ def test_info_and_run_take_a_bag(tmp_path, capsys):
     facts = json.loads(capsys.readouterr().out)
     assert facts["left"]["topic"] == "/cam/left/image_raw"
     assert facts["rig"]["focal_px"] == pytest.approx(50)
+    assert facts["rig_from"].startswith("recorded with the images (")
+    assert [each["name"] for each in facts["topics"]] == [
+        f"/cam/{side}/image_raw" for side in ("left", "right")
+    ]
+    assert main(["info", str(path)]) == 0
+    table = capsys.readouterr().out
+    assert "topic /cam/left/image_raw with camera_info" in table
+    assert re.search(r"^topics +/cam/left/image_raw \(.+, 6 images, .+ per second\), ", table, re.M)
+    assert re.search(r"^rig from +recorded with the images ", table, re.M)
     out = tmp_path / "out"
     assert main(["run", str(path), "-o", str(out), "--save", "steering,depth"]) == 0
     assert (out / "depth/000005.png").exists()

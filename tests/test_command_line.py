@@ -673,6 +673,34 @@ def test_progress_shows_on_a_terminal_alone(run_args):
     assert f"{FRAMES}/{FRAMES}" not in done.stderr
 
 
+@pytest.mark.parametrize(
+    ("args", "line"),
+    [
+        (
+            ["drive", "--max-frames", "2"],
+            r"frame 0: x -?\d+\.\d m, y -?\d+\.\d m, facing -?\d+°; .+; "
+            r"\d\.\d\d laps, 0\.0 m driven, nearest pass \d\.\d\d m",
+        ),
+        (
+            ["simulate", "--scene", "street", "--frames", "2"],
+            r"frame 0: x .+ m, y .+ m, facing \d+°; nearest \d+\.\d m; moving by themselves: \d+",
+        ),
+    ],
+    ids=lambda value: value[0],
+)
+def test_on_a_terminal_it_is_said_what_is_drawn(args, line, tmp_path, monkeypatch, capsys):
+    name, *more = args
+    given = [*more, "--width", "64", "--height", "48", "--overwrite"]
+    said = []
+    for on_terminal, option in ((False, []), (True, []), (True, ["--quiet"])):
+        monkeypatch.setattr("sys.stderr.isatty", lambda on_terminal=on_terminal: on_terminal)
+        assert main([name, str(tmp_path / "out"), *given, *option]) == 0
+        said.append(
+            re.findall(f"^note: {line}$", capsys.readouterr().err.replace("\r", "\n"), re.M)
+        )
+    assert [len(each) for each in said] == [0, 1, 0]
+
+
 class Bar:
     """A progress bar that only takes its calls."""
 

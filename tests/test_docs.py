@@ -17,6 +17,7 @@ import pytest
 from recordings import encode, folder
 
 from motionstereo_cli.__main__ import main
+from motionstereo_cli.commands import cli
 from motionstereo_cli.report.words import command
 from motionstereo_cli.sinks.read_back import read_record
 
@@ -32,6 +33,7 @@ ELSEWHERE = re.compile(
 #: The size of all recordings here, in px: a quarter of the sample's.
 WIDTH, HEIGHT = 80, 60
 SMALL = ["--width", f"{WIDTH}", "--height", f"{HEIGHT}"]
+PAIR = ["left.mp4", "right.mp4"]
 #: What commands are given here besides, so that they are done soon.
 SHORTER = {
     "simulate": SMALL,
@@ -112,10 +114,40 @@ def opencv(path, focal_px, size):
 
 @pytest.mark.parametrize("path", [*filter(commands, PAGES)], ids=lambda path: path.name)
 def test_the_commands_of_a_page_work_in_order(yours, tmp_path, path, monkeypatch, capfd):
-    home = shutil.copytree(yours, tmp_path / "sample_data")
-    monkeypatch.chdir(home)
+    monkeypatch.chdir(shutil.copytree(yours, tmp_path / "sample_data"))
+    assert_they_work(commands(path), capfd)
+
+
+@pytest.mark.parametrize("name", [name for name in cli.commands if name != "help"])
+def test_the_examples_of_a_commands_help_work(yours, tmp_path, name, monkeypatch, capfd):
+    examples = cli.commands[name].examples
+    assert any(line.startswith(f"motionstereo {name} ") for line in examples)
+    assert max(map(len, examples)) <= 78, "a terminal of 80 columns would break it"
+    monkeypatch.chdir(shutil.copytree(yours, tmp_path / "sample_data"))
+    assert_they_work(examples, capfd)
+
+
+@pytest.mark.parametrize(
+    ("given", "wanted"),
+    [
+        ([*PAIR], "nowhere: give --rig for results in m"),
+        ([*PAIR, "--rig", "stereo.yml"], "stereo.yml (OpenCV)"),
+        (
+            ["kitti/sequences/00"],
+            "kitti/sequences/00/calib.txt (KITTI, found beside the recording)",
+        ),
+    ],
+    ids=["none", "given", "found"],
+)
+def test_info_says_where_the_rig_comes_from(yours, monkeypatch, capsys, given, wanted):
+    monkeypatch.chdir(yours)
+    assert main(["info", *given]) == 0
+    assert re.search(r"^rig from +(.+)$", capsys.readouterr().out, re.MULTILINE)[1].endswith(wanted)
+
+
+def assert_they_work(lines, capfd):
     failed = []
-    for line in commands(path):
+    for line in lines:
         words = shlex.split(line, comments=True)
         if "|" in words:
             shell = {**os.environ, "PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}"}
@@ -131,9 +163,6 @@ def test_the_commands_of_a_page_work_in_order(yours, tmp_path, path, monkeypatch
         if code:
             failed.append(f"{line}\n{capfd.readouterr().err}")
     assert not failed, "\n".join(failed)
-
-
-PAIR = ["left.mp4", "right.mp4"]
 
 
 @pytest.mark.parametrize(

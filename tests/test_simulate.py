@@ -556,7 +556,7 @@ def contents(folder):
 def test_files_hold_what_was_rendered(tmp_path):
     settings = small(frames="248:252", lossless=True, noise_sigma=1, frame_rate=25)
     calls = []
-    simulate(tmp_path, settings, progress=lambda: calls.append(1))
+    simulate(tmp_path, settings, progress=lambda shot: calls.append(shot.frame))
     shots = list(render_scene(settings))
     names = {str(path) for path in contents(tmp_path)}
     assert names == {"left.mkv", "right.mkv", "rig.yaml", "poses.txt"} | {

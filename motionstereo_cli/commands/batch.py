@@ -83,6 +83,10 @@ class _BatchCommand(GroupedCommand):
 
 @click.command(
     cls=_BatchCommand,
+    examples=(
+        "motionstereo batch recordings.csv -o results",
+        "motionstereo batch 'archive/*/left.mp4' 'archive/*/right.mp4' -o archived",
+    ),
     context_settings={"ignore_unknown_options": True},
     options_metavar="MANIFEST [OPTIONS] [OPTIONS OF RUN]",
 )

@@ -27,7 +27,13 @@ if TYPE_CHECKING:
     from motionstereo_cli.sources import StereoSource
 
 
-@click.command(cls=GroupedCommand)
+@click.command(
+    cls=GroupedCommand,
+    examples=(
+        "motionstereo check left.mp4 right.mp4 --rig rig.yaml",
+        "motionstereo check left.mp4 right.mp4 --write advised.toml",
+    ),
+)
 @input_options
 @rig_options
 @click.option(

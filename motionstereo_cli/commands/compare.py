@@ -36,7 +36,14 @@ def _tolerances(
     return tolerances
 
 
-@click.command(cls=GroupedCommand)
+@click.command(
+    cls=GroupedCommand,
+    examples=(
+        "motionstereo run left.mp4 right.mp4 --rig rig.yaml -o out/before",
+        "motionstereo run left.mp4 right.mp4 --rig rig.yaml -o out/after",
+        "motionstereo compare out/after out/before",
+    ),
+)
 @click.argument("actual", type=click.Path(path_type=Path))
 @click.argument("golden", type=click.Path(path_type=Path))
 @click.option(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -15,8 +15,18 @@ from motionstereo_cli.commands.progress import Bar, foretelling, progress_option
 from motionstereo_cli.method.settings import Settings
 from motionstereo_cli.simulate.settings import DriveSettings
 
+if TYPE_CHECKING:
+    from motionstereo_cli.simulate.drive_world import RobotWorld
+    from motionstereo_cli.types import Step
 
-@click.command(cls=GroupedCommand)
+
+@click.command(
+    cls=GroupedCommand,
+    examples=(
+        "motionstereo drive out/drive --seed 3 --walkers 2 --view",
+        "motionstereo drive out/office --world office",
+    ),
+)
 @progress_options
 @click.argument("out", type=click.Path(path_type=Path))
 @click.option("--view", is_flag=True, help="Write drive.mp4: right image, memory, depth, plan.")
@@ -43,7 +53,12 @@ def drive(
     driven = world_of(world_settings)
     frames = driven.expected_frames
     with Bar(frames) as bar:
-        progress = foretelling(frames, bar)
+        advance = foretelling(frames, bar)
+
+        def progress(step: Step) -> None:
+            advance()
+            bar.tell(lambda: _words(driven, step))
+
         record = library(out, driven, settings, view=view, overwrite=overwrite, progress=progress)
     wall_s = time.perf_counter() - started_s
     laps = f"{record.laps:.2f} laps, " if driven.lap_m else ""
@@ -53,4 +68,17 @@ def drive(
         f"({record.frames / wall_s:.0f} frames per second): {laps}"
         f"{record.distance_m:.1f} m, nearest pass {record.nearest_pass_m:.2f} m; "
         f"results in {out}",
+    )
+
+
+def _words(world: RobotWorld, step: Step) -> str:
+    """Return where the robot is, where it steers, and how far it has come."""
+    from motionstereo_cli.sinks.preview import heading_text
+
+    nearest_m = step.steering.nearest_m
+    nearest = "" if nearest_m is None else f"nearest {nearest_m:.1f} m; "
+    laps = f"{world.laps:.2f} laps, " if world.lap_m else ""
+    return (
+        f"frame {step.time.index}: {world.robot.words}; {heading_text(step.steering)}; {nearest}"
+        f"{laps}{world.path_m:.1f} m driven, nearest pass {world.nearest_pass_m:.2f} m"
     )

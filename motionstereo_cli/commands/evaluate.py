@@ -20,7 +20,14 @@ _KIND = click.Choice(["disparity", "depth"])
 _TABLE = click.Path(dir_okay=False, allow_dash=True, path_type=Path)
 
 
-@click.command(cls=GroupedCommand)
+@click.command(
+    cls=GroupedCommand,
+    examples=(
+        "motionstereo simulate out/truth --frames 250:350 --noise-sigma 1.5",
+        "motionstereo run out/truth/left.mp4 out/truth/right.mp4 -o out/found",
+        "motionstereo evaluate out/found out/truth",
+    ),
+)
 @click.argument("result", metavar="OUT", type=click.Path(path_type=Path))
 @click.argument("truth", type=click.Path(path_type=Path))
 @click.option(

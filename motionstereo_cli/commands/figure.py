@@ -23,7 +23,10 @@ def _numbers(ctx: click.Context, _: click.Parameter, text: str) -> list[int]:
     return numbers
 
 
-@click.command(cls=GroupedCommand)
+@click.command(
+    cls=GroupedCommand,
+    examples=("motionstereo figure left.mp4 right.mp4 --frames 20,54,72 -o sheet.png",),
+)
 @click.option(
     "--frames",
     "numbers",

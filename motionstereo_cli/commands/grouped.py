@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import click
@@ -40,7 +40,22 @@ def grouped(options: Iterable[click.Parameter]) -> dict[str, list[click.Option]]
 
 
 class GroupedCommand(click.Command):
-    """A command whose ``--help`` has its common options and ``--help-all`` all of them."""
+    """A command whose ``--help`` has its common options and ``--help-all`` all of them.
+
+    Args:
+        examples: command lines that the help ends with; they work in ``sample_data``.
+    """
+
+    def __init__(self, *args: Any, examples: Sequence[str] = (), **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        self.examples = examples
+
+    def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the examples, each on a line that can be copied."""
+        if self.examples:
+            with formatter.section("Examples"):
+                for line in self.examples:
+                    formatter.write(f"  {line}\n")
 
     def get_help_option_names(self, ctx: click.Context) -> list[str]:
         """Return the names of the help option, whatever the context; click keeps the first."""

@@ -19,7 +19,13 @@ if TYPE_CHECKING:
     from motionstereo_cli.sources import StereoSource
 
 
-@click.command(cls=GroupedCommand)
+@click.command(
+    cls=GroupedCommand,
+    examples=(
+        "motionstereo info left.mp4 right.mp4 --rig rig.yaml",
+        "motionstereo info kitti/sequences/00 --json",
+    ),
+)
 @input_options
 @rig_options
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
@@ -42,6 +48,7 @@ def info(
     from motionstereo_cli.rig import rig_values
     from motionstereo_cli.rig.calibration import rectify_source
     from motionstereo_cli.sources import open_stereo
+    from motionstereo_cli.sources.bag_topics import bags_in, image_topics_of
     from motionstereo_cli.sources.opening import LoneRecordingError
 
     try:
@@ -50,11 +57,12 @@ def info(
         with open_stereo(left, right, input_settings) as source:
             source.count()
             facts = _facts(source)
+            if bag := bags_in(left):
+                facts["topics"] = [topic._asdict() for topic in image_topics_of(bag)]
             calibration = rectify_source(source, rig, rig_settings)
             if calibration is not None:
                 facts["rig"] = rig_values(adapted_rig(calibration.rig, input_settings))
-                for line in calibration.notes:
-                    say("note", line)
+            facts["rig_from"] = calibration and calibration.origin
         warnings = (*source.warnings, *(calibration.warnings if calibration else ()))
     except LoneRecordingError as lone:
         facts, warnings = {"recording": lone.described}, (*lone.warnings, str(lone))
@@ -80,10 +88,16 @@ def _facts(source: StereoSource) -> dict[str, Any]:
 
 def _table(facts: dict[str, Any]) -> str:
     """Return the facts as aligned lines, one for each recording or subject."""
+    from motionstereo_cli.sources.bag_topics import Topic
+
     lines = {}
     for name, fact in facts.items():
         if name == "layout":
             lines[name] = fact
+        elif name == "rig_from":
+            lines["rig from"] = printable(fact or "nowhere: give --rig for results in m")
+        elif name == "topics":
+            lines[name] = ", ".join(printable(str(Topic(**topic))) for topic in fact)
         elif name == "rig":
             lines[name] = ", ".join(f"{key} {value:.10g}" for key, value in fact.items())
         else:
@@ -111,4 +125,7 @@ def _line(fact: dict[str, Any]) -> str:
         parts += [fact[key] for key in ("projection", "serial_number") if key in fact]
         parts += [f"{fact['view']} view"] if "view" in fact else []
         parts.append(printable(fact["path"]))
+        if "topic" in fact:
+            known = "with" if fact["camera_info"] else "without"
+            parts.append(f"topic {printable(fact['topic'])} {known} camera_info")
     return ", ".join(parts)

@@ -43,6 +43,8 @@ _LINES: ContextVar[JsonLines | None] = ContextVar("lines", default=None)
 
 _WARM_UP_FRAMES = 4
 _WORTH_SAYING_S = 5
+#: Minimum time between two lines of what is drawn, in s.
+_LINE_S = 5
 
 
 class JsonLines:
@@ -121,6 +123,7 @@ class Bar:
             or (self._lines is not None and not self._lines.aside)
         )
         self._on_terminal = not hidden and sys.stderr is not None and sys.stderr.isatty()
+        self._next_line_s = 0.0
         if frames is not None:
             self.begin(frames)
 
@@ -151,6 +154,12 @@ class Bar:
             self._bar.update()
         if self._lines is not None:
             self._lines.advance()
+
+    def tell(self, words: Callable[[], str]) -> None:
+        """Say now and then, on a terminal, how things stand."""
+        if self._on_terminal and time.monotonic() >= self._next_line_s:
+            self._next_line_s = time.monotonic() + _LINE_S
+            self.say("note", words())
 
     def say(self, kind: str, text: str) -> None:
         """Say something beside the bar."""

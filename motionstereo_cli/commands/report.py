@@ -10,7 +10,13 @@ from motionstereo_cli.commands.grouped import GroupedCommand
 from motionstereo_cli.commands.messages import say
 
 
-@click.command(cls=GroupedCommand)
+@click.command(
+    cls=GroupedCommand,
+    examples=(
+        "motionstereo run left.mp4 right.mp4 --rig rig.yaml -o out/shown",
+        "motionstereo report out/shown",
+    ),
+)
 @click.argument("out", type=click.Path(path_type=Path))
 @click.option(
     "-o",

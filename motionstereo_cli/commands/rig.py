@@ -26,7 +26,13 @@ def _two_numbers(
     return int(found[1]), int(found[2])
 
 
-@click.command(cls=GroupedCommand)
+@click.command(
+    cls=GroupedCommand,
+    examples=(
+        "motionstereo rig stereo.yml",
+        "motionstereo rig calibration.yaml --size 1280x1024 -o rig.yaml",
+    ),
+)
 @click.argument(
     "files", metavar="FILE...", nargs=-1, required=True, type=click.Path(path_type=Path)
 )

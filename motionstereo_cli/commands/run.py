@@ -112,7 +112,14 @@ def run_options(command: Callable[..., Any]) -> Callable[..., Any]:
     return command
 
 
-@click.command(cls=GroupedCommand)
+@click.command(
+    cls=GroupedCommand,
+    examples=(
+        "motionstereo run left.mp4 right.mp4 --rig rig.yaml -o out/first",
+        "motionstereo run both.mp4 --layout side-by-side --save report -o out/both",
+        "motionstereo run kitti/sequences/00 --save report,preview -o out/kitti",
+    ),
+)
 @progress_options
 @click.option(
     "--dry-run",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -13,8 +13,17 @@ from motionstereo_cli.commands.options import config_files, settings_options
 from motionstereo_cli.commands.progress import Bar, foretelling, progress_options
 from motionstereo_cli.simulate.settings import SimulateSettings
 
+if TYPE_CHECKING:
+    from motionstereo_cli.simulate.scenes import SceneFrame
 
-@click.command(cls=GroupedCommand)
+
+@click.command(
+    cls=GroupedCommand,
+    examples=(
+        "motionstereo simulate out/turn --frames 250:350 --noise-sigma 1.5",
+        "motionstereo simulate out/street --scene street --frames 100",
+    ),
+)
 @progress_options
 @click.argument("out", type=click.Path(path_type=Path))
 @click.option("--overwrite", is_flag=True, help="Replace an earlier simulation in OUT.")
@@ -31,11 +40,24 @@ def simulate(out: Path, overwrite: bool, chosen: dict[str, Any]) -> None:
 
     frames = len(settings.frame_range)
     with Bar(frames) as bar:
+        advance = foretelling(frames, bar)
+
+        def progress(shot: SceneFrame) -> None:
+            advance()
+            bar.tell(lambda: _words(shot, settings))
+
         write(
             out,
             settings,
             overwrite=overwrite,
             inputs=config_files(),
-            progress=foretelling(frames, bar),
+            progress=progress,
         )
     say("note", f"{frames} frames of the {settings.scene} in {out}")
+
+
+def _words(shot: SceneFrame, settings: SimulateSettings) -> str:
+    """Return where the cameras are, and what is before them."""
+    nearest_m = settings.rig.depth_m(shot.disparity_px).min()
+    movers = f"; moving by themselves: {len(shot.objects)}" if shot.mover is not None else ""
+    return f"frame {shot.frame}: {shot.pose.words}; nearest {nearest_m:.1f} m{movers}"

@@ -66,6 +66,7 @@ class Calibration:
         body_from_left: (4, 4), takes points of the rectified left camera's optical frame to that
             of the body of EuRoC's and kalibr's files, in m; None where the files have none.
         found: the files, if they were found beside the recording.
+        origin: where it comes from, in words: its files, or the recording.
     """
 
     rig: Rig
@@ -76,6 +77,7 @@ class Calibration:
     warnings: tuple[str, ...] = ()
     body_from_left: Matrix | None = None
     found: tuple[Path, ...] = ()
+    origin: str = ""
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -293,7 +295,9 @@ def rectify_source(
         ) from None
     if calibration.maps is not None:
         source.rectify(*calibration.rectifiers())
-    return dataclasses.replace(calibration, found=found)
+    names = " and ".join(str(path) for path in paths or found)
+    origin = f"{names} ({calibration.kind}{', found beside the recording' if found else ''})"
+    return dataclasses.replace(calibration, found=found, origin=origin)
 
 
 def _recorded(source: StereoSource, size: tuple[int, int], settings: RigSettings) -> Calibration:
@@ -306,7 +310,11 @@ def _recorded(source: StereoSource, size: tuple[int, int], settings: RigSettings
         pair = dataclasses.replace(pair, cameras=None)
     name = files[0][0].as_posix()
     found = _of_pair(pair, name, size, settings, source.settings.max_pixels)
-    return dataclasses.replace(found, warnings=(*source.calibration_notes, *found.warnings))
+    return dataclasses.replace(
+        found,
+        warnings=(*source.calibration_notes, *found.warnings),
+        origin=f"recorded with the images ({found.kind})",
+    )
 
 
 def _of_rig(

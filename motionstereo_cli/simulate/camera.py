@@ -43,6 +43,11 @@ class FloorPose:
         return np.array([-math.sin(self.yaw_rad), math.cos(self.yaw_rad)])
 
     @property
+    def words(self) -> str:
+        """The same for people."""
+        return f"x {self.x_m:.1f} m, y {self.y_m:.1f} m, facing {math.degrees(self.yaw_rad):.0f}°"
+
+    @property
     def rig_pose(self) -> Pose:
         """The same in space."""
         half_rad = self.yaw_rad / 2

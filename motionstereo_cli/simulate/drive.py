@@ -85,7 +85,7 @@ def drive(
     view: bool = False,
     overwrite: bool = False,
     inputs: Iterable[Path] = (),
-    progress: Callable[[], object] = lambda: None,
+    progress: Callable[[Step], object] = lambda _: None,
 ) -> DriveRecord:
     """Drive until the end, write the results, and return the record.
 
@@ -103,7 +103,7 @@ def drive(
         view: write drive.mp4.
         overwrite: replace an earlier drive in ``out``; other files are never touched.
         inputs: files that must not be written to.
-        progress: called after each frame.
+        progress: called after each frame, with its step; the robot has moved on then.
 
     Raises:
         OutputError: ``out`` is not empty, or cannot be written.
@@ -131,7 +131,7 @@ def drive(
             for video, image in zip(videos, images, strict=True):
                 video.write(image, frame.pts)
             world.act_on(step.steering)
-            progress()
+            progress(step)
         folder.close()
         write_rig(out / "rig.yaml", rig)
         write_whole(out / "poses.txt", "".join(poses).encode())

@@ -17,7 +17,7 @@ from motionstereo_cli.rig.poses import HEAD as POSES_HEAD
 from motionstereo_cli.rig.poses import format_pose
 from motionstereo_cli.runs.folder import RunFolder
 from motionstereo_cli.runs.folder_files import FolderKind
-from motionstereo_cli.simulate.scenes import render_scene
+from motionstereo_cli.simulate.scenes import SceneFrame, render_scene
 from motionstereo_cli.simulate.settings import SimulateSettings
 from motionstereo_cli.sinks.images import disparity_png
 from motionstereo_cli.sinks.objects_table import HEADER, object_row
@@ -31,7 +31,7 @@ def simulate(
     *,
     overwrite: bool = False,
     inputs: Iterable[Path] = (),
-    progress: Callable[[], object] = lambda: None,
+    progress: Callable[[SceneFrame], object] = lambda _: None,
 ) -> None:
     """Render a recording into a folder; the same settings give the same bytes.
 
@@ -56,7 +56,7 @@ def simulate(
         settings: what to render.
         overwrite: replace an earlier simulation in ``out``; other files are never touched.
         inputs: files that must not be written to.
-        progress: called after each frame.
+        progress: called after each frame, with it.
 
     Raises:
         OutputError: ``out`` is not empty, or cannot be written.
@@ -88,7 +88,7 @@ def simulate(
                 write_whole(out / _MOVERS.format(number), encode_png(shot.mover))
                 objects.add(object_row(number, each) for each in shot.objects)
             poses.append(format_pose(number / settings.frame_rate, shot.pose.rig_pose))
-            progress()
+            progress(shot)
         folder.close()
         write_rig(out / "rig.yaml", settings.rig)
         folder.complete(poses=poses)

@@ -131,14 +131,14 @@ def stereo_topics(files: Sequence[Path], given: str = "") -> tuple[str, str]:
     return left, right
 
 
-def image_topics_of(files: Sequence[Path]) -> list[str]:
-    """Return the names of the topics of images in a bag, or in the parts of one.
+def image_topics_of(files: Sequence[Path]) -> list[Topic]:
+    """Return the topics of images in a bag, or in the parts of one.
 
     Raises:
         InputError: the bag cannot be read.
     """
     with opened_bag(files) as reader:
-        return [topic.name for topic in image_topics(reader)]
+        return image_topics(reader)
 
 
 @contextlib.contextmanager

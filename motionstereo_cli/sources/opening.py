@@ -222,7 +222,7 @@ def topics_of(
         topics = [image_topics_of(files) for files in bags]
         if all(len(found) == 1 for found in topics):
             left, right = (
-                CameraTopic(files, found[0]) for files, found in zip(bags, topics, strict=True)
+                CameraTopic(files, found[0].name) for files, found in zip(bags, topics, strict=True)
             )
             return left, right
     files = tuple(file for bag in bags for file in bag)
