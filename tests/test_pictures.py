@@ -221,7 +221,7 @@ def test_the_arrow_points_where_the_heading_is(steer):
 def test_headings_in_words():
     assert heading_text(LEFT) == "ok: 14° left, 3.2 m ahead"
     assert heading_text(Steering("held", -0.25, None, None, None)) == "held: 25% right"
-    assert heading_text(BLIND) == "blind"
+    assert heading_text(BLIND) == "blind: no heading"
 
 
 def test_letters_stand_where_they_should():

@@ -1,7 +1,10 @@
 """What a run warns of is said, kept in its record, and shown, however the run is done."""
 
 import csv
+import dataclasses
+import html
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -14,15 +17,23 @@ from test_resume import KILLED
 
 from motionstereo_cli.__main__ import main
 from motionstereo_cli.batch.pieces import join_pieces, pieces_of, run_piece
+from motionstereo_cli.batch.status import format_statuses
+from motionstereo_cli.batch.task import _ended
+from motionstereo_cli.check.findings import RULES, CheckReport, Drift
+from motionstereo_cli.check.mounting import Mounting
+from motionstereo_cli.commands.batch import plan_of
 from motionstereo_cli.method.settings import Settings
 from motionstereo_cli.report.batch_page import batch_page
 from motionstereo_cli.report.run_page import run_page
+from motionstereo_cli.report.words import troubles
 from motionstereo_cli.runs import disparity_offset
 from motionstereo_cli.runs import run as runs
+from motionstereo_cli.runs.disparity_range import RANGE
 from motionstereo_cli.runs.plan import RunPlan
 from motionstereo_cli.runs.run import Watcher, run
 from motionstereo_cli.simulate.settings import SimulateSettings
 from motionstereo_cli.simulate.write import simulate
+from motionstereo_cli.sinks.records import RunRecord, Shares, Status
 from motionstereo_cli.sinks.settings import OutputSettings
 
 FRAMES = 23
@@ -40,6 +51,7 @@ def clips(tmp_path_factory):
         encode(folder / f"b/{side}.mp4", list(noise), "libx264", "yuv420p")
         encode(folder / f"blank_{side}.mkv", blank, "ffv1", "gray", 2)
         images_in(folder / f"dark_{side}", [image.astype(np.uint16) for image in noise], ".png")
+    images_in(folder / "maps", [np.full((48, 64), 512, np.uint16)] * 3, ".png")
     poses = "".join(f"{t} 0 0 {0.1 * t} 0 0 0 1\n" for t in range(200))
     (folder / "long.txt").write_text(poses)
     rig = (folder / "a/rig.yaml").read_text()
@@ -63,6 +75,7 @@ def given(clips, code):
         "range": [*blank, "--max-disparity", "auto"],
         "sync-offset": [*a, "--sync-offset", "auto"],
         "disparity-offset": [*a, *rig, "--poses", "auto"],
+        "disparity": [*blank, "--disparity", str(clips / "maps")],
         "swapped": pair(clips / "a", ("right", "left")),
         "unmatched": pair(clips / "b"),
         "at-limit": [*a, "--max-disparity", "4"],
@@ -71,8 +84,78 @@ def given(clips, code):
 
 CODES = (
     *("recording", "calibration", "poses", "range", "sync-offset", "disparity-offset"),
-    *("swapped", "unmatched", "at-limit"),
+    *("disparity", "swapped", "unmatched", "at-limit"),
 )
+#: What a check found, so that nearly all of its rules apply; the others do not apply beside these.
+FOUND = CheckReport(
+    64,
+    frames=9,
+    matches=9,
+    misaligned_px=3.0,
+    misaligned_p90_px=4.0,
+    shifted_px=3.0,
+    turned_deg=0.2,
+    disparity_low_px=-9.0,
+    disparity_high_px=90.0,
+    advised_max_disparity=96,
+    behind=0.5,
+    negative=0.3,
+    beyond=0.3,
+    grey_difference=20.0,
+    brightest=20,
+    alike=0.1,
+    moving=0.1,
+    repeated_left=5,
+    repeated_right=5,
+    first_repeated_left=1,
+    first_repeated_right=1,
+    ahead_frames=2.0,
+    step_frames=2,
+    drift=Drift(0.0, 0, 2.0, 8),
+    disparity_offset_px=0.7,
+)
+FOUND_ELSE = (
+    dataclasses.replace(FOUND, mounted=Mounting("the right view is turned", {})),
+    CheckReport(64, frames=1),
+    dataclasses.replace(FOUND, behind=1.0),
+)
+
+
+def test_each_code_has_a_recording_here_that_gives_it():
+    package = Path(runs.__file__).parent.parent
+    code = r'warned?(?:\.warn|\.say)[(,]\s*(?:"([a-z-]+)"|RANGE)'
+    texts = [path.read_text() for path in package.rglob("*.py")]
+    given = {found or RANGE for text in texts for found in re.findall(code, text)}
+    assert given == set(CODES) - {"swapped"}
+    found = {each.name for report in (FOUND, *FOUND_ELSE) for each in report.findings}
+    assert found == {rule.name for rule in RULES}
+
+
+@pytest.mark.parametrize("found", [FOUND, *FOUND_ELSE], ids=lambda found: found.findings[0].name)
+def test_each_finding_of_a_check_reaches_all_who_read(clips, tmp_path, monkeypatch, found):
+    def watched(frames, _, hear, rig):
+        hear(found.findings)
+        return frames
+
+    monkeypatch.setattr(runs, "watched", watched)
+    out = tmp_path / "batch/o"
+    assert main(["run", *pair(clips / "a"), "--save", "steering", "-o", str(out)]) == 0
+    said = json.loads((out / "run.json").read_text())["warnings"]
+    texts = [each.text for each in found.findings]
+    assert [(each["code"], each["text"]) for each in said] == [
+        (each.name, each.text) for each in found.findings
+    ]
+    pages = (run_page(out, out / "report.html"), page_of_a_batch_with(clips, out, tmp_path))
+    for page in map(html.unescape, pages):
+        assert all(text[1:] in page for text in texts)  # a sentence begins with a capital
+
+
+def page_of_a_batch_with(clips, out, folder):
+    """Return the page of a batch whose one recording is a complete run."""
+    report = run(plan_of([*pair(clips / "a"), "--save", "steering", "-o", str(out), "--resume"]))
+    status = _ended(Status(out.name, "running"), report)
+    (folder / "batch/batch.csv").write_bytes(format_statuses([status]))
+    return batch_page(folder / "batch", folder / "batch/report.html")
 
 
 @pytest.mark.parametrize("code", CODES)
@@ -91,7 +174,7 @@ def test_each_warning_is_said_recorded_and_on_the_page(clips, tmp_path, capsys, 
     found = json.loads((out / "run.json").read_text())["warnings"]
     assert [each["text"] for each in found] == said
     assert code in [each["code"] for each in found]
-    assert all(each["numbers"] for each in found if each["code"] in CODES[6:])
+    assert all(each["numbers"] for each in found if each["code"] in CODES[7:])
     page = run_page(out, out / "report.html")
     assert "What to know" in page
     assert "Nothing was wrong" not in page
@@ -188,3 +271,16 @@ def test_warnings_of_earlier_versions_are_read(clips, tmp_path):
     record = json.loads((out / "run.json").read_text())
     (out / "run.json").write_text(json.dumps({**record, "warnings": ["left.mp4 is dark"]}))
     assert "<li>Left.mp4 is dark.</li>" in run_page(out, out / "report.html")
+
+
+@pytest.mark.parametrize(
+    ("matched", "why"),
+    [(0.9, "one level surface fills the view"), (0.01, "too little was matched")],
+)
+def test_a_view_without_a_heading_is_explained(matched, why):
+    record = RunRecord(shares=Shares(charged=0.9 if matched > 0.5 else 0.05, matched=matched))
+    said = [line for line in troubles(record, {"blind": 0.98, "ok": 0.02}) if "No heading" in line]
+    assert len(said) == 1
+    assert "in 98% of the frames" in said[0]
+    assert why in said[0]
+    assert not any("No heading" in line for line in troubles(record, {"blind": 0.4}))

@@ -48,7 +48,8 @@
     now = Math.max(0, Math.min(count - 1, i));
     $("slider").value = now;
     const time = run.timed ? `${x[now].toFixed(2)} s · ` : "";
-    const text = `${time}frame ${frameOf(now)} · ${run.statuses[run.status[now]]}`;
+    const status = run.statuses[run.status[now]];
+    const text = `${time}frame ${frameOf(now)} · ${status}${status === "blind" ? ": no heading" : ""}`;
     $("clock").textContent = text;
     $("slider").setAttribute("aria-valuetext", text);
     tell(now);

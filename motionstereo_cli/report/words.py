@@ -82,8 +82,14 @@ def troubles(record: RunRecord, shares: Mapping[str, float]) -> Sequence[str]:
             f"Next to nothing moved ({found.charged:.1%} of the image): this method sees what "
             "moves, or what a moving camera passes."
         )
-    if shares.get("blind", 0) > 0.5:
-        lines.append(f"In {shares['blind']:.0%} of the frames the free distance was unknown.")
+    if (blind := shares.get("blind", 0)) > 0.5:
+        why = (
+            "one level surface fills the view, as a floor does from above, or a wall, so that there "
+            "is nowhere to steer to. Depth and objects are found all the same."
+            if found and found.matched > 0.05
+            else "too little was matched to see a way."
+        )
+        lines.append(f"No heading is given in {blind:.0%} of the frames (status blind): {why}")
     return lines
 
 

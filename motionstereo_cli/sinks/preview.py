@@ -138,7 +138,7 @@ def with_heading(view: NDArray[np.uint8], steering: Steering) -> NDArray[np.uint
 def heading_text(steering: Steering) -> str:
     """Return a heading in words."""
     if steering.steer is None:
-        return steering.status
+        return f"{steering.status}: no heading"
     side = "left" if steering.steer >= 0 else "right"
     if steering.steer_rad is None:
         amount = f"{abs(steering.steer):.0%} {side}"
