@@ -84,8 +84,8 @@ def troubles(record: RunRecord, shares: Mapping[str, float]) -> Sequence[str]:
         )
     if (blind := shares.get("blind", 0)) > 0.5:
         why = (
-            "one level surface fills the view, as a floor does from above, or a wall, so that there "
-            "is nowhere to steer to. Depth and objects are found all the same."
+            "one level surface fills the view, as a floor does from above, or a wall, so that "
+            "there is nowhere to steer to. Depth and objects are found all the same."
             if found and found.matched > 0.05
             else "too little was matched to see a way."
         )
