@@ -46,7 +46,7 @@ regress: $(READY)  ## see that a run on sample_data gives what it gave before
 	$(BIN)/motionstereo compare out/regress sample_data/golden \
 		--junit out/regress.xml --picture out/regress.png
 
-fuzz: $(READY)  ## try damaged calibration, poses, settings and tables, each for 10 minutes, and new examples
+fuzz: $(READY)  ## try damaged files with each reader for 10 minutes, and new examples
 	$(BIN)/pytest tests/test_fuzz.py -s --fuzz-seconds 600
 	$(BIN)/pytest -n auto --dist loadfile --hypothesis-profile new
 

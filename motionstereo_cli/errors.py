@@ -6,8 +6,10 @@ exits with ``exit_code``.
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import re
+from collections.abc import Iterator
 
 #: Exit codes beside 0 (done) and those of the errors below.
 DAMAGED_EXIT_CODE = 3
@@ -53,6 +55,16 @@ def is_damage(error: BaseException) -> bool:
     )
 
 
+#: The longest message of a library that is quoted: some quote the file.
+_MAX_QUOTED = 200
+
+
+def words_of(error: BaseException) -> str:
+    """Return the message of another library's error, in one line that is not long."""
+    said = " ".join(str(getattr(error, "strerror", None) or error).split())
+    return said[:_MAX_QUOTED].rstrip(".") or type(error).__name__
+
+
 #: Messages of libraries when the system has no more memory.
 _NO_MEMORY = re.compile("failed to map segment|cannot allocate memory|insufficient memory", re.I)
 
@@ -71,3 +83,20 @@ def shortage(error: BaseException) -> str | None:
     ):
         return "out of memory: close other programs, or give --jobs 1, --scale or --crop"
     return None
+
+
+@contextlib.contextmanager
+def opening(name: object) -> Iterator[None]:
+    """Name a file whose opening takes more memory than there is: a damaged one may say any size.
+
+    Raises:
+        InputError: in the place of an error that means lack of memory.
+    """
+    try:
+        yield
+    except MotionStereoError:
+        raise
+    except Exception as error:
+        if (said := shortage(error)) is None:
+            raise
+        raise InputError(f"{name} cannot be opened: {said}; or it is damaged") from error

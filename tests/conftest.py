@@ -27,6 +27,7 @@ def pytest_addoption(parser):
     parser.addoption(
         "--fuzz-seconds", type=float, default=0, help="try each reader for so long, at least once"
     )
+    parser.addoption("--fuzz-seed", type=int, default=0, help="the first seed of each reader")
 
 
 def pytest_generate_tests(metafunc):

@@ -1,21 +1,32 @@
-"""Damaged and hostile text files: every reader gives a result or says what is wrong, in one line.
+"""Damaged and hostile files: every reader gives a result or says what is wrong, in one line.
 
 The suite tries each reader a hundred times; `make fuzz` goes on for 10 minutes each. Seeds count
-from 0 and are printed, so that a failure comes again.
+from 0, or from --fuzz-seed, and are printed, so that a failure comes again.
 """
 
 import contextlib
+import faulthandler
+import functools
+import hashlib
 import io
 import itertools
 import math
+import random
 import re
+import resource
+import shutil
+import struct
 import time
 
 import cv2
 import numpy as np
 import pytest
+from bags import Bag
 from hypothesis import HealthCheck, given, seed, settings
 from hypothesis import strategies as st
+from PIL import Image
+from recordings import encode, scene
+from spatial import svo2, vr180, with_boxes
 from test_calibration import (
     KITTI,
     MIDDLEBURY,
@@ -35,19 +46,53 @@ from test_calibration_formats import (
     orb_slam_3,
     zed,
 )
+from test_calibration_slam import (
+    basalt,
+    mrcal,
+    ncamera,
+    okvis,
+    openvins,
+    ov2slam,
+    stella,
+    stvo,
+    t265,
+)
 from test_compare import RECORD, STEERING, written
 from test_rig import VALUES, rig_file
+from test_worlds import PLAN
 
+from bench.damage import DAMAGES
 from motionstereo_cli.__main__ import main
-from motionstereo_cli.errors import MotionStereoError
+from motionstereo_cli.batch.cluster import Cluster
+from motionstereo_cli.batch.own_folder import claim, read_status, status_path, write_status
+from motionstereo_cli.batch.status import format_statuses
+from motionstereo_cli.errors import MotionStereoError, shortage
 from motionstereo_cli.evaluation.compare import compare
 from motionstereo_cli.evaluation.evaluate import Comparison
+from motionstereo_cli.evaluation.objects import read_objects
+from motionstereo_cli.evaluation.settings import ObjectSettings
+from motionstereo_cli.files.maps import SUFFIXES as MAP_SUFFIXES
+from motionstereo_cli.files.maps import read_map
+from motionstereo_cli.files.stills import DamagedImageError
+from motionstereo_cli.method.memory import Memory
+from motionstereo_cli.method.settings import Settings
+from motionstereo_cli.pipeline import State
+from motionstereo_cli.report.batch_page import batch_page
 from motionstereo_cli.rig import format_rig, read_rig
 from motionstereo_cli.rig.calibration import read_calibration
 from motionstereo_cli.rig.poses import read_poses
+from motionstereo_cli.runs.checkpoint import check_state, read_checkpoint, write_checkpoint
 from motionstereo_cli.runs.folder import prepare
-from motionstereo_cli.sinks.read_back import Maps, Table
+from motionstereo_cli.runs.onnx_model import load_model
+from motionstereo_cli.runs.open_outputs import Totals
+from motionstereo_cli.simulate.floor_plan import prisms, read_plan
+from motionstereo_cli.simulate.settings import SimulateSettings
+from motionstereo_cli.simulate.write import simulate
+from motionstereo_cli.sinks.read_back import Maps, Table, read_mask
+from motionstereo_cli.sinks.records import Status
+from motionstereo_cli.sources import open_stereo
 from motionstereo_cli.sources.folder import FolderRecording
+from motionstereo_cli.sources.settings import InputSettings
 from motionstereo_cli.types import Rig
 
 #: A warning of NumPy's would be talk that no user can follow.
@@ -87,18 +132,56 @@ def damaged(draw, samples):
     return b"".join(words)
 
 
+def overwritten(content, chance):
+    """Return a content with one number in it replaced by one that is out of range."""
+    number = struct.pack(chance.choice("<>") + chance.choice("HIQd"), chance.choice((0, 1, 255)))
+    number = chance.choice((number, bytes(len(number)), b"\xff" * len(number)))
+    place = chance.randrange(len(content))
+    return content[:place] + number + content[place + len(number) :]
+
+
+#: What a file of bytes is spoilt by: large examples are slow to draw, and no one reads them.
+NUMBERS = st.integers(0, 2**64)
+
+
+def spoilt(samples, number):
+    """Return one of some samples, whose last part is a content, with damage that a number draws."""
+    chance = random.Random(number)
+    *name, content = chance.choice(samples)
+    for _ in range(chance.randint(1, 3)):
+        content = chance.choice((overwritten, *DAMAGES.values()))(content or b"\0", chance)
+    return (*name, content)
+
+
+#: An example that takes so long hangs, and one that needs so much memory is not bounded.
+HANGS_S, MAX_KB = 60, 1_000_000
+
+
 @pytest.fixture
 def fuzz(request):
     """Return what tries a check on former finds, and then a hundred examples.
 
     If the command line says so, on a hundred more, until its time is over.
     """
+    before_kb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+
+    def watched(check):
+        def call(content):
+            faulthandler.dump_traceback_later(HANGS_S, exit=True)
+            try:
+                check(content)
+            finally:
+                faulthandler.cancel_dump_traceback_later()
+            assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss < before_kb + MAX_KB
+
+        return call
 
     def run(strategy, check, finds=()):
+        check = watched(check)
         for content in finds:
             check(content)
         ends = time.monotonic() + request.config.getoption("--fuzz-seconds")
-        for number in itertools.count():
+        for number in itertools.count(request.config.getoption("--fuzz-seed")):
             print(f"seed {number}")
             tried = given(strategy)(check)
             limits = settings(
@@ -118,8 +201,10 @@ def result_of(read, *args, **options):
     """Return what a reader gives, or None where it says in one line what is wrong."""
     try:
         return read(*args, **options)
-    except MotionStereoError as error:
-        message = str(error)
+    except Exception as error:  # a size that no memory has is one of the damages
+        message = str(error) if isinstance(error, MotionStereoError) else shortage(error)
+        if message is None:
+            raise
     assert 10 < len(message) < 1000
     return None
 
@@ -160,7 +245,10 @@ def test_calibration_files(fuzz, tmp_path):
 
 def test_calibration_files_of_other_programs(fuzz, tmp_path):
     writers = [kalibr, orb_slam_2, orb_slam_3, depthai, zed, nested_json, nested_parts, npz]
-    samples = [write(tmp_path).read_bytes() for write in writers]
+    paths = [write(tmp_path) for write in writers]
+    systems = [openvins, stvo, stella, okvis, ncamera, basalt, t265, ov2slam]
+    paths += [path for write in systems for path in write(tmp_path)]
+    samples = [path.read_bytes() for path in paths]
     path = tmp_path / "calibration"
 
     def check(content):
@@ -171,7 +259,7 @@ def test_calibration_files_of_other_programs(fuzz, tmp_path):
 
 
 def test_pairs_of_calibration_files(fuzz, tmp_path):
-    pairs = [euroc_files(tmp_path), ros_files(tmp_path)]
+    pairs = [euroc_files(tmp_path), ros_files(tmp_path), mrcal(tmp_path)]
     samples = [(left.read_bytes(), right.read_bytes()) for left, right in pairs]
     paths = [tmp_path / "one", tmp_path / "other"]
 
@@ -270,6 +358,25 @@ def test_tables(fuzz, tmp_path):
     fuzz(damaged([STEERING.encode(), objects]), check)
 
 
+def test_times_by_line(fuzz, tmp_path):
+    tables = {"image_0": "times.txt", "image_00/data": "image_00/timestamps.txt"}
+    for folder in tables:
+        (tmp_path / folder).mkdir(parents=True)
+        for number in range(3):
+            image = tmp_path / folder / f"{number:06d}.png"
+            assert cv2.imwrite(str(image), np.zeros((4, 4), np.uint8))
+
+    def check(content):
+        for folder, table in tables.items():
+            (tmp_path / table).write_bytes(content)
+            stream = result_of(FolderRecording, tmp_path / folder)
+            if stream is not None:
+                result_of(lambda stream=stream: [image.pts for image in stream])
+
+    samples = [b"0.0\n0.1\n0.2\n", b"2011-09-26 13:02:25.964389445\n" * 3]
+    fuzz(damaged(samples), check)
+
+
 def test_time_stamps_of_images(fuzz, tmp_path):
     (tmp_path / "data").mkdir()
     stamps = [1403636579763555584 + 50_000_000 * number for number in range(3)]
@@ -302,3 +409,290 @@ def test_records_of_runs(fuzz, tmp_path):
         result_of(prepare, out, ["steering"], overwrite=True)
 
     fuzz(damaged([sample]), check, [b"[" * 3000, b"{" + b'"a": {' * 3000])
+
+
+def talk_of(*args):
+    """Return the exit code of a command, and what it says; nothing of it is unforeseen."""
+    with (
+        contextlib.redirect_stderr(io.StringIO()) as talk,
+        contextlib.redirect_stdout(io.StringIO()),
+    ):
+        exit_code = main([str(each) for each in args])
+    said = talk.getvalue()
+    assert exit_code in (0, 1, 2, 3, 4)
+    assert "internal: " not in said
+    assert "Traceback" not in said
+    return exit_code, said
+
+
+def read_all(path, **options):
+    """Read a recording from its beginning, and once more from its third frame."""
+    for begin in (0, 2):
+        with open_stereo(path, None, InputSettings(**options)) as source:
+            if not begin or source.begin_at(begin):
+                for frame in source:
+                    assert frame.left.shape == frame.right.shape
+            assert all(0 < len(line) < 2000 for line in source.damage)
+
+
+SIDES = [np.ascontiguousarray(image) for image in scene(48, 32, 6)]
+
+
+def media(tmp_path):
+    """Each container and codec, with both views side by side."""
+    kinds = {
+        ".mp4": ("libx264", "yuv420p"),
+        ".mkv": ("libx264", "yuv420p"),
+        ".mov": ("mjpeg", "yuvj420p"),
+        ".avi": ("mpeg4", "yuv420p"),
+        ".webm": ("libvpx-vp9", "yuv420p"),
+        ".ts": ("libx265", "yuv420p"),
+        ".nut": ("ffv1", "gray"),
+    }
+    options = {"libx264": {"g": "3"}, "libx265": {"x265-params": "log-level=none"}}
+    for suffix, (codec, form) in kinds.items():
+        path = tmp_path / f"whole{suffix}"
+        # libx265 writes beyond its buffers where an image is smaller than its blocks of 64 px.
+        whole = scene(128, 64, 4) if codec == "libx265" else SIDES
+        encode(path, whole, codec, form, options=options.get(codec))
+        yield suffix, path.read_bytes()
+    path = with_boxes(tmp_path / "whole.mp4", vr180())
+    yield ".mp4", path.read_bytes()
+    for codec in ("jpeg", "h264"):
+        path = svo2(tmp_path / "whole.svo2", SIDES, codec, "zstd")
+        yield ".svo2", path.read_bytes()
+
+
+def test_videos(fuzz, tmp_path):
+    samples = list(media(tmp_path))
+
+    def check(number):
+        suffix, content = spoilt(samples, number)
+        path = tmp_path / f"spoilt{suffix}"
+        path.write_bytes(content)
+        layout = "two" if suffix == ".svo2" else "side-by-side"
+        result_of(read_all, path, layout=layout)
+
+    fuzz(NUMBERS, check)
+
+
+def test_bags(fuzz, tmp_path):
+    samples = []
+    for kind in (".bag", ".db3", ".mcap"):
+        whole = tmp_path / f"whole{kind}"
+        with Bag(whole, kind) as bag:
+            for number, image in enumerate(SIDES):
+                for side, half in (("left", image[:, :24]), ("right", image[:, 24:])):
+                    packed = cv2.imencode(".png", half)[1].tobytes()
+                    bag.image(f"/{side}/image_raw", half, number * 10**8)
+                    bag.compressed(f"/{side}/image_raw/compressed", packed, number * 10**8)
+                    rig = Rig(24, 32, 50.0, 0.1, 12.0, 16.0)
+                    info = f"/{side}/camera_info"
+                    bag.camera_info(info, rig, number * 10**8, right=side == "right")
+        files = [whole] if whole.is_file() else sorted(whole.iterdir())
+        samples += [(kind, path.name, path.read_bytes()) for path in files]
+
+    def check(number):
+        kind, name, content = spoilt(samples, number)
+        place = tmp_path / f"whole{kind}"
+        path = place if place.is_file() else place / name
+        whole = path.read_bytes()
+        path.write_bytes(content)
+        try:
+            for topics in ("/left/image_raw,/right/image_raw", ""):
+                result_of(read_all, place, topics=topics)
+        finally:
+            path.write_bytes(whole)
+
+    fuzz(NUMBERS, check)
+
+
+def images(tmp_path):
+    """Each format of still images and of maps."""
+    image = SIDES[0]
+    deep = image.astype(np.uint16) * 257
+    for suffix, pixels in {
+        **dict.fromkeys((".png", ".jpg", ".bmp", ".pgm", ".webp", ".tif"), image),
+        ".tiff": deep,
+        ".jps": image,
+        ".pfm": image.astype(np.float32),
+    }.items():
+        path = tmp_path / f"whole{'.jpg' if suffix == '.jps' else suffix}"
+        assert cv2.imwrite(str(path), pixels)
+        yield suffix, path.read_bytes()
+    assert cv2.imwrite(str(tmp_path / "deep.png"), deep)
+    yield ".png", (tmp_path / "deep.png").read_bytes()
+    assert cv2.imwritemulti(str(tmp_path / "pages.tif"), SIDES)
+    yield ".tif", (tmp_path / "pages.tif").read_bytes()
+    pages = [Image.fromarray(each) for each in SIDES[:2]]
+    pages[0].save(tmp_path / "two.mpo", save_all=True, append_images=pages[1:])
+    yield ".mpo", (tmp_path / "two.mpo").read_bytes()
+    np.save(tmp_path / "map.npy", image.astype(np.float32))
+    yield ".npy", (tmp_path / "map.npy").read_bytes()
+
+
+@pytest.mark.filterwarnings("ignore::UserWarning")  # Pillow's, which the program silences
+def test_images_and_maps(fuzz, tmp_path):
+    place, samples = tmp_path / "images", list(images(tmp_path))
+
+    def check(number):
+        suffix, content = spoilt(samples, number)
+        shutil.rmtree(place, ignore_errors=True)
+        place.mkdir()
+        path = place / f"000000{suffix}"
+        path.write_bytes(content)
+        if suffix in MAP_SUFFIXES:
+            with contextlib.suppress(DamagedImageError):
+                result_of(read_map, path)
+            result_of(lambda: Maps(place).read(0))
+            with contextlib.suppress(DamagedImageError):
+                result_of(read_mask, path)
+        if suffix != ".npy":
+            result_of(read_all, path, layout="side-by-side")
+            result_of(read_all, place, layout="side-by-side")
+
+    fuzz(NUMBERS, check)
+
+
+def test_checkpoints(fuzz, tmp_path):
+    """With the right sum, as whoever may write to OUT can make it."""
+    grey = np.zeros((8, 12), np.uint8)
+    memory = Memory(grey, grey, grey + 1, grey > 0, grey)
+    path = tmp_path / "run.checkpoint"
+    write_checkpoint(path, {}, State(memory, memory), Totals(3, 0.5, 0.5), {})
+    head, _, whole = path.read_bytes().partition(b"\n")
+    head = head[: -len(hashlib.sha256().hexdigest())]
+
+    def check(example):
+        content = example if isinstance(example, bytes) else spoilt([(whole,)], example)[0]
+        path.write_bytes(head + hashlib.sha256(content).hexdigest().encode() + b"\n" + content)
+        state = functools.partial(check_state, settings=Settings(), width=12, height=8)
+        result_of(read_checkpoint, path, {}, state)
+
+    fuzz(st.one_of(NUMBERS, damaged([whole])), check)
+
+
+def test_manifests(fuzz, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    path = tmp_path / "all.csv"
+    sample = b"left,right,out,rig,max-disparity,check\nl.mp4,r.mp4,a/b,a.yaml;b.yaml,96,no\n"
+    sample += b'"l 2.mp4",r.mp4,c,,,\n'
+
+    def check(content):
+        path.write_bytes(content)
+        for more in (("--dry-run",), ("--status",), ("--shard", "0/2")):
+            exit_code, said = talk_of("batch", path, "-o", tmp_path / "out", *more)
+            assert exit_code in (1, 2)
+            assert said.startswith("error: ")
+
+    fuzz(damaged([sample]), check)
+
+
+def test_records_of_batches(fuzz, tmp_path):
+    out = tmp_path / "out"
+    out.mkdir()
+    claim(out, ())
+    write_status(out, Status("a", "damaged", frames=5, seconds=0.5, charged=0.1, said="lost 1"))
+    (out / "batch.csv").write_bytes(format_statuses([read_status(out, "a")]))
+    names = [status_path(out, "a"), out / ".batch/batch.json", out / "batch.csv"]
+    samples = [(name, name.read_bytes()) for name in names]
+
+    def check(example):
+        name, content = example
+        whole = name.read_bytes()
+        name.write_bytes(content)
+        try:
+            assert read_status(out, "a").name == "a"
+            result_of(claim, out, ())
+            result_of(batch_page, out, out / "report.html")
+        finally:
+            name.write_bytes(whole)
+
+    each = [st.tuples(st.just(name), damaged([content])) for name, content in samples]
+    fuzz(st.one_of(*each), check)
+
+
+def test_reports_of_results(fuzz, tmp_path):
+    """Each file of a run that the report and evaluate read, one of them damaged."""
+    clip, out = tmp_path / "clip", tmp_path / "out"
+    simulate(clip, SimulateSettings(frames="300:304", width=64, height=48))
+    names = [clip / name for name in ("left.mp4", "right.mp4", "--rig", "rig.yaml")]
+    given = [path.name if path.name == "--rig" else path for path in names]
+    save = "steering,objects,poses,map,depth"
+    more = ("--save", save, "--no-check", "--poses", "auto", "-o", out)
+    assert talk_of("run", *given, *more)[0] == 0
+    samples = [
+        (path, path.read_bytes()) for path in sorted(out.rglob("*.*")) if path.suffix != ".png"
+    ]
+    assert {"run.json", "steering.csv", "objects.csv", "map.yaml"} <= {p.name for p, _ in samples}
+
+    def check(example):
+        path, content = example
+        whole = path.read_bytes()
+        path.write_bytes(content)
+        try:
+            talk_of("report", out, "-o", tmp_path / "page.html")
+            talk_of("evaluate", out, clip)
+        finally:
+            path.write_bytes(whole)
+
+    each = [st.tuples(st.just(path), damaged([content])) for path, content in samples]
+    fuzz(st.one_of(*each), check)
+
+
+def test_objects(fuzz, tmp_path):
+    path = tmp_path / "objects"
+    table = b"frame,id,x,y,width,height,depth_m\n0,1,3,4,5,6,2.5\n1,1,4,4,5,6,\n"
+    labels = b"0 1 Car 0 0 -1.5 10 20 30 40 1.5 1.6 3.7 -2 1.5 8.4 -1.6\n"
+    labels += b"1 1 Car 0 0 -1.5 11 20 31 40 1.5 1.6 3.7 -2 1.5 8.2 -1.6\n"
+
+    def check(content):
+        path.write_bytes(content)
+        for box in result_of(read_objects, path, ObjectSettings()) or ():
+            assert math.isfinite(box.left + box.bottom)
+
+    fuzz(damaged([table, labels]), check)
+
+
+def test_floor_plans(fuzz, tmp_path):
+    path = tmp_path / "plan.toml"
+
+    def check(content):
+        path.write_bytes(content)
+        plan = result_of(read_plan, str(path))
+        if plan is not None:
+            assert prisms(plan) is not None
+
+    fuzz(damaged([PLAN.encode()]), check)
+
+
+def test_models_and_their_forms(fuzz, tmp_path):
+    onnx = pytest.importorskip("onnx")
+    pytest.importorskip("onnxruntime")
+    make = onnx.helper
+    size = [1, 3, 32, 64]
+    tensors = [make.make_tensor_value_info(n, onnx.TensorProto.FLOAT, size) for n in "LRD"]
+    nodes = [make.make_node("Sub", ["L", "R"], ["D"])]
+    graph = make.make_graph(nodes, "sub", tensors[:2], tensors[2:])
+    model = make.make_model(graph, opset_imports=[make.make_opsetid("", 18)], ir_version=10)
+    whole = model.SerializeToString()
+    form = b'inputs = ["L", "R"]\nlevels = "unit"\noutput = "D"\nscale = 1.5\nsize = [32, 64]\n'
+    settings = Settings(matcher=f"onnx:{tmp_path}/model.onnx")
+
+    def check(example):
+        model, text = (whole, example) if isinstance(example, bytes) else (None, form)
+        (tmp_path / "model.onnx").write_bytes(model or spoilt([(whole,)], example)[0])
+        (tmp_path / "model.toml").write_bytes(text)
+        result_of(load_model, settings)
+
+    fuzz(st.one_of(NUMBERS, damaged([form])), check)
+
+
+def test_scheduler_files(fuzz, tmp_path):
+    path = tmp_path / "scheduler.json"
+
+    def check(content):
+        path.write_bytes(content)
+        result_of(Cluster(scheduler_file=path).address)
+
+    fuzz(damaged([b'{"type": "Scheduler", "id": "a", "address": "tcp://127.0.0.1:9"}']), check)

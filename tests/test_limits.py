@@ -19,7 +19,7 @@ from recordings import COUNT, FULL, cut, encode, folder, remux, scene
 
 from motionstereo_cli.__main__ import main
 from motionstereo_cli.commands.messages import printable
-from motionstereo_cli.errors import InputError
+from motionstereo_cli.errors import InputError, opening, words_of
 from motionstereo_cli.rig.calibration import read_calibration
 from motionstereo_cli.rig.poses import read_poses
 from motionstereo_cli.sources import open_stereo
@@ -49,6 +49,20 @@ def consumed(stream: Recording) -> Recording:
         pass
     stream.close()
     return stream
+
+
+def test_what_asks_for_more_memory_than_there_is_gets_named() -> None:
+    with pytest.raises(InputError, match=r"a\.bag cannot be opened: out of memory.*damaged"):
+        with opening("a.bag"):
+            bytes(1 << 62)
+    with pytest.raises(ZeroDivisionError), opening("a.bag"):
+        raise ZeroDivisionError
+
+
+def test_libraries_are_quoted_in_a_short_line() -> None:
+    assert words_of(ValueError("a\nb " + "c" * 5000 + ".")) == "a b " + "c" * 196
+    assert words_of(OSError(2, "no such file", "x")) == "no such file"
+    assert words_of(ValueError()) == "ValueError"
 
 
 # --- Strictness -------------------------------------------------------------------------------

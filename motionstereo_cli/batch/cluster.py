@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from motionstereo_cli.errors import InputError
+from motionstereo_cli.errors import InputError, words_of
 from motionstereo_cli.files.reading import read_bytes
 from motionstereo_cli.runs.cores import usable_cores
 from motionstereo_cli.runs.interrupts import deaf_children
@@ -69,6 +69,23 @@ class Cluster:
     def local(self) -> bool:
         """Whether the workers are processes on this machine."""
         return self.scheduler is None and self.scheduler_file is None
+
+    def address(self) -> str:
+        """Return the address of the scheduler, which is not local.
+
+        Raises:
+            InputError: its file is missing, or has none.
+        """
+        path = self.scheduler_file
+        if self.scheduler is not None or path is None:
+            return self.scheduler or ""
+        if not path.is_file():
+            raise InputError(f"there is no file {path}: a scheduler writes it when it is started")
+        try:
+            found = json.loads(read_bytes(path, "the scheduler file", _MAX_FILE_BYTES))
+            return str(found["address"])
+        except (ValueError, LookupError, TypeError, RecursionError):
+            raise InputError(f"{path} has no address of a scheduler: start it again") from None
 
 
 def threads_of(client: Client) -> int:
@@ -136,17 +153,11 @@ def _started(cluster: Cluster, tasks: int, say: Callable[[str, str], object]) ->
         except Exception as error:  # such as a process that was killed before it was ready
             if trial == _STARTS - 1:
                 raise InputError(
-                    f"the processes to work in cannot be started ({first_line(error)}): give fewer "
+                    f"the processes to work in cannot be started ({words_of(error)}): give fewer "
                     "--workers, or the same command again"
                 ) from None
     with local, Client(local) as client:
         yield client
-
-
-def first_line(error: BaseException) -> str:
-    """Return the message of another program's error, in one line."""
-    lines = str(error).splitlines()
-    return lines[0] if lines else type(error).__name__
 
 
 @contextlib.contextmanager
@@ -155,7 +166,7 @@ def _joined(cluster: Cluster) -> Iterator[Client]:
     from distributed import Client
     from distributed.security import Security
 
-    address = cluster.scheduler or _address_in(cluster.scheduler_file)
+    address = cluster.address()
     security = None
     if cluster.tls:
         files = {
@@ -168,7 +179,7 @@ def _joined(cluster: Cluster) -> Iterator[Client]:
         joined = Client(address, timeout=_ANSWER_S, security=security)
     except Exception as error:  # the answer may come from something else
         raise InputError(
-            f"there is no scheduler at {address} ({first_line(error)}): start it, or check the "
+            f"there is no scheduler at {address} ({words_of(error)}): start it, or check the "
             "address; the same command goes on then"
         ) from None
     with joined as client:
@@ -177,18 +188,6 @@ def _joined(cluster: Cluster) -> Iterator[Client]:
         except TimeoutError:
             raise InputError(f"the scheduler at {address} has no workers: start some") from None
         yield client
-
-
-def _address_in(path: Path | None) -> str:
-    """Return the address that a scheduler wrote to a file."""
-    assert path is not None
-    if not path.is_file():
-        raise InputError(f"there is no file {path}: a scheduler writes it when it is started")
-    try:
-        found = json.loads(read_bytes(path, "the scheduler file", _MAX_FILE_BYTES))
-        return str(found["address"])
-    except (ValueError, LookupError, TypeError, RecursionError):
-        raise InputError(f"{path} has no address of a scheduler: start it again") from None
 
 
 async def _shake_hands(address: str, security: Any) -> None:
@@ -212,7 +211,7 @@ def _common_builds(client: Client, *, local: bool) -> dict[str, str]:
         theirs = client.run(_builds)
     except Exception as error:
         raise InputError(
-            f"the workers cannot run motionstereo: {first_line(error)}: install it there"
+            f"the workers cannot run motionstereo: {words_of(error)}: install it there"
         ) from None
     here: dict[str, str] = next(iter(theirs.values())) if local else _builds_here()
     for worker, found in theirs.items():

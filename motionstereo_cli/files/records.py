@@ -16,7 +16,7 @@ from typing import Any, NoReturn, TypeVar, get_args
 import msgspec
 import numpy as np
 
-from motionstereo_cli.errors import InputError
+from motionstereo_cli.errors import InputError, words_of
 from motionstereo_cli.files.reading import MAX_RECORD_BYTES, read_bytes
 
 #: The version of all records. Readers skip unknown fields, so it grows only when the meaning
@@ -160,7 +160,7 @@ def unpack(content: bytes, kind: type[_T]) -> _T:
 
             value = json.loads(arrays[_JSON].tobytes(), object_hook=whole)
     except Exception as error:  # damaged archives raise anything
-        raise ValueError(f"it cannot be read: {error}") from error
+        raise ValueError(f"it cannot be read: {words_of(error)}") from error
     found: _T = restored(value, kind)
     return found
 

@@ -9,7 +9,6 @@ import hashlib
 import io
 import itertools
 import re
-import struct
 import warnings
 from collections.abc import Callable, Collection, Iterable, Iterator
 from pathlib import Path
@@ -20,7 +19,7 @@ import numpy as np
 from PIL import Image as Pillow
 from PIL import ImageOps
 
-from motionstereo_cli.errors import InputError
+from motionstereo_cli.errors import InputError, is_damage, words_of
 from motionstereo_cli.files.reading import MAX_PIXELS, open_regular
 
 if TYPE_CHECKING:
@@ -47,12 +46,6 @@ _RGB_MODES = {"P", "PA", "La", "RGBa", "RGBX", "CMYK", "YCbCr"}
 
 #: Limit of images in a TIFF: the position of each takes memory.
 MAX_PAGES = 10_000
-
-#: What Pillow raises on damaged images.
-_DAMAGE = (
-    *(OSError, ValueError, TypeError, SyntaxError, EOFError, OverflowError, struct.error),
-    Pillow.DecompressionBombError,
-)
 
 #: No image takes more bytes in a file: 16 bits of four colours twice over, and its notes.
 _MAX_BYTES_PER_PIXEL, _NOTES_BYTES = 16, 16_000_000
@@ -129,7 +122,7 @@ def content_of(path: Path, max_bytes: int, within: Path | None = None) -> bytes:
         with open_regular(path, within) as file:
             return file.read(max_bytes + 1)
     except OSError as error:
-        raise DamagedImageError(error.strerror or str(error)) from error
+        raise DamagedImageError(words_of(error)) from error
 
 
 def read_still(path: Path, max_pixels: int = MAX_PIXELS, within: Path | None = None) -> Still:
@@ -231,8 +224,10 @@ def decode(
             pixels = np.asarray(turned.convert(mode) if mode else turned)
     except Pillow.DecompressionBombError:
         raise _too_large(path, "", max_pixels) from None
-    except _DAMAGE as error:
-        raise DamagedImageError(str(error)) from error
+    except Exception as error:
+        if not is_damage(error):
+            raise
+        raise DamagedImageError(words_of(error)) from error
     return _native(pixels, path), pages
 
 
@@ -241,7 +236,9 @@ def page_count(path: Path) -> int:
     try:
         with open_regular(path) as file, Pillow.open(file, formats=_PAGED) as image:
             return _pages_of(image, path)
-    except _DAMAGE:
+    except Exception as error:
+        if not is_damage(error):
+            raise
         return 1
 
 
@@ -301,8 +298,10 @@ def pages_from(path: Path, begin: int, max_pixels: int = MAX_PIXELS) -> Iterator
                     raise _too_large(path, f" ({width}x{height} px)", max_pixels)
                 how: dict[str, Any] = {"mode": _as_read(about["mode"], path), "rotate": True}
                 yield _native(opened.read(index=page, **how), path)
-    except _DAMAGE as error:
-        raise DamagedImageError(str(error)) from error
+    except Exception as error:
+        if not is_damage(error):
+            raise
+        raise DamagedImageError(words_of(error)) from error
 
 
 def _as_read(mode: str, path: Path) -> str | None:

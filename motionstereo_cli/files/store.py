@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable
 from pathlib import Path, PurePosixPath
 from typing import Any, TypeVar
 
-from motionstereo_cli.errors import InputError, OutputError
+from motionstereo_cli.errors import InputError, OutputError, words_of
 from motionstereo_cli.files.folders import make_folder
 
 _T = TypeVar("_T")
@@ -83,7 +83,7 @@ class Store:
         except FileNotFoundError:
             return {}
         except Exception as error:
-            raise InputError(f"{self.address} cannot be read: {_said(error)}") from error
+            raise InputError(f"{self.address} cannot be read: {words_of(error)}") from error
 
     def read(self, name: str, max_bytes: int) -> bytes | None:
         """Return the content of an object, None where there is none.
@@ -101,7 +101,7 @@ class Store:
         except FileNotFoundError:
             return None
         except Exception as error:
-            raise InputError(f"{self.address}/{name} cannot be read: {_said(error)}") from error
+            raise InputError(f"{self.address}/{name} cannot be read: {words_of(error)}") from error
 
     def fetch(self, folder: Path, root: Path, max_bytes: int, name: str = "") -> Path:
         """Fetch an object, or all objects of a folder, and return its path.
@@ -134,7 +134,7 @@ class Store:
             try:
                 _patiently(lambda: self._system.get_file(source, str(path)))  # noqa: B023
             except Exception as error:
-                raise InputError(f"{what} cannot be fetched: {_said(error)}") from error
+                raise InputError(f"{what} cannot be fetched: {words_of(error)}") from error
         return target
 
     def put(self, files: Iterable[tuple[Path, str]]) -> None:
@@ -147,7 +147,9 @@ class Store:
             try:
                 _patiently(lambda: self._system.put_file(str(path), self._at(name)))  # noqa: B023
             except Exception as error:
-                raise OutputError(f"cannot write {self.address}/{name}: {_said(error)}") from error
+                raise OutputError(
+                    f"cannot write {self.address}/{name}: {words_of(error)}"
+                ) from error
 
     def remove(self, names: Iterable[str]) -> None:
         """Remove objects that are there.
@@ -161,7 +163,9 @@ class Store:
             except FileNotFoundError:
                 continue
             except Exception as error:
-                raise OutputError(f"cannot remove {self.address}/{name}: {_said(error)}") from error
+                raise OutputError(
+                    f"cannot remove {self.address}/{name}: {words_of(error)}"
+                ) from error
 
 
 def _patiently(action: Callable[[], _T]) -> _T:
@@ -188,8 +192,3 @@ def _is_refusal(error: Exception) -> bool:
         else None
     )
     return isinstance(status, int) and 400 <= status < 500 and status not in (408, 429)
-
-
-def _said(error: Exception) -> str:
-    lines = str(error).strip().splitlines()
-    return lines[0][:200] if lines else type(error).__name__

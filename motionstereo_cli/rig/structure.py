@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 import yaml
 
-from motionstereo_cli.errors import InputError
+from motionstereo_cli.errors import InputError, words_of
 
 #: Values by name: numbers (float), text, arrays, lists, and mappings again. Names are in lower
 #: case without punctuation: cameraMatrix1, camera_matrix_1 and ``camera matrix 1`` are one.
@@ -57,10 +57,10 @@ def read_structure(path: Path, text: str) -> Values:
 
 
 def _reason(error: Exception) -> str:
-    """Return an error's message in one short line; those of libraries quote the file."""
+    """Return an error's message in one short line."""
     if isinstance(error, RecursionError):
         return "it is nested too deeply"
-    return " ".join(str(error).split())[:120] or "it is damaged"
+    return words_of(error)
 
 
 def read_npz(path: Path, content: bytes) -> Values:

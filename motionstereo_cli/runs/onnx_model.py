@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 from msgspec import Meta, Struct
 
-from motionstereo_cli.errors import InputError, shortage
+from motionstereo_cli.errors import InputError, shortage, words_of
 from motionstereo_cli.files.reading import read_bytes
 from motionstereo_cli.files.records import typed
 from motionstereo_cli.method import matching, network
@@ -157,7 +157,7 @@ class _Model:
             )
         except Exception as error:
             raise InputError(
-                f"{path} is no model that ONNX Runtime can run ({_first_line(error)}): export it "
+                f"{path} is no model that ONNX Runtime can run ({words_of(error)}): export it "
                 "as one file, with its weights"
             ) from error
         self._path, self._form = path, form
@@ -229,7 +229,7 @@ class _Model:
         except Exception as error:
             if shortage(error):
                 raise
-            raise InputError(f"{self._path} failed: {_first_line(error)}") from error
+            raise InputError(f"{self._path} failed: {words_of(error)}") from error
         if found.ndim == 4:
             by_channel, channel = found.shape[2] == left.shape[0], self._form.channel
             found = found[:, channel] if by_channel else found[..., channel]
@@ -267,7 +267,3 @@ class _Model:
             )
             return (levels - mean) / sigma
         return levels
-
-
-def _first_line(error: Exception) -> str:
-    return (str(error).strip().splitlines() or [type(error).__name__])[0][:200]

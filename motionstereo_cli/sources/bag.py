@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import cv2
 import numpy as np
 
-from motionstereo_cli.errors import InputError, is_damage
+from motionstereo_cli.errors import InputError, is_damage, words_of
 from motionstereo_cli.files.reading import MAX_PIXELS, open_regular
 from motionstereo_cli.files.stills import DamagedImageError, colours_of, decode, grey_of
 from motionstereo_cli.sources.bag_topics import (
@@ -29,7 +29,6 @@ from motionstereo_cli.sources.bag_topics import (
     missing_parts,
     name_of,
     opened_bag,
-    words_of,
 )
 from motionstereo_cli.sources.recording import Image, Recording, images
 

@@ -14,7 +14,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from motionstereo_cli.errors import InputError, SettingsError, is_damage
+from motionstereo_cli.errors import InputError, SettingsError, is_damage, words_of
 from motionstereo_cli.files.bounded import bound_rosbags
 from motionstereo_cli.sources.names import natural_key, right_of
 from motionstereo_cli.sources.recording import images
@@ -253,11 +253,6 @@ def by_part(reader: AnyReader, connections: Sequence[Connection]) -> list[list[C
     if any(begin < end for (_, end, _), (begin, _, _) in itertools.pairwise(found)):
         return [list(connections)]
     return [own for _, _, own in found]
-
-
-def words_of(error: Exception) -> str:
-    """Return the message of rosbags, or of a codec that it uses, about damage, in one line."""
-    return " ".join(str(error).split()).rstrip(".") or type(error).__name__
 
 
 def image_topics(reader: AnyReader) -> list[Topic]:

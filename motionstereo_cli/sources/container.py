@@ -16,7 +16,7 @@ import av.logging
 from av.format import Flags
 from av.stream import Disposition
 
-from motionstereo_cli.errors import InputError, SettingsError, is_damage
+from motionstereo_cli.errors import InputError, SettingsError, is_damage, words_of
 from motionstereo_cli.files.reading import HeldFile, open_regular
 from motionstereo_cli.sources.pipe import PATIENCE_S, Pipe
 from motionstereo_cli.sources.seeking import CodedImage
@@ -97,7 +97,7 @@ class Container:
                 raise
             self.check()
             raise InputError(
-                f"{path} is not a video that can be decoded ({_words_of(error)}): "
+                f"{path} is not a video that can be decoded ({words_of(error)}): "
                 f"{self.advice or 'give a whole video file, or a folder of images'}"
             ) from error
         try:
@@ -323,10 +323,6 @@ class Container:
         # Only a multiview stream knows the option.
         views = {} if self._view is None else {"view_ids": str(self._view)}
         codec.options = self._limits() | views
-
-
-def _words_of(error: Exception) -> str:
-    return str(getattr(error, "strerror", None) or error or type(error).__name__)
 
 
 def _keep_quiet() -> None:

@@ -11,7 +11,7 @@ from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import NamedTuple
 
-from motionstereo_cli.errors import InputError, SettingsError, is_damage
+from motionstereo_cli.errors import InputError, SettingsError, is_damage, opening
 from motionstereo_cli.files.stills import SUFFIXES, shown
 from motionstereo_cli.sources.bag import BagRecording
 from motionstereo_cli.sources.bag_topics import bags_in, image_topics_of, stereo_topics
@@ -79,8 +79,8 @@ def open_stereo(
     """
     settings = settings or InputSettings()
     names = named(left, right, settings)
-    topics = topics_of(names, settings)
-    with ExitStack() as opened:
+    with opening(" or ".join(names)), ExitStack() as opened:
+        topics = topics_of(names, settings)
         streams = [
             opened.enter_context(closing(open_recording(name, settings, track, topic)))
             for name, track, topic in zip(names, settings.tracks, topics, strict=False)

@@ -24,7 +24,7 @@ from typing import Any, BinaryIO
 import av
 import numpy as np
 
-from motionstereo_cli.errors import InputError, is_damage
+from motionstereo_cli.errors import InputError, is_damage, words_of
 from motionstereo_cli.files.bounded import bound_rosbags
 from motionstereo_cli.files.reading import MAX_PIXELS, HeldFile, open_regular
 from motionstereo_cli.files.stills import DamagedImageError, Stated, decode
@@ -205,7 +205,7 @@ class SvoRecording(Recording):
             if not is_damage(error):
                 raise
             if file.tell() < self._held.size_bytes:
-                self._ended = str(error) or "it is damaged"
+                self._ended = words_of(error)
                 return
         self._ended = "it is cut off"
 

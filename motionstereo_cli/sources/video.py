@@ -14,7 +14,7 @@ import av
 import av.logging
 import numpy as np
 
-from motionstereo_cli.errors import is_damage
+from motionstereo_cli.errors import is_damage, words_of
 from motionstereo_cli.files.reading import MAX_PIXELS
 from motionstereo_cli.sources.container import Container
 from motionstereo_cli.sources.h264 import Heads
@@ -367,7 +367,7 @@ class VideoRecording(Recording):
             except Exception as error:
                 if not is_damage(error):
                     raise
-                self._end_error = getattr(error, "strerror", None) or str(error)
+                self._end_error = words_of(error)
                 break
             if packet.size or packet.dts is not None:  # the last one is empty: it flushes
                 self._packets += 1
