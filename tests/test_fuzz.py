@@ -159,9 +159,9 @@ HANGS_S, MAX_KB = 60, 1_000_000
 
 @pytest.fixture
 def fuzz(request):
-    """Return what tries a check on former finds, and then a hundred examples.
+    """Return what tries a check on former finds, and then a hundred examples, or fewer slow ones.
 
-    If the command line says so, on a hundred more, until its time is over.
+    If the command line says so, on as many more, until its time is over.
     """
     before_kb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 
@@ -176,7 +176,7 @@ def fuzz(request):
 
         return call
 
-    def run(strategy, check, finds=()):
+    def run(strategy, check, finds=(), examples=100):
         check = watched(check)
         for content in finds:
             check(content)
@@ -185,7 +185,7 @@ def fuzz(request):
             print(f"seed {number}")
             tried = given(strategy)(check)
             limits = settings(
-                max_examples=100,
+                max_examples=examples,
                 deadline=None,
                 database=None,
                 suppress_health_check=list(HealthCheck),
@@ -504,7 +504,7 @@ def test_bags(fuzz, tmp_path):
         finally:
             path.write_bytes(whole)
 
-    fuzz(NUMBERS, check)
+    fuzz(NUMBERS, check, examples=25)
 
 
 def images(tmp_path):
@@ -609,7 +609,7 @@ def test_records_of_batches(fuzz, tmp_path):
             name.write_bytes(whole)
 
     each = [st.tuples(st.just(name), damaged([content])) for name, content in samples]
-    fuzz(st.one_of(*each), check)
+    fuzz(st.one_of(*each), check, examples=25)
 
 
 def test_reports_of_results(fuzz, tmp_path):
@@ -637,7 +637,7 @@ def test_reports_of_results(fuzz, tmp_path):
             path.write_bytes(whole)
 
     each = [st.tuples(st.just(path), damaged([content])) for path, content in samples]
-    fuzz(st.one_of(*each), check)
+    fuzz(st.one_of(*each), check, examples=25)
 
 
 def test_objects(fuzz, tmp_path):

@@ -52,9 +52,9 @@ def consumed(stream: Recording) -> Recording:
 
 
 def test_what_asks_for_more_memory_than_there_is_gets_named() -> None:
-    with pytest.raises(InputError, match=r"a\.bag cannot be opened: out of memory.*damaged"):
-        with opening("a.bag"):
-            bytes(1 << 62)
+    said = r"a\.bag cannot be opened: out of memory.*damaged"
+    with pytest.raises(InputError, match=said), opening("a.bag"):
+        bytes(1 << 62)
     with pytest.raises(ZeroDivisionError), opening("a.bag"):
         raise ZeroDivisionError
 
