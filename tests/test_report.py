@@ -197,6 +197,7 @@ def test_objects_are_bars_by_their_time_to_contact():
     assert [span[2] for span in shown[0]["spans"]] == [2, 1, 0, 2]
     assert shown[0]["spans"][2][:2] == pytest.approx([0.2, 0.3])
     assert (shown[0]["contact"], shown[0]["nearest"], shown[0]["closing"]) == (1.5, 2.0, None)
+    assert (shown[0]["contact_frame"], shown[0]["nearest_frame"]) == (2, 0)
 
 
 def test_the_histogram_counts_known_pixels(copy):
@@ -430,3 +431,4 @@ def test_what_moves_by_itself_is_said_of_each_object():
     ]
     [[track], count] = tracks(rows, {0: 0.0, 1: 0.1, 2: 0.2}, 0.1)
     assert (count, track["frame"], track["own"], track["speed"]) == (1, 0, 1, 1.4)
+    assert track["spans"] == [pytest.approx([0, 0.2, 2, 0]), pytest.approx([0.2, 0.3, 2, 1])]

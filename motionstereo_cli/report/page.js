@@ -251,11 +251,12 @@
       objects.shown.forEach((track, row) => {
         const middle = u.valToPos(rows - row - 0.5, "y", true);
         let right = 0;
-        for (const [begin, end, level] of track.spans) {
+        for (const [begin, end, level, own] of track.spans) {
+          const high = own ? tall : Math.max(tall / 3, 2 * ratio);
           const left = u.valToPos(begin, "x", true);
           right = u.valToPos(end, "x", true);
           ctx.fillStyle = colour(names[level]);
-          ctx.fillRect(left, middle - tall / 2, Math.max(right - left, ratio), tall);
+          ctx.fillRect(left, middle - high / 2, Math.max(right - left, ratio), high);
         }
         if (track.contact === null) return;
         const text = `${track.contact.toFixed(1)} s`;

@@ -94,9 +94,10 @@ def tracks(
 
     Returns:
         For each object, in the order of their first frames: ``id``; its first ``frame``; ``spans``,
-        each with its begin, its end and its urgency (0 contact soon, 1 later, 2 hardly or unknown);
-        the least ``contact`` in s, ``nearest`` in m and most ``closing`` in m/s; ``own``, 1 if it
-        moves by itself, and its greatest ``speed`` over ground in m/s; None if unknown.
+        each with its begin, its end, its urgency (0 contact soon, 1 later, 2 hardly or unknown) and
+        whether it moved by itself then (1 or 0); the least ``contact`` in s, ``nearest`` in m, each
+        with its ``contact_frame`` or ``nearest_frame``, and most ``closing`` in m/s; ``own``, 1 if
+        it ever moved by itself, and its greatest ``speed`` over ground in m/s; None if unknown.
 
     Raises:
         KeyError, ValueError: a row is damaged, or there are too many.
@@ -112,25 +113,28 @@ def tracks(
             for name in ("time_to_contact_s", "depth_m", "closing_mps")
         )
         level = 2 if contact is None or contact > LATER_S else 1 if contact > SOON_S else 0
+        kind = level, int(row.get("by_itself") == "1")
         begin, end = x_of[frame], x_of[frame] + frame_x
         track = found.setdefault(
             number,
             {"id": number, "frame": frame, "spans": []}
-            | dict.fromkeys(("contact", "nearest", "closing", "own", "speed")),
+            | dict.fromkeys(("contact", "nearest", "closing", "own", "speed"))
+            | dict.fromkeys(("contact_frame", "nearest_frame")),
         )
         spans = track["spans"]
-        if spans and spans[-1][2] == level and begin - spans[-1][1] < frame_x:
+        if spans and (*spans[-1][2:],) == kind and begin - spans[-1][1] < frame_x:
             spans[-1][1] = end
         else:
-            spans.append([begin, end, level])
+            spans.append([begin, end, *kind])
             count += 1
             if count > MAX_SPANS:
                 raise ValueError(
                     f"objects come more than {MAX_SPANS} times, the limit of a page: make pages of "
                     "parts of the recording, run with --start and --end"
                 )
-        track["contact"] = _least(track["contact"], contact)
-        track["nearest"] = _least(track["nearest"], depth)
+        for name, value in (("contact", contact), ("nearest", depth)):
+            if value is not None and (track[name] is None or value < track[name]):
+                track[name], track[f"{name}_frame"] = value, frame
         track["closing"] = _most(track["closing"], closing)
         track["own"] = _most(track["own"], _number(row, "by_itself"))
         track["speed"] = _most(track["speed"], _number(row, "over_ground_mps"))
@@ -144,12 +148,8 @@ def _number(row: Mapping[str, str], name: str) -> float | None:
 
 def _urgency(track: Mapping[str, Any]) -> tuple[float, float]:
     """Sort by least time to contact, then by longest presence."""
-    stayed = sum(end - begin for begin, end, _ in track["spans"])
+    stayed = sum(end - begin for begin, end, *_ in track["spans"])
     return np.inf if track["contact"] is None else track["contact"], -stayed
-
-
-def _least(one: float | None, other: float | None) -> float | None:
-    return min((each for each in (one, other) if each is not None), default=None)
 
 
 def _most(one: float | None, other: float | None) -> float | None:
