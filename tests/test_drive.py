@@ -17,13 +17,14 @@ from motionstereo_cli.errors import MotionStereoError, SettingsError
 from motionstereo_cli.method.settings import Settings
 from motionstereo_cli.simulate.camera import FloorPose, stereo_cameras
 from motionstereo_cli.simulate.corridor import Corridor
-from motionstereo_cli.simulate.drive import OUTPUTS, driven
+from motionstereo_cli.simulate.drive import OUTPUTS, colours, driven
 from motionstereo_cli.simulate.drive_world import (
     MAX_FORWARD_M,
     MAX_TURN_RAD,
     Command,
     DriveWorld,
     command,
+    world_of,
 )
 from motionstereo_cli.simulate.settings import ROBOT_RADIUS_M, DriveSettings
 from motionstereo_cli.simulate.walkers import (
@@ -35,6 +36,7 @@ from motionstereo_cli.simulate.walkers import (
     place_walkers,
     step,
 )
+from motionstereo_cli.sinks.scale import DepthScale
 from motionstereo_cli.types import Steering
 
 SMALL = {"width": 160, "height": 120}
@@ -297,6 +299,19 @@ def test_only_a_former_drive_is_replaced(drive_out, tmp_path):
         assert motionstereo("drive", tmp_path, *few, "--overwrite").exit_code == 0
     names = {path.name for path in tmp_path.iterdir()}
     assert names == {*OUTPUTS, "my.png"} - {"drive.mp4"}
+
+
+@pytest.mark.parametrize("world", ["corridor", "office"])
+def test_the_colours_of_a_drive_are_for_what_is_around(world):
+    driven = world_of(DriveSettings(world=world, **SMALL))
+    before, output = driven.robot, colours(driven)
+    depth_m = driven.settings.rig.depth_m(driven.around_px())
+    assert driven.robot is before
+    near_m, far_m = output.near_m, output.far_m
+    scale = DepthScale.of(Settings(), output, driven.settings.rig)
+    places = np.array([scale.place(each) for each in depth_m[::97]])
+    assert ((places > 0.05) & (places < 0.95)).mean() > 0.9
+    assert 2 * near_m <= far_m
 
 
 class TestBench:

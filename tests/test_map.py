@@ -440,8 +440,8 @@ class TestPicture:
         assert map_png(self.floor).tolist() == [[254, 0, 205], [254, 205, 205]]
 
     def test_the_sheet_shows_the_cells_larger_below_a_title_and_above_a_scale(self):
-        sheet = map_sheet(self.floor)
-        times = 640 // 3
+        sheet = map_sheet(self.floor, np.zeros((0, 2)))
+        times = 960 // 3
         assert sheet.shape[1] == 3 * times
         ink = np.flatnonzero((sheet[:, times + 5] == 0).all(axis=1))
         assert len(ink) == times  # the occupied cell, upper row, middle column

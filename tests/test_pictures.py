@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from fractions import Fraction
+from typing import Any
 
 import av
 import numpy as np
@@ -18,14 +19,18 @@ from motionstereo_cli.files.lettering import (
     LIGHT,
     Label,
     colour_key,
+    fitted,
     length_bar,
     lettered,
     text_width,
     titled,
 )
+from motionstereo_cli.files.records import pack, unpack
 from motionstereo_cli.method.settings import Settings
+from motionstereo_cli.robot.mapper import Floor
 from motionstereo_cli.sinks.drawing import depth_colours
 from motionstereo_cli.sinks.legend import strip
+from motionstereo_cli.sinks.map import from_above, map_sheet
 from motionstereo_cli.sinks.outputs import OUTPUTS
 from motionstereo_cli.sinks.preview import (
     heading_text,
@@ -37,9 +42,11 @@ from motionstereo_cli.sinks.preview import (
 from motionstereo_cli.sinks.scale import DepthScale, measured_ends
 from motionstereo_cli.sinks.settings import OutputSettings
 from motionstereo_cli.sinks.sink import RunContext
-from motionstereo_cli.types import FrameResult, MovingObject, Rig, Steering, StereoFrame
+from motionstereo_cli.types import FrameResult, MovingObject, Pose, Rig, Steering, StereoFrame
 
 HEIGHT, WIDTH = 60, 96
+#: A preview shows such small views so much larger.
+TIMES = 3
 RIG = Rig(width=WIDTH, height=HEIGHT, focal_px=100, baseline_m=0.1, cx=47.5, cy=29.5)
 LEFT = Steering("ok", 0.5, 0.25, 3.25, 1.0)
 BLIND = Steering("blind", None, None, None, None)
@@ -131,8 +138,9 @@ def test_the_view_shines_through_in_grey_where_nothing_is_known(tmp_path, output
     sink.write(taken(output, dataclasses.replace(shown, frame=frame, disparity_px=values)))
     sink.close()
     [picture] = frames(tmp_path / OUTPUTS[output].path)
-    left, top = (0, 0) if output == "depth-video" else (2 * (WIDTH + GAP_PX), 26)
-    row = picture[top + HEIGHT // 2, left : left + WIDTH].astype(int)
+    if output == "preview":
+        picture = picture[26:, 2 * (TIMES * WIDTH + GAP_PX) :][::TIMES, ::TIMES]
+    row = picture[HEIGHT // 2, :WIDTH].astype(int)
     assert np.ptp(row[2:6], axis=1).min() > 80
     grey = row[14:]
     assert np.ptp(grey, axis=1).max() < 16
@@ -173,11 +181,12 @@ def test_the_preview_has_three_panels_and_the_heading(tmp_path):
         sink.write(taken("preview", result(steering)))
     sink.close()
     with_arrow, without = (picture.astype(int) for picture in frames(tmp_path / "preview.mp4"))
-    assert with_arrow.shape[1] >= 3 * WIDTH
-    body = slice(26, 26 + HEIGHT)
+    assert with_arrow.shape[1] >= 3 * TIMES * WIDTH
+    body = slice(26, 26 + TIMES * HEIGHT)
     green = with_arrow[body, :, 1] - with_arrow[body, :, 0] > 60
-    assert green[:, : WIDTH // 2 + 4].sum() > 20
-    assert not (without[body, :WIDTH, 1] - without[body, :WIDTH, 0] > 60).any()
+    assert green[:, : TIMES * WIDTH // 2 + 4].sum() > 20
+    view = slice(TIMES * WIDTH)
+    assert not (without[body, view, 1] - without[body, view, 0] > 60).any()
 
 
 def test_what_moves_by_itself_has_a_box_with_its_figures():
@@ -199,13 +208,62 @@ def test_what_moves_by_itself_has_a_box_with_its_figures():
         assert with_movers(view, [dataclasses.replace(mover, x=x, y=y)], 0.5).any()
 
 
-def test_wide_panels_are_made_smaller():
-    wide = np.zeros((100, 1300), np.uint8)
-    real = np.full((100, 1300), 4, np.float32)
-    large = dataclasses.replace(
-        result(), frame=StereoFrame(0, 0, None, wide, wide), charge=wide, disparity_px=real
+@pytest.mark.parametrize(
+    ("size", "panel"),
+    [
+        ((100, 1300), (49, 640)),
+        ((1920, 1080), (640, 360)),  # a portrait
+        ((480, 640), (480, 640)),
+        ((48, 64), (192, 256)),
+        ((500, 20), (500, 20)),  # it cannot be made larger
+    ],
+)
+def test_panels_are_neither_too_large_nor_too_small(size, panel):
+    grey = np.full(size, 90, np.uint8)
+    real = np.full(size, 4, np.float32)
+    shown = dataclasses.replace(
+        result(), frame=StereoFrame(0, 0, None, grey, grey), charge=grey, disparity_px=real
     )
-    assert preview_picture(step_of(large), context()).shape[1] == 3 * 640 + 2 * 4
+    picture = preview_picture(step_of(shown), context())
+    assert picture.shape[1] == 3 * panel[1] + 2 * GAP_PX
+    assert fitted(grey).shape == panel
+
+
+def test_a_run_that_makes_a_map_shows_it_beside(tmp_path):
+    stream = dataclasses.replace(context(), with_map=True)
+    seen = result(LEFT, 4.0), Pose(1.0, 2.0, 0.0, 0.0, 0.0, 0.0, 1.0)
+    points = np.array([[0.2 * n - 0.5, 0.0, 2.5] for n in range(6)] * 9), np.full(54, 90, np.uint8)
+    step = dataclasses.replace(step_of(seen[0]), pose=seen[1], points=points)
+    sink = OUTPUTS["preview"].open(tmp_path, stream)
+    sink.write(step)
+    mark = unpack(pack(sink.checkpoint()), Any)
+    sink.abandon(keep=True)
+    sink = OUTPUTS["preview"].open(tmp_path, stream, mark)
+    sink.write(dataclasses.replace(step, pose=Pose(2.0, 2.0, 0.0, 0.0, 0.0, 0.0, 1.0)))
+    sink.close()
+    shown = frames(tmp_path / "preview.mp4")
+    height = TIMES * HEIGHT
+    panels = [picture[26 : 26 + height, -height:].astype(int) for picture in shown]
+    blue = [int((panel[..., 2] - panel[..., 0] > 100).sum()) for panel in panels]
+    assert 0 < blue[0] < blue[1]  # the dot, then the path with it
+    assert all((panel.max(axis=2) < 40).any() for panel in panels)  # what is occupied
+
+
+@pytest.mark.parametrize("cells", [(3, 2), (90, 400), (3000, 1200)])
+def test_a_map_sheet_can_be_read_at_any_size(cells):
+    occupied = np.zeros(cells, np.bool_)
+    occupied[-1, 0] = True
+    floor = Floor(occupied, np.zeros(cells, np.bool_), -1.0, 2.0, 0.1)
+    path_m = np.array([[-1.5, 2.05], [-1 + 0.1 * cells[0], 2.05]])  # it begins outside
+    sheet = map_sheet(floor, path_m)
+    assert 400 <= sheet.shape[1] <= 1000
+    assert len(sheet) <= 1100
+    assert (sheet == (20, 90, 200)).all(axis=2).sum() > 100
+    picture, px_per_m = from_above(floor, path_m[:0], 960)
+    dark = np.argwhere((picture == 0).all(axis=2))
+    right_m = (dark[:, 1].max() + 1) / px_per_m
+    assert right_m == pytest.approx(0.1 * cells[0], abs=2 / px_per_m)
+    assert dark[:, 0].max() == len(picture) - 1
 
 
 @pytest.mark.parametrize("steer", [-1.0, -0.5, 0.0, 0.5, 1.0])

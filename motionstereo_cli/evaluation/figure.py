@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from motionstereo_cli.errors import InputError
-from motionstereo_cli.files.lettering import Label, lettered
+from motionstereo_cli.files.lettering import Label, fitted, lettered, text_width
 from motionstereo_cli.method.settings import Settings
 from motionstereo_cli.pipeline import process
 from motionstereo_cli.types import FrameResult, StereoFrame
@@ -74,13 +74,15 @@ def _row(result: FrameResult, settings: Settings, nearest_px: float) -> Grey:
 
 
 def _framed(panel: Grey) -> Grey:
-    return np.pad(panel, _GAP_PX // 2, constant_values=255)
+    return np.pad(fitted(panel), _GAP_PX // 2, constant_values=255)
 
 
 def _sheet(titles: Sequence[str], rows: Sequence[tuple[str, Grey]]) -> Grey:
     height, width = rows[0][1].shape
     sheet = np.full((_HEAD_PX + len(rows) * height, _SIDE_PX + width), 255, np.uint8)
     lefts = (_SIDE_PX + column * width // len(titles) for column in range(len(titles)))
+    room = (width / len(titles) - 2 * _GAP_PX) / max(text_width(each, _TEXT_PX) for each in titles)
+    size_px = int(_TEXT_PX * min(room, 1))
     labels = [
         Label(left + _GAP_PX, _HEAD_PX / 2, title)
         for left, title in zip(lefts, titles, strict=True)
@@ -89,6 +91,6 @@ def _sheet(titles: Sequence[str], rows: Sequence[tuple[str, Grey]]) -> Grey:
         top = _HEAD_PX + index * height
         sheet[top : top + height, _SIDE_PX:] = row
         labels.append(Label(_GAP_PX, top + height / 2, label))
-    return lettered(np.stack([sheet] * 3, axis=-1), labels, size_px=_TEXT_PX, colour=(0, 0, 0))[
+    return lettered(np.stack([sheet] * 3, axis=-1), labels, size_px=size_px, colour=(0, 0, 0))[
         ..., 0
     ]

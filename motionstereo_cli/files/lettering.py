@@ -6,6 +6,7 @@ import functools
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
+import cv2
 import numpy as np
 
 if TYPE_CHECKING:
@@ -43,6 +44,11 @@ LIGHT = Style(14, (30, 34, 40), (255, 255, 255))
 #: Between pictures side by side, in px.
 GAP_PX = 4
 
+#: A panel is at least so wide that its title can be read, and its longer side at most so long, px.
+_MIN_PANEL_PX, MAX_PANEL_PX = 240, 640
+#: The smallest letters that can be read, in px.
+_MIN_LETTERS_PX = 9
+
 
 def lettered(
     image: NDArray[np.uint8],
@@ -74,18 +80,32 @@ def text_width(text: str, size_px: int) -> float:
     return float(_font(size_px).getlength(text))
 
 
+def fitted(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Return a picture, grey or RGB, as large as a panel: enlarged by a whole number, or shrunk."""
+    height, width = picture.shape[:2]
+    longer = max(height, width)
+    if longer > MAX_PANEL_PX:
+        size = (max(round(side * MAX_PANEL_PX / longer), 1) for side in (width, height))
+        return np.asarray(cv2.resize(picture, tuple(size), interpolation=cv2.INTER_AREA), np.uint8)
+    times = max(1, min(-(-_MIN_PANEL_PX // width), MAX_PANEL_PX // longer))
+    return picture.repeat(times, 0).repeat(times, 1)
+
+
 def titled(
     panels: Sequence[NDArray[np.uint8]], titles: Sequence[str], style: Style
 ) -> NDArray[np.uint8]:
     """Return RGB images of one height side by side, each below its title.
 
-    A title that is wider than its image is cut off.
+    A title that is wider than its image has smaller letters, and is cut off if these would be too
+    small to read.
     """
     columns = []
     for panel, title in zip(panels, titles, strict=True):
         head = np.full((2 * style.size_px, panel.shape[1], 3), style.ground, np.uint8)
-        label = Label(style.size_px / 2, style.size_px, title)
-        head = lettered(head, [label], size_px=style.size_px, colour=style.ink)
+        room = (panel.shape[1] - style.size_px) / text_width(title, style.size_px)
+        size_px = min(style.size_px, max(int(style.size_px * room), _MIN_LETTERS_PX))
+        label = Label(size_px / 2, style.size_px, title)
+        head = lettered(head, [label], size_px=size_px, colour=style.ink)
         columns.append(np.concatenate([head, panel]))
     gap = np.full((len(columns[0]), GAP_PX, 3), style.ground, np.uint8)
     return np.concatenate([part for each in columns for part in (gap, each)][1:], axis=1)

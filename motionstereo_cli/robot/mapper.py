@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray  # the path is restored by its type
 
 from motionstereo_cli.robot.fused_map import (
     FREE,
@@ -28,8 +29,6 @@ from motionstereo_cli.robot.local_map import nearest_by_bearing, sighted
 from motionstereo_cli.robot.points import in_world, points
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from motionstereo_cli.method.settings import Settings
     from motionstereo_cli.types import Grey, Pose, Real, Rig
 
@@ -50,6 +49,9 @@ _STANDING_POINTS, _LAYER_M, _LAYERS = 4, 0.15, 64
 
 #: New voxels are collected up to this number, so that the large cloud is merged rarely.
 _RECENT = 30_000
+
+#: The path has fewer places: every second one is dropped when it gets longer.
+_MAX_PATH = 4096
 
 
 def camera_points(
@@ -87,12 +89,16 @@ class Surroundings:
         cloud: voxels seen so far, except those in ``recent``.
         recent: voxels of the last frames.
         heights_m: range of z in the world that was in the robot's way in every frame.
+        path_m: where the rig was, (n, 2) float64, x and y in the world in m.
+        spacing_m: least distance between two of these places.
     """
 
     grid: Grid
     cloud: Voxels
     recent: Voxels
     heights_m: tuple[float, float]
+    path_m: NDArray[np.float64]
+    spacing_m: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,11 +164,14 @@ class Mapper:
             grid=self._marked(known.grid, placed, pose),
             cloud=known.cloud,
             recent=recent,
+            path_m=known.path_m,
+            spacing_m=known.spacing_m,
             heights_m=(
                 max(low_m, pose.z_m - s.robot_below_m),
                 min(high_m, pose.z_m + s.robot_above_m),
             ),
         )
+        known = _went_on(known, pose)
         self.known = _settled(known) if len(recent.key) > _RECENT else known
 
     def floor(self) -> Floor:
@@ -170,6 +179,11 @@ class Mapper:
         grid = trimmed(Grid.empty() if self.known is None else self.known.grid)
         x_m, y_m = (corner * self._cell_m for corner in grid.corner)
         return Floor(grid.evidence >= OCCUPIED, grid.evidence <= FREE, x_m, y_m, self._cell_m)
+
+    @property
+    def path_m(self) -> Points:
+        """Where the rig was, (n, 2) float64: x and y in the world in m."""
+        return np.zeros((0, 2)) if self.known is None else self.known.path_m
 
     def points(self) -> tuple[Points, Grey]:
         """Return the cloud, one point a voxel: (n, 3) float64 m in the world, (n,) uint8 grey.
@@ -192,7 +206,10 @@ class Mapper:
         place = (pose.x_m, pose.y_m, pose.z_m)
         x, y, z = (math.floor(each / self._cell_m) for each in place)
         none = Voxels.empty((x, y, z))
-        return Surroundings(Grid.empty(), none, none, (-math.inf, math.inf))
+        heights_m = -math.inf, math.inf
+        return Surroundings(
+            Grid.empty(), none, none, heights_m, np.array([place[:2]]), self._cell_m
+        )
 
     def _marked(self, grid: Grid, placed: Points, pose: Pose) -> Grid:
         """Return the grid with a frame's points, which are in the world frame.
@@ -256,6 +273,17 @@ def standing(
     layers = np.bincount(np.unique(cell * _LAYERS + layer) // _LAYERS, minlength=size)
     found = (layers >= 2) & (np.bincount(cell, minlength=size) >= _STANDING_POINTS)
     return found.reshape(shape)
+
+
+def _went_on(known: Surroundings, pose: Pose) -> Surroundings:
+    """Return the map with the place of the rig, if it is away from the last one."""
+    path_m, spacing_m, place = known.path_m, known.spacing_m, np.array([pose.x_m, pose.y_m])
+    if np.hypot(*(place - path_m[-1])) < spacing_m:
+        return known
+    path_m = np.vstack([path_m, place])
+    if len(path_m) == _MAX_PATH:
+        path_m, spacing_m = path_m[::2], 2 * spacing_m
+    return replace(known, path_m=path_m, spacing_m=spacing_m)
 
 
 def _settled(known: Surroundings) -> Surroundings:

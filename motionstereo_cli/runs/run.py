@@ -226,7 +226,10 @@ def job_of(plan: RunPlan, source: StereoSource, warned: Warned) -> Job:
     else:
         plan, frames = with_range_of_opening(plan, source, say)
     frame_id = source.frame_id(plan.settings.reference) or OPTICAL_FRAME
-    context = RunContext(time_base, plan.settings, rig, plan.output_settings, frame_id)
+    context = RunContext(
+        *(time_base, plan.settings, rig, plan.output_settings, frame_id),
+        with_map="map" in plan.outputs,
+    )
     job = Job(plan, source, frames, context, poses, warned)
     job = with_measured_offset(job, partial(warned.say, "disparity-offset"))
     job = with_colour_range(job)

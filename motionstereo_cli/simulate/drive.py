@@ -16,6 +16,7 @@ from msgspec import UNSET, Struct, UnsetType
 from motionstereo_cli import __version__
 from motionstereo_cli.files.atomic import write_whole
 from motionstereo_cli.files.encode import encode_png
+from motionstereo_cli.files.lettering import fitted
 from motionstereo_cli.files.video import VideoWriter
 from motionstereo_cli.method.settings import Settings
 from motionstereo_cli.pipeline import StreamContext, steps
@@ -30,6 +31,8 @@ from motionstereo_cli.sinks.drawing import depth_picture, grey_picture
 from motionstereo_cli.sinks.map import MapFiles
 from motionstereo_cli.sinks.preview import framed, with_heading
 from motionstereo_cli.sinks.records import Count, FolderRecord, Plain
+from motionstereo_cli.sinks.scale import measured_ends
+from motionstereo_cli.sinks.settings import OutputSettings
 from motionstereo_cli.sinks.sink import RunContext
 from motionstereo_cli.sinks.steering_table import SteeringFile
 from motionstereo_cli.types import Pose, Step, StereoFrame
@@ -111,7 +114,7 @@ def drive(
     settings = settings or Settings(robot_radius_m=ROBOT_RADIUS_M)
     rig = world.settings.rig
     plan = Plan(world)
-    context = RunContext(_TIME_BASE, settings, rig)
+    context = RunContext(_TIME_BASE, settings, rig, colours(world) if view else OutputSettings())
     poses = [HEAD]
     with RunFolder(out, OUTPUTS, _KIND, overwrite=overwrite, inputs=inputs) as folder:
         names = ("left.mkv", "right.mkv", *(("drive.mp4",) if view else ()))
@@ -143,6 +146,13 @@ def drive(
         record = folder.complete(**_outcome(world, settings))
     assert isinstance(record, DriveRecord)
     return record
+
+
+def colours(world: RobotWorld) -> OutputSettings:
+    """Return the ends of the depth colours by the rule of ``run``, for what is around the start."""
+    rig = world.settings.rig
+    ends = measured_ends(rig.nearness_px(world.around_px()), rig.focal_baseline)
+    return OutputSettings(near_m=ends[0], far_m=ends[1]) if ends else OutputSettings()
 
 
 def driven(world: RobotWorld, settings: Settings) -> Iterator[tuple[StereoFrame, Step]]:
@@ -194,13 +204,14 @@ def _view(step: Step, plan: NDArray[np.uint8], context: RunContext) -> NDArray[n
     """Return reference image, memory, depth and the plan side by side, RGB."""
     images = step.images
     assert images is not None
-    height = images.charge.shape[0]
+    view = with_heading(fitted(grey_picture(images.view)), step.steering)
+    height = len(view)
     width = 2 * math.ceil(plan.shape[1] * height / plan.shape[0] / 2)
     small = cv2.resize(plan, (width, height), interpolation=cv2.INTER_AREA)
     panels = [
-        with_heading(grey_picture(images.view), step.steering),
-        grey_picture(images.charge),
-        depth_picture(images, context),
+        view,
+        fitted(grey_picture(images.charge)),
+        fitted(depth_picture(images, context)),
         np.asarray(small, np.uint8),
     ]
     reference = context.settings.reference.capitalize()

@@ -221,6 +221,16 @@ class RobotWorld:
         disparity_px = s.rig.disparity_px(right.depth_m)
         return Shot(frame, disparity_px, as_written(self.believed.rig_pose))
 
+    def around_px(self) -> Real:
+        """Return the true disparities of what is around the robot now, in four directions, (n,)."""
+        s, at = self.settings, self.robot
+        views = []
+        for quarter in range(4):
+            self.robot = FloorPose(at.x_m, at.y_m, at.yaw_rad + quarter * math.pi / 2)
+            views.append(s.rig.disparity_px(self._render(self._cameras[1]).depth_m).ravel())
+        self.robot = at
+        return np.concatenate(views)
+
     @property
     def believed(self) -> FloorPose:
         """Where the robot is by its own motion, which drifts."""

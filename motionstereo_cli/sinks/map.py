@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import cv2
 import numpy as np
 
 from motionstereo_cli.files.atomic import part_of, write_whole
 from motionstereo_cli.files.encode import encode_png
-from motionstereo_cli.files.lettering import LIGHT, colour_key, length_bar, titled
+from motionstereo_cli.files.lettering import DARK, LIGHT, colour_key, length_bar, titled
 from motionstereo_cli.files.records import restored
 from motionstereo_cli.robot.mapper import Floor, Mapper, Surroundings
 from motionstereo_cli.sinks.points import encode_ply
@@ -25,10 +27,12 @@ _FREE = 254
 _OCCUPIED = 0
 _UNKNOWN = 205
 
-#: The sheet: approximate length of its longer side, and its minimum width, in px.
-_SHEET_PX, _MIN_SHEET_PX = 640, 420
+#: The sheet: length of its longer side, about, and its minimum width, in px.
+_SHEET_PX, _MIN_SHEET_PX = 960, 420
 _TITLE = "The map from above: x to the right, y upward"
 _MEANINGS = {_OCCUPIED: "occupied", _FREE: "free", _UNKNOWN: "unknown"}
+#: Colour of the path, RGB.
+_PATH = (20, 90, 200)
 
 
 def map_png(floor: Floor) -> NDArray[np.uint8]:
@@ -41,23 +45,71 @@ def map_png(floor: Floor) -> NDArray[np.uint8]:
     return np.ascontiguousarray(cells.T[::-1].astype(np.uint8))
 
 
-def map_sheet(floor: Floor) -> NDArray[np.uint8]:
-    """Return the floor plane as a sheet, RGB: enlarged, with a title, legend and scale."""
-    picture = map_png(floor)
-    times = max(1, _SHEET_PX // max(picture.shape))
-    picture = picture.repeat(times, 0).repeat(times, 1)
+def from_above(
+    floor: Floor, path_m: NDArray[np.float64], size_px: int
+) -> tuple[NDArray[np.uint8], float]:
+    """Return the floor plane, RGB, with the path to a dot where the rig is, and its px per m.
+
+    Args:
+        floor: the floor plane.
+        path_m: where the rig was, (n, 2), x and y in m.
+        size_px: length of its longer side at most. A cell has a whole number of px, or a px a
+            whole number of cells; it then shows what is occupied in any of them.
+    """
+    cell_m = floor.cell_m
+    # The path may leave what is known.
+    places = (path_m - (floor.x_m, floor.y_m)) / cell_m
+    ends = np.vstack([places, np.zeros(2), np.subtract(floor.occupied.shape, 1)])
+    low, high = (np.floor(each).astype(int) for each in (ends.min(0), ends.max(0)))
+    longer = int(max(high - low)) + 1
+    cells, times = -(-longer // size_px), max(size_px // longer, 1)
+    shape = -(-(high - low + 1) // cells) * cells
+    grown = [
+        np.pad(each, [(-low[n], shape[n] + low[n] - each.shape[n]) for n in (0, 1)])
+        for each in (floor.occupied, floor.free)
+    ]
+    nx, ny = shape // cells
+    occupied, free = (each.reshape(nx, cells, ny, cells).max(axis=3).max(axis=1) for each in grown)
+    picture = map_png(replace(floor, occupied=occupied, free=free))
+    picture = np.stack([picture.repeat(times, 0).repeat(times, 1)] * 3, axis=-1)
+    if len(path_m):
+        scale = times / cells
+        x, y = (places - low).T * scale
+        line = np.stack([x, len(picture) - y], axis=1).round().astype(np.int32)
+        thick = max(2, round(max(picture.shape) / 240))
+        cv2.polylines(picture, [line], False, _PATH, thick, cv2.LINE_AA)
+        cv2.circle(picture, line[-1].tolist(), 2 * thick, _PATH, -1, cv2.LINE_AA)
+    return picture, times / cells / cell_m
+
+
+def map_sheet(floor: Floor, path_m: NDArray[np.float64]) -> NDArray[np.uint8]:
+    """Return the floor plane and the path as a sheet, RGB, with a title, legend and scale."""
+    picture, px_per_m = from_above(floor, path_m, _SHEET_PX)
     spare = max(_MIN_SHEET_PX - picture.shape[1], 0)
-    sides = ((0, 0), (spare // 2, spare - spare // 2))
+    sides = ((0, 0), (spare // 2, spare - spare // 2), (0, 0))
     picture = np.pad(picture, sides, constant_values=_UNKNOWN)
     entries = [((grey,) * 3, text) for grey, text in _MEANINGS.items()]
+    entries += [(_PATH, "path of the rig, to the dot")] if len(path_m) else []
     width = picture.shape[1]
     return np.concatenate(
         [
-            titled([np.stack([picture] * 3, axis=-1)], [_TITLE], LIGHT),
+            titled([picture], [_TITLE], LIGHT),
             colour_key(width, entries, LIGHT),
-            length_bar(width, times / floor.cell_m, LIGHT),
+            length_bar(width, px_per_m, LIGHT),
         ]
     )
+
+
+def map_panel(mapper: Mapper, size_px: int) -> NDArray[np.uint8]:
+    """Return the map so far, RGB, in the middle of a square of this size, with a scale."""
+    bar = 2 * DARK.size_px
+    picture, px_per_m = from_above(mapper.floor(), mapper.path_m, size_px - bar)
+    height, width = picture.shape[:2]
+    panel = np.full((size_px, size_px, 3), _UNKNOWN, np.uint8)
+    top, left = (size_px - bar - height) // 2, (size_px - width) // 2
+    panel[top : top + height, left : left + width] = picture
+    panel[-bar:] = length_bar(size_px, px_per_m, DARK)
+    return panel
 
 
 def map_yaml(floor: Floor, image: str) -> str:
@@ -125,5 +177,5 @@ class MapFiles:
         yield self._path, encode_ply(points_m, grey, "m, in the world of the poses")
         yield picture, encode_png(map_png(floor))
         sheet = self._path.with_name(f"{self._path.stem}-sheet.png")
-        yield sheet, encode_png(map_sheet(floor)[..., ::-1])
+        yield sheet, encode_png(map_sheet(floor, self.mapper.path_m)[..., ::-1])
         yield yaml, map_yaml(floor, picture.name).encode()

@@ -281,8 +281,9 @@ OUTPUTS = {
         "preview.mp4",
         "to show to others: reference view with the heading as an arrow and what moves "
         "by itself in boxes (id, speed over ground, time to contact), charge and depth beside "
-        "each other, with scale and time; panels of at most 640 px",
-        "videos.preview",
+        "each other, with scale and time, and the map so far if it is saved too; panels of at most "
+        "640 px",
+        "videos.Preview",
         shows_colours=True,
         takes="step",
         shows_images=True,
@@ -420,7 +421,7 @@ OUTPUTS = {
         "what moved in the image, fused over all frames: points in the world of the poses in m, "
         "with the colour of the reference view; map.png from above, 0 = occupied, 254 = free, "
         "205 = unknown, its place and scale in map.yaml as ROS's map_server has it; map-sheet.png, "
-        "the same to look at, with a title, the meaning of its greys and a scale",
+        "the same to look at, with the path of the rig, the meaning of its colours and a scale",
         "map.MapFiles",
         shows_colours=True,
         needs_rig=True,

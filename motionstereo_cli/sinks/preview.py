@@ -13,21 +13,21 @@ from motionstereo_cli.files.lettering import (
     DARK,
     GAP_PX,
     Label,
+    fitted,
     lettered,
     text_width,
     titled,
 )
 from motionstereo_cli.sinks.drawing import depth_picture, depth_scale, grey_picture
 from motionstereo_cli.sinks.legend import strip, time_text
+from motionstereo_cli.sinks.map import map_panel
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from motionstereo_cli.robot.mapper import Mapper
     from motionstereo_cli.sinks.sink import RunContext
     from motionstereo_cli.types import MovingObject, Steering, Step
-
-#: Wider panels are scaled down to this, in px.
-_MAX_WIDTH_PX = 640
 
 #: Colours of boxes by time to contact in s, RGB.
 _URGENT = ((2, (255, 95, 95)), (5, (255, 190, 70)), (math.inf, (110, 215, 255)))
@@ -36,19 +36,27 @@ _URGENT = ((2, (255, 95, 95)), (5, (255, 190, 70)), (math.inf, (110, 215, 255)))
 _ARROWS = {"ok": (60, 200, 110), "held": (240, 180, 40)}
 
 
-def preview_picture(step: Step, stream: RunContext) -> NDArray[np.uint8]:
-    """Return view with heading, charge and depth side by side, with titles and scale, RGB."""
+def preview_picture(
+    step: Step, stream: RunContext, mapper: Mapper | None = None
+) -> NDArray[np.uint8]:
+    """Return view with heading, charge and depth side by side, with titles and scale, RGB.
+
+    Beside them is the map so far, if there is one.
+    """
     images = step.images
     assert images is not None
-    view = _small(grey_picture(images.look))
+    view = fitted(grey_picture(images.look))
     view = with_movers(view, step.objects, view.shape[1] / images.look.shape[1])
     panels = [
         with_heading(view, step.steering),
-        _small(grey_picture(images.charge)),
-        _small(depth_picture(images, stream)),
+        fitted(grey_picture(images.charge)),
+        fitted(depth_picture(images, stream)),
     ]
     depth = depth_scale(stream).quantity.capitalize()
-    titles = (f"{stream.settings.reference.capitalize()} view, heading", "Charge", depth)
+    titles = [f"{stream.settings.reference.capitalize()} view, heading", "Charge", depth]
+    if mapper is not None:
+        panels.append(map_panel(mapper, len(view)))
+        titles.append("Map from above, path blue")
     return framed(panels, titles, step, stream)
 
 
@@ -146,11 +154,3 @@ def heading_text(steering: Steering) -> str:
         amount = f"{abs(math.degrees(steering.steer_rad)):.0f}° {side}"
     ahead = "" if steering.depth_m is None else f", {steering.depth_m:.1f} m ahead"
     return f"{steering.status}: {amount}{ahead}"
-
-
-def _small(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    height, width = image.shape[:2]
-    if width > _MAX_WIDTH_PX:
-        size = _MAX_WIDTH_PX, round(height * _MAX_WIDTH_PX / width)
-        image = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
-    return image

@@ -61,6 +61,7 @@ class RunContext:
         rig: the calibration; None if unknown.
         output: parameters of the output.
         optical_frame: name of the reference camera's optical frame in bags.
+        with_map: the map is among the outputs, so that steps have poses and points.
     """
 
     time_base: Fraction
@@ -68,3 +69,4 @@ class RunContext:
     rig: Rig | None
     output: OutputSettings = field(default_factory=OutputSettings)
     optical_frame: str = OPTICAL_FRAME
+    with_map: bool = False

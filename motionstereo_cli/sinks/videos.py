@@ -12,6 +12,7 @@ import numpy as np
 
 from motionstereo_cli.files.records import restored
 from motionstereo_cli.files.video import Indexed, Picture, SegmentedVideo, VideoMark
+from motionstereo_cli.robot.mapper import Mapper, Surroundings
 from motionstereo_cli.sinks.drawing import (
     colour_table,
     depth_levels,
@@ -21,7 +22,7 @@ from motionstereo_cli.sinks.images import asked_for, depth_png, known_depth_m, m
 from motionstereo_cli.sinks.legend import strip, time_text
 from motionstereo_cli.sinks.preview import preview_picture
 from motionstereo_cli.sinks.sink import EPOCH_S
-from motionstereo_cli.types import FrameImages
+from motionstereo_cli.types import FrameImages, Step
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -105,6 +106,40 @@ def _depth(images: FrameImages, stream: RunContext) -> list[Picture]:
     return parts
 
 
+class Preview:
+    """The preview, with the map so far in a run that makes one.
+
+    Args:
+        path, stream: as of :class:`ResultVideo`.
+        since: continue from this checkpoint: that of the video, and the map so far.
+    """
+
+    def __init__(
+        self, path: Path, stream: RunContext, since: tuple[_Mark, Surroundings | None] | None = None
+    ) -> None:
+        video, known = restored(since, tuple[_Mark, Surroundings | None]) if since else (None, None)
+        self._mapper: Mapper | None = None
+        if stream.with_map and stream.rig is not None:
+            self._mapper = Mapper(stream.settings, stream.rig, stream.output.map_cell_m)
+            self._mapper.known = known
+        self._video = ResultVideo(path, stream, video, image=self._picture)
+        self.close, self.abandon = self._video.close, self._video.abandon
+
+    def write(self, step: Step) -> None:
+        """Append the picture of a frame."""
+        if self._mapper is not None and step.points is not None and step.pose is not None:
+            self._mapper.add(*step.points, step.pose)
+        self._video.write(step)
+
+    def checkpoint(self) -> tuple[_Mark, Surroundings | None]:
+        """End a segment."""
+        known = None if self._mapper is None else self._mapper.known
+        return self._video.checkpoint(), known
+
+    def _picture(self, step: Step, stream: RunContext) -> NDArray[np.uint8]:
+        return preview_picture(step, stream, self._mapper)
+
+
 # The sinks by their names in OUTPUTS; each takes the path and the stream.
 
 
@@ -121,6 +156,5 @@ depth_lossless = _video(
 bands = _video(_bands)
 motion = _video(lambda images, _: motion_png(asked_for(images.motion)))
 view = _video(lambda images, _: images.look)
-preview = _video(preview_picture)
 charge = _video(lambda images, _: images.charge)
 own_charge = _video(lambda images, _: asked_for(images.own_charge))
