@@ -27,6 +27,11 @@ def texture(rows, width, seed=0, sigma=1.5):
     return 120 + 30 * smooth / smooth.std()
 
 
+def sure(matched):
+    """Large margins for all matches."""
+    return np.full(matched.shape, 1000, np.float32)
+
+
 class TestPlanes:
     @settings(max_examples=40)
     @given(
@@ -48,7 +53,7 @@ class TestPlanes:
         grey = rng.integers(100, 112, disparity.shape).astype(np.float32)
         where = rng.random(disparity.shape) < 0.7
         window = loops.Window(*sizes, 8, 1.0, rounds, 0.5, 0.7, 1.0)
-        rule = loops.Rule(True, *[np.inf] * 4, True)
+        rule = loops.Rule(True, *[np.inf] * 4, True, False)
         found = np.full((3, rows, width), np.nan, np.float32)
         samples = loops.Samples(rows, width, 32)
         loops.fit(
@@ -85,11 +90,14 @@ class TestPlanes:
         surface = Surface.of(grey, everywhere, np.full(truth.shape, age, np.uint8))
         assert surface.smooth[:, 68:92].all()
         assert surface.smooth[:, :50].mean() < 0.05
-        found, share = with_planes(matched, np.full_like(matched, np.nan), surface, 64)
+        found, share = with_planes(
+            matched, sure(matched), np.full_like(matched, np.nan), surface, 64
+        )
         wrong = np.abs(found - truth)[:, 68:92] > 1
         assert wrong.mean() < 0.05 < (np.abs(matched - truth)[:, 68:92] > 1).mean()
         assert (share[:, 68:92] > 0.6).all()
-        assert np.isnan(share[~surface.smooth]).all()
+        seen = np.arange(truth.shape[1]) + matched <= truth.shape[1] - 1
+        assert np.isnan(share[seen & ~surface.smooth]).all()
 
     def test_what_is_painted_on_a_moving_wall_tells_of_it_whatever_its_grey(self):
         """Old trails keep the disparity of the edge that made them; the wall has gone on."""
@@ -105,7 +113,7 @@ class TestPlanes:
         wall = np.s_[:, 125:185]
         assert surface.smooth[wall].all()
         trails = np.full_like(matched, 20)
-        found, share = with_planes(matched.astype(np.float32), trails, surface, 64)
+        found, share = with_planes(matched.astype(np.float32), sure(matched), trails, surface, 64)
         assert (np.abs(found - truth)[wall] < 0.1).all()
         assert (share[wall] > 0.8).all()
 
@@ -113,16 +121,27 @@ class TestPlanes:
         truth, grey, matched = self.wall()
         matched[:, 60:100] = np.nan
         surface = Surface.of(grey, np.ones(truth.shape, np.bool_), np.zeros(truth.shape, np.uint8))
-        found, _ = with_planes(matched, truth.copy(), surface, 64)
+        found, _ = with_planes(matched, sure(matched), truth.copy(), surface, 64)
         assert (np.abs(found - truth)[:, 68:92] < 0.5).all()
 
-    def test_what_lies_beyond_the_left_views_border_is_unknown(self):
-        grey = texture(24, 80)
+    @pytest.mark.parametrize("margin", [100, 1000])
+    def test_beyond_the_left_views_border_sure_matches_beside_it_decide(self, margin):
+        rows, width = 24, 160
+        grey = texture(rows, width)
         surface = Surface.of(grey, np.ones(grey.shape, np.bool_), np.zeros(grey.shape, np.uint8))
-        known = np.full(grey.shape, 20, np.float32)
-        found, _ = with_planes(known, np.full_like(known, np.nan), surface, 64)
-        np.testing.assert_array_equal(found[:, :60], known[:, :60])
-        assert np.isnan(found[:, 60:]).all()
+        x = np.arange(width, dtype=np.float32)
+        matched = np.tile(10 + 0.1 * x, (rows, 1))
+        seen = x + matched[0] <= width - 1
+        matched[:, ~seen] += 3
+        margins = np.full_like(matched, margin)
+        found, share = with_planes(matched, margins, np.full_like(matched, NAN), surface, 64)
+        np.testing.assert_array_equal(found[:, seen], matched[:, seen])
+        beyond = np.s_[:, np.flatnonzero(~seen)]
+        if margin < 500:
+            assert np.isnan(found[beyond]).all()
+        else:
+            assert (np.abs(found - 10 - 0.1 * x)[beyond] < 0.5).mean() > 0.9
+            assert (share[beyond] > 0.7).mean() > 0.9
 
 
 class TestRefined:

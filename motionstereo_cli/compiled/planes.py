@@ -66,7 +66,8 @@ class Rule:
         max_error_px: where the plane's error is less than this,
         max_change_px: and it changes what was known by at most this,
         far_px: and the disparity is less than this, before or after.
-        tells_error: the plane's error is kept.
+        tells_error: the plane's error is kept,
+        unseen: and the pixel's partner lies beyond the left view's border.
     """
 
     decides: cython.bint
@@ -75,6 +76,7 @@ class Rule:
     max_change_px: cython.float
     far_px: cython.float
     tells_error: cython.bint
+    unseen: cython.bint
 
 
 @cython.cclass
@@ -245,6 +247,7 @@ def take(
         cython.cast(cython.float, plane.error_px) < rule.max_error_px
         and not abs(found - before) > rule.max_change_px
         and (before < rule.far_px or found < rule.far_px)
+        and (not rule.unseen or x + found > result.shape[0] - 1)
     ):
         result[x] = found
         share[x] = cython.cast(cython.float, plane.share)

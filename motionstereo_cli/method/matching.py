@@ -113,7 +113,7 @@ def _dense(right: Memory, left: Memory, settings: Settings) -> Found:
         left_half += halved_exactly(left_grey) - halved_exactly(left_smoothed)
     half = refined(half, halved_exactly(right.grey), left_half)
     surface = Surface.of(half_grey, charged[::ROWS], age)
-    half, share = with_planes(half, proposed, surface, s.max_disparity)
+    half, share = with_planes(half, margin, proposed, surface, s.max_disparity)
     half[half > s.max_disparity - _LIMIT_PX] = np.nan
     disparity = trimmed(whole(half, half_grey, right_grey), right_grey, left_grey)
     matched = without_speckles(disparity, np.ones(charged.shape, np.bool_), s.speckle_px)

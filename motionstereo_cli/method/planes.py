@@ -9,6 +9,9 @@ only as long as the wall has not gone on. What lies around decides, in this orde
    moves: old trails on a wall keep the disparity of the edge that made them, while the wall goes
    on. What is painted on a wall tells more of it than what has its grey.
 4. The same nearby, of what is far away: there a small error is a large share of the disparity.
+
+What has its partner beyond the left view's border cannot be matched, smooth or not: a plane through
+sure matches beside it, if there is one, tells where it is.
 """
 
 from __future__ import annotations
@@ -41,8 +44,12 @@ _WEIGHT = 0.5
 _DEPENDENT = 11.0
 
 #: Largest error in px of the planes through textured pixels: where things move; far away, and there
-#: up to which disparity in px; and beyond the left view's border.
-_MAX_ERROR_PX, _MAX_FAR_ERROR_PX, _FAR_PX, _MAX_UNSEEN_ERROR_PX = 0.5, 0.17, 6.0, 0.15
+#: up to which disparity in px; and beyond the left view's border, of smooth and of other pixels.
+_MAX_ERROR_PX, _MAX_FAR_ERROR_PX, _FAR_PX = 0.5, 0.17, 6.0
+_MAX_SMOOTH_ERROR_PX, _MAX_UNSEEN_ERROR_PX = 0.15, 0.9
+
+#: A match of this margin is sure enough to tell of what lies beyond the left view's border.
+_SURE = 500.0
 
 #: By so many px at most such a plane changes what the matching nearby says: else it is another
 #: surface. Where things move, and far away.
@@ -52,21 +59,23 @@ _MAX_CHANGE_PX, _MAX_FAR_CHANGE_PX = 6.0, 3.0
 #: and there are enough of them.
 _RESTING, _REST_FRAMES, _REST_WINDOW, _REST_PIXELS = 0.5, 2, (161, 65), 20
 
-_NEARBY, _AFAR, _FAR = (
+_NEARBY, _AFAR, _FAR, _BESIDE = (
     loops.Window(*values, _DEPENDENT**0.5)  # type: ignore[call-arg]  # mypy does not know its dataclasses
     for values in (
         (32, 16, 4, 4, 1, 8, 4, 6.0, 2.0, 3, 0.6, 0.6),
         (240, 60, 12, 6, 5, 16, 8, 255.0, 1.0, 5, 0.8, 1.0),
         (24, 12, 3, 3, 1, 8, 4, 12.0, 1.0, 5, 0.8, 1.0),
+        (60, 12, 6, 3, 2, 8, 4, 32.0, 1.0, 5, 0.7, 0.8),
     )
 )
 _ALL = np.inf
-_DECIDES, _WHERE_MOVING, _WHERE_FAR = (
+_DECIDES, _WHERE_MOVING, _WHERE_FAR, _WHERE_UNSEEN = (
     loops.Rule(*values)  # type: ignore[call-arg]
     for values in (
-        (True, _ALL, _ALL, _ALL, _ALL, False),
-        (False, _ALL, _MAX_ERROR_PX, _MAX_CHANGE_PX, _ALL, True),
-        (False, 4 * _FAR_PX, _MAX_FAR_ERROR_PX, _MAX_FAR_CHANGE_PX, _FAR_PX, False),
+        (True, _ALL, _ALL, _ALL, _ALL, False, False),
+        (False, _ALL, _MAX_ERROR_PX, _MAX_CHANGE_PX, _ALL, True, False),
+        (False, 4 * _FAR_PX, _MAX_FAR_ERROR_PX, _MAX_FAR_CHANGE_PX, _FAR_PX, False, False),
+        (False, 0.0, _MAX_UNSEEN_ERROR_PX, _ALL, _ALL, False, True),
     )
 )
 
@@ -99,7 +108,7 @@ class Surface(NamedTuple):
 
 
 def with_planes(
-    disparity_px: Reals, trails_px: Reals, surface: Surface, max_disparity: int
+    disparity_px: Reals, margin: Reals, trails_px: Reals, surface: Surface, max_disparity: int
 ) -> tuple[Reals, Reals]:
     """Return disparity with planes on smooth surfaces, and the inliers' share, (rows, width).
 
@@ -107,6 +116,7 @@ def with_planes(
 
     Args:
         disparity_px: of the matching, (rows, width) float32, NaN = unknown.
+        margin: of the matching, by how much the second best disparity costs more, likewise.
         trails_px: of trails, likewise.
         surface: what is smooth, and what is wanted.
         max_disparity: px.
@@ -136,5 +146,8 @@ def with_planes(
     loops.fit(disparity_px, weight, grey, moving, _AFAR, _WHERE_MOVING, samples, *found)
     loops.fit(disparity_px, weight, grey, need, _FAR, _WHERE_FAR, samples, *found)
     # A partner beyond the left view's border is not visible: only a reliable plane gives it.
-    loops.forget_unseen(error, _MAX_UNSEEN_ERROR_PX, result, share)
+    loops.forget_unseen(error, _MAX_SMOOTH_ERROR_PX, result, share)
+    need = wanted * (1 - smooth)
+    weight *= checked_array(margin, np.float32, shape) >= _SURE
+    loops.fit(result, weight, grey, need, _BESIDE, _WHERE_UNSEEN, samples, *found)
     return result, share
