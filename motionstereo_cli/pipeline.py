@@ -527,5 +527,6 @@ def depth_of(disparity_px: Real, rig: Rig | None) -> Real | None:
     """
     if rig is None:
         return None
-    before_infinity = rig.nearness_px(disparity_px) > 0
-    return rig.depth_m(np.where(before_infinity, disparity_px, np.float32(np.nan)))
+    depth_m = np.full_like(disparity_px, np.nan)
+    nearness_px = rig.nearness_px(disparity_px) if rig.doffs else disparity_px
+    return np.divide(np.float32(rig.focal_baseline), nearness_px, depth_m, where=nearness_px > 0)

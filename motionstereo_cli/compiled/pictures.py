@@ -41,50 +41,57 @@ def to_uint16(
 # otherwise such a byte might alias the pointers of the arrays.
 
 
-def sub_filtered_8(image: cython.const[cython.uchar][:, ::1], result: cython.uchar[:, ::1]) -> None:
-    """Fill in PNG's rows of an 8-bit image by the filter Sub, (height, width + 1) uint8."""
+def up_filtered_8(image: cython.const[cython.uchar][:, ::1], result: cython.uchar[:, ::1]) -> None:
+    """Fill in PNG's rows of an 8-bit image by the filter Up, (height, width + 1) uint8."""
+    y: cython.Py_ssize_t
     with cython.nogil:
-        sub_8(image, result)
+        for y in range(image.shape[0]):
+            result[y, 0] = 2
+            up_8(image[y], image[y - 1 if y > 0 else 0], 255 if y > 0 else 0, result[y])
 
 
 @cython.cfunc
 @cython.nogil
 @cython.exceptval(check=False)
-def sub_8(image: cython.const[cython.uchar][:, ::1], result: cython.uchar[:, ::1]) -> cython.void:
-    """Do what :func:`sub_filtered_8` does."""
+def up_8(
+    row: cython.const[cython.uchar][::1],
+    above: cython.const[cython.uchar][::1],
+    mask: cython.uchar,
+    result: cython.uchar[::1],
+) -> cython.void:
+    """Fill in a row; ``mask`` is 0 where there is none above."""
     x: cython.Py_ssize_t
-    y: cython.Py_ssize_t
-    for y in range(image.shape[0]):
-        result[y, 0] = 1
-        result[y, 1] = image[y, 0]
-        for x in range(1, image.shape[1]):
-            result[y, x + 1] = (image[y, x] - image[y, x - 1]) & 255
+    for x in range(row.shape[0]):
+        result[x + 1] = (row[x] - (above[x] & mask)) & 255
 
 
-def sub_filtered_16(
+def up_filtered_16(
     image: cython.const[cython.ushort][:, ::1], result: cython.uchar[:, ::1]
 ) -> None:
-    """Fill in PNG's rows of a 16-bit image by the filter Sub, (height, 2 * width + 1) uint8."""
+    """Fill in PNG's rows of a 16-bit image by the filter Up, (height, 2 * width + 1) uint8."""
+    y: cython.Py_ssize_t
     with cython.nogil:
-        sub_16(image, result)
+        for y in range(image.shape[0]):
+            result[y, 0] = 2
+            up_16(image[y], image[y - 1 if y > 0 else 0], 65535 if y > 0 else 0, result[y])
 
 
 @cython.cfunc
 @cython.nogil
 @cython.exceptval(check=False)
-def sub_16(image: cython.const[cython.ushort][:, ::1], result: cython.uchar[:, ::1]) -> cython.void:
-    """Do what :func:`sub_filtered_16` does."""
+def up_16(
+    row: cython.const[cython.ushort][::1],
+    above: cython.const[cython.ushort][::1],
+    mask: cython.ushort,
+    result: cython.uchar[::1],
+) -> cython.void:
+    """Fill in a row; ``mask`` is 0 where there is none above."""
     x: cython.Py_ssize_t
-    y: cython.Py_ssize_t
-    for y in range(image.shape[0]):
-        result[y, 0] = 1
-        result[y, 1] = image[y, 0] >> 8
-        result[y, 2] = image[y, 0] & 255
-        for x in range(1, image.shape[1]):
-            here: cython.int = cython.cast(cython.int, image[y, x])
-            left: cython.int = cython.cast(cython.int, image[y, x - 1])
-            result[y, 2 * x + 1] = ((here >> 8) - (left >> 8)) & 255
-            result[y, 2 * x + 2] = (here - left) & 255
+    for x in range(row.shape[0]):
+        here: cython.int = cython.cast(cython.int, row[x])
+        over: cython.int = cython.cast(cython.int, above[x] & mask)
+        result[2 * x + 1] = ((here >> 8) - (over >> 8)) & 255
+        result[2 * x + 2] = (here - over) & 255
 
 
 def planes(

@@ -219,16 +219,16 @@ INLINE void propose(Words *cost, int vectors, const Stretch *s, int count, float
     if (!(wanted > -4 && wanted < count + 4))
         return;
     int first = (int)(wanted + 0.5f) - 2;
-    int16_t less[2 * LANES + 5] = {0};
-    for (int i = 0; i < 5; i++) {
-        float away = fabsf(first + i - wanted);
-        if (away < 2)
-            less[LANES + i] = (int16_t)(weight * (1.0 - away / 2.0));
-    }
+    Floats away = (Floats){0, 1, 2, 3, 4, 5, 6, 7} + ((float)first - wanted);
+    Floats share = 1 - (Floats)((Ints)away & 0x7fffffff) / 2;  /* of the weight */
+    Floats less = (Floats)((Ints)(share * (float)weight) & (share > 0));
+    int16_t around[2 * LANES + 8] = {0};
+    Halves whole = __builtin_convertvector(less, Halves);
+    memcpy(around + LANES, &whole, sizeof whole);
     for (int i = 0; i < vectors; i++) {  /* without branches, which nothing foretells */
         int from = s->at[i] - first + LANES;
         from = from > 0 ? from : 0;
-        cost[i] -= load(less + (from < LANES + 5 ? from : LANES + 5));
+        cost[i] -= load(around + (from < LANES + 8 ? from : LANES + 8));
     }
 }
 
@@ -423,26 +423,27 @@ INLINE void go_forward(Matching *matching, const Stretch *stretch, int vectors, 
 /* The disparity of least cost of a pixel, and its margin; -1 where the margin is too small. */
 INLINE void choose(const Matching *m, const Stretch *s, int vectors, int x, const Words *total)
 {
-    Words minimum = total[0], found = all_of(MAX_COST), others = found;
+    /* Its neighbours do not compete with the best: they are as if nothing cost more. */
+    static const int16_t near[2 * LANES + 3] = {[LANES] = MAX_COST, MAX_COST, MAX_COST};
+    Words minimum = total[0], others = all_of(MAX_COST);
     for (int i = 1; i < vectors; i++)
         minimum = least(minimum, total[i]);
     minimum = least_of_all(minimum);
+    int cost = minimum[0], vector = 0, place = first_true(total[0] == minimum);
+    while (place == LANES)
+        place = first_true(total[++vector] == minimum);
+    int d = s->at[vector] + place;
     for (int i = 0; i < vectors; i++) {
-        Words here = (counted() + (int16_t)s->at[i]) | (total[i] != minimum);
-        found = least(found, here & MAX_COST);
-    }
-    found = least_of_all(found);
-    for (int i = 0; i < vectors; i++) {  /* its neighbours do not compete with it */
-        Words away = counted() + (int16_t)s->at[i] - found;
-        Words near = (away >= -1) & (away <= 1);
-        others = least(others, total[i] | (near & MAX_COST));
+        int from = s->at[i] - d + LANES + 1;
+        from = from > 0 ? from : 0;
+        others = least(others, total[i] | load(near + (from < LANES + 3 ? from : LANES + 3)));
     }
     others = least_of_all(others);
-    int cost = minimum[0], d = found[0], second = others[0];
+    int second = others[0];
     if (m->rival && second < PADDING && (float)(second - cost) < RIVAL_SHARE * second) {
         Words rival = all_of(MAX_COST);
         for (int i = 0; i < vectors; i++) {
-            Words here = counted() + (int16_t)s->at[i], away = here - found;
+            Words here = counted() + (int16_t)s->at[i], away = here - (int16_t)d;
             Words other = (total[i] == others) & ((away < -1) | (away > 1));
             rival = least(rival, (here | ~other) & MAX_COST);
         }
@@ -463,7 +464,8 @@ INLINE void choose(const Matching *m, const Stretch *s, int vectors, int x, cons
     for (int i = 0; i < vectors; i++)
         store(costs + i * LANES, total[i]);
     /* Of a neighbour that was not looked at, the other one's cost. */
-    int place = s->place[d / CHUNK] + d % CHUNK, last = d % CHUNK == CHUNK - 1;
+    int last = d % CHUNK == CHUNK - 1;
+    place += vector * LANES;
     int has_before = d % CHUNK > 0 || (d > 0 && s->set >> (d / CHUNK - 1) & 1);
     int has_after = !last || (d / CHUNK + 1 < m->chunks && s->set >> (d / CHUNK + 1) & 1);
     int16_t *around = m->around + 3 * x;

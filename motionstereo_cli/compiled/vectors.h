@@ -27,6 +27,10 @@
 typedef int16_t Words __attribute__((vector_size(2 * LANES)));
 typedef uint8_t Bytes __attribute__((vector_size(16)));
 
+typedef float Floats __attribute__((vector_size(32)));
+typedef int32_t Ints __attribute__((vector_size(32)));
+typedef int16_t Halves __attribute__((vector_size(16)));
+
 /* In memory they may begin anywhere. They are seen as what they consist of. */
 typedef int16_t WordsAt __attribute__((vector_size(2 * LANES), aligned(2)));
 typedef uint8_t BytesAt __attribute__((vector_size(16), aligned(1)));
@@ -75,6 +79,23 @@ INLINE Bytes excess(Bytes a, Bytes b)
     return (Bytes)vqsubq_u8((uint8x16_t)a, (uint8x16_t)b);
 #else
     return (a - b) & (Bytes)(a > b);
+#endif
+}
+
+/* The place of the first word that is true; LANES where none is. */
+INLINE int first_true(Words truth)
+{
+#if defined(__AVX2__)
+    unsigned bits = (unsigned)_mm256_movemask_epi8((__m256i)truth);
+    return bits ? __builtin_ctz(bits) / 2 : LANES;
+#elif defined(__SSE2__)
+    unsigned bits = (unsigned)_mm_movemask_epi8((__m128i)truth);
+    return bits ? __builtin_ctz(bits) / 2 : LANES;
+#else
+    int i = 0;
+    while (i < LANES && !truth[i])
+        i++;
+    return i;
 #endif
 }
 

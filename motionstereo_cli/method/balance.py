@@ -25,8 +25,9 @@ _PLAIN = 6.0
 #: Gain is fitted only if the standard deviation of grey levels is larger than this, else it is 1.
 _LEVELS = 10.0
 
-#: Smaller adjustments, in grey levels, may result from the matching itself.
-_LEAST = 1.5
+#: Smaller adjustments, in grey levels, may result from the matching itself; and larger ones of at
+#: most this share of the image.
+_LEAST, _FEW = 1.5, 0.1
 
 #: Size in px of the Gaussian window in which the remaining offsets are averaged.
 _SIGMA_PX = 48
@@ -100,7 +101,7 @@ def _adjustment(
     if _median(np.abs((gain - 1) * lefts + offset)) < _LEAST:
         gain, offset = 1.0, 0.0
     offsets = _smooth(rest, rows, columns, steps.shape, (width, height))
-    if float(np.quantile(np.abs(offsets), 0.9)) < _LEAST:
+    if np.count_nonzero(np.abs(offsets) >= _LEAST) <= _FEW * offsets.size:
         return None if gain == 1 and offset == 0 else (gain, offset, None)
     return gain, offset, offsets
 

@@ -65,10 +65,10 @@ def sample_of(
         plan: the run.
         window: frames of each window.
         decoded: a recording that cannot be read from the middle is decoded up to this frame.
-        sparse: leave out windows after that frame which lie near one before: key frames are about
-            as far apart, and all frames from one on have to be decoded.
+        sparse: windows after that frame begin at the key frame before, so that nothing else has to
+            be decoded, and those that lie near one before are left out.
     """
-    number, places = 0, [0]
+    number, places, windows = 0, [0], [-1]
     while number < len(places):
         with open_stereo(plan.left, plan.right, plan.input_settings) as source:
             rectify_source(source, plan.rig, plan.rig_settings)
@@ -81,6 +81,11 @@ def sample_of(
             if source.expected_frames:
                 places = list(starts(source.expected_frames))
             begin = places[number]
+            if sparse and begin > decoded:
+                begin = source.key_before(begin)
+                if begin <= windows[-1]:
+                    number += 1
+                    continue
             if begin and not source.begin_at(begin) and begin > decoded:
                 return
             # What follows soon is decoded on the way: from the key frame before it takes longer.

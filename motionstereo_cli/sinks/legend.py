@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import math
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -45,7 +46,11 @@ def strip(
     if not text:
         return ruler
     height, size_px = len(ruler), _letters(len(ruler)) + 1
-    return lettered(ruler, [Label(height // 4, height / 2, text)], size_px=size_px)
+    label = Label(height // 4, height / 2, text)
+    end = min(math.ceil(label.x + text_width(text, size_px)) + size_px, width)
+    shown = ruler.copy()
+    shown[:, :end] = lettered(np.ascontiguousarray(ruler[:, :end]), [label], size_px=size_px)
+    return shown
 
 
 def time_text(time: FrameTime) -> str:

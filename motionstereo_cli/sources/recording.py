@@ -168,6 +168,13 @@ class Recording(ABC):
         """
         return ()
 
+    def key_before(self, number: int) -> int:
+        """Return the last image up to some number with which decoding can begin, if that is known.
+
+        Else the number itself.
+        """
+        return number
+
     def skip_to(self, number: int) -> bool:
         """Begin the iteration with the first image that has this number or a later one.
 

@@ -19,11 +19,12 @@ class Entry(NamedTuple):
     """Where to begin, for an image that is asked for.
 
     Attributes:
-        key_pts: time stamp of the key frame to begin at.
+        key_pts, key_number: of the key frame to begin at.
         pts, number: of the image.
     """
 
     key_pts: int
+    key_number: int
     pts: int
     number: int
 
@@ -58,8 +59,10 @@ def entry(coded: Sequence[CodedImage], pace: Pace, number: int) -> Entry | None:
     Returns:
         None where that cannot be told, or there is no such image.
     """
+    keys, key = {each.pts for each in coded if each.is_key}, None
     for here, pts in numbered(coded, pace):
+        if pts in keys:
+            key = pts, here
         if here >= number:
-            keys = [each.pts for each in coded if each.is_key and each.pts <= pts]
-            return Entry(max(keys), pts, here) if keys else None
+            return Entry(*key, pts, here) if key else None
     return None

@@ -391,19 +391,47 @@ class StereoSource:
         if not frame and not self.settings.first:
             return False
         if not self._passed_over(frame):
-            self._sides = [Side(side.stream, side.half) for side in self._sides]
-            self._pairing = pairing(self._sides[0].stream, self._sides[1].stream, self.settings)
-            self._skipped, self._first_frame = 0, frame
+            self._forget()
+            self._first_frame = frame
             return False
         return True
+
+    def key_before(self, frame: int) -> int:
+        """Return the last frame up to some frame with which decoding can begin in both views.
+
+        The frame itself where that is not known. To be called before :meth:`begin_at`.
+        """
+        passed = []
+        for place, left, right in self._pairs(*self._bare()):
+            if place.frame is not None:
+                passed.append((place.frame, left.number, right.number))
+                if place.frame >= frame:
+                    break
+        self._forget()
+        if not passed:
+            return frame
+        keys = [
+            side.stream.key_before(number)
+            for side, number in zip(self._sides, passed[-1][1:], strict=True)
+        ]
+        return next(first for first, *here in passed if here[0] >= keys[0] and here[1] >= keys[1])
+
+    def _forget(self) -> None:
+        """Count no image as read."""
+        self._sides = [Side(side.stream, side.half) for side in self._sides]
+        self._pairing = pairing(self._sides[0].stream, self._sides[1].stream, self.settings)
+        self._skipped = 0
+
+    def _bare(self) -> Sequence[Iterator[SideImage]]:
+        """Return the images of both views as their recordings list them, not decoded."""
+        if len(self._streams) == 1:
+            return itertools.tee(bare(self._streams[0]))
+        return [bare(side.stream) for side in self._sides]
 
     def _passed_over(self, frame: int) -> bool:
         """Count images before a frame as read, and make the recordings begin there."""
         one = len(self._streams) == 1
-        feeds = (
-            itertools.tee(bare(self._streams[0])) if one else (bare(s.stream) for s in self._sides)
-        )
-        for place, left, right in self._pairs(*feeds):
+        for place, left, right in self._pairs(*self._bare()):
             if place.frame == frame:
                 if one and left.number != right.number:
                     return False  # one recording has one beginning

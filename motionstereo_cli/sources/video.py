@@ -96,6 +96,7 @@ class VideoRecording(Recording):
         self._failed: list[int] = []  # pts of packets without an image, not yet passed
         self._torn_from: int | None = None  # pts from which on references are missing
         self._packets = 0
+        self._usual_ticks: int | None = None  # from packet to packet, where none is missing
         self._packet_end = 0  # in bytes from the beginning of the file
         self._end_error = ""
         self._changed = False
@@ -150,21 +151,32 @@ class VideoRecording(Recording):
     def _coded(self) -> list[CodedImage]:
         return self._file.coded()
 
+    def key_before(self, number: int) -> int:
+        """Return the number of the key frame before an image."""
+        found = self._entry(number)
+        return number if found is None else found[0].key_number
+
+    def _entry(self, number: int) -> tuple[Entry, Pace] | None:
+        """Return where to begin for an image, and the pace there; None if that is unknown."""
+        if self.timeless:
+            return None
+        pace = self._new_pace()
+        found = entry(self._coded, pace, number)
+        return None if found is None else (found, pace)
+
     def skip_to(self, number: int) -> bool:
         """Begin with an image, by seeking to the key frame before it if the file has an index.
 
         Images that cannot be decoded count as well, so that numbers are the same.
         """
-        pace = None if self.timeless else self._new_pace()
-        coded = self._coded if pace else []
-        found = entry(coded, pace, number) if pace else None
-        if found is None or pace is None:
+        if (entered := self._entry(number)) is None:
             return super().skip_to(number)
+        found, pace = entered
         try:
             self._file.seek(found.key_pts)
             packets = self._file.source.demux(self._stream)
             first = next(packets)
-            place = [each.pts for each in coded].index(first.pts or 0)
+            place = [each.pts for each in self._coded].index(first.pts or 0)
             if not first.is_keyframe or (first.pts or 0) > found.pts:
                 raise ValueError
         except (av.FFmpegError, OSError, StopIteration, ValueError):
@@ -393,7 +405,12 @@ class VideoRecording(Recording):
         """Return whether images may be missing between two packets."""
         if last.dts is None or packet.dts is None or not self.frame_rate:
             return False
-        return (packet.dts - last.dts) * self._tick_s * self.frame_rate > 1.5
+        ticks = packet.dts - last.dts
+        if ticks == self._usual_ticks:
+            return False
+        leaps = ticks * self._tick_s * self.frame_rate > 1.5
+        self._usual_ticks = None if leaps else ticks
+        return bool(leaps)
 
     def _look_for_references(self, heads: Heads, last: _Packet, packet: _Packet) -> None:
         one, other = heads.read(bytes(last)), heads.read(bytes(packet))
