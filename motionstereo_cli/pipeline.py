@@ -28,6 +28,7 @@ from motionstereo_cli.method.memory import (
     age_of,
     charged,
     checked_views,
+    glance,
     see,
 )
 from motionstereo_cli.method.settings import AUTO, MATCHERS, Settings
@@ -390,14 +391,12 @@ def remembered(
         if state.right is not None and state.left is not None:
             last = state.right.grey, state.left.grey
         odometry, motion = context.odometer.step(odometry, last, right, left, frame.index)
-    return (
-        State(
-            right=see(state.right, right, context.settings),
-            left=see(state.left, left, context.settings),
-            odometry=odometry,
-        ),
-        motion,
-    )
+    s = context.settings
+    matcher = MATCHERS.get(s.matcher)
+    other = glance if matcher is not None and not matcher.compares_memories else see
+    of_right, of_left = (see, other) if s.reference == "right" else (other, see)
+    memories = of_right(state.right, right, s), of_left(state.left, left, s)
+    return State(*memories, odometry=odometry), motion
 
 
 def with_movers(

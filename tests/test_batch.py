@@ -358,7 +358,7 @@ def test_what_ends_its_worker_is_lost_by_itself(archive, tmp_path, monkeypatch):
         "bad": "failed",
         "c": "done",
     }
-    assert "its worker died twice" in rows["b"]["reason"]
+    assert "it ended the process that worked on it, twice" in rows["b"]["reason"]
     assert "Traceback" not in ended.stderr
 
 

@@ -259,3 +259,21 @@ def test_what_is_not_asked_for_is_not_found():
     assert result.age_frames is None
     assert result.confidence is None
     assert result.disparity_px is not None
+
+
+@pytest.mark.parametrize("reference", ["right", "left"])
+@pytest.mark.parametrize("matcher", ["sgbm", "bm", "consensus"])
+def test_matchers_of_images_need_no_memory_of_the_other_view(monkeypatch, matcher, reference):
+    frames = sliding([20])
+    settings = Settings(matcher=matcher, reference=reference, max_disparity=31)
+    found = list(process(frames, settings))
+    whole = MATCHERS[matcher]._replace(compares_memories=True)
+    monkeypatch.setitem(MATCHERS, matcher, whole)
+    for one, other in zip(found, process(frames, settings), strict=True):
+        assert np.array_equal(one.disparity_px, other.disparity_px, equal_nan=True)
+        assert np.array_equal(one.charge, other.charge)
+        assert one.steering == other.steering
+        left, right = one.state.left, one.state.right
+        resting = left if reference == "right" else right
+        assert not resting.moved.any()
+    assert any(np.isfinite(result.disparity_px).any() for result in found)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import math
+import struct
 from collections.abc import Callable
 from fractions import Fraction
 from pathlib import Path
@@ -375,3 +376,13 @@ def test_a_view_on_its_side_is_named(tmp_path: Path) -> None:
         open_stereo(left, right)
     with pytest.raises(SettingsError, match=r"--rotate-left cannot be 45"):
         InputSettings(rotate_left=45)
+
+
+def test_a_time_that_no_clock_has_is_damage(tmp_path: Path) -> None:
+    path = svo2(tmp_path / "a.svo2", BESIDE, "h264")
+    footer = bytes(24) + struct.pack("<Q", stamp_ns(5)) + bytes(24)
+    before, after = path.read_bytes().split(footer)
+    path.write_bytes(before + footer.replace(footer[24:32], b"\xff" * 8) + after)
+    with open_stereo(path) as source:
+        assert len(list(source)) == COUNT - 1
+        assert source.counts["left"]["damaged"] == 1

@@ -7,7 +7,6 @@ import contextlib
 import dataclasses
 import importlib.util
 import json
-import subprocess
 import sys
 import warnings
 from collections.abc import Callable, Iterator, Mapping
@@ -15,6 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from motionstereo_cli.batch.builds import builds_here, difference, own_builds
 from motionstereo_cli.errors import InputError, words_of
 from motionstereo_cli.files.reading import read_bytes
 from motionstereo_cli.runs.cores import usable_cores
@@ -208,41 +208,15 @@ def _common_builds(client: Client, *, local: bool) -> dict[str, str]:
         InputError: a version differs.
     """
     try:
-        theirs = client.run(_builds)
+        theirs = client.run(own_builds)
     except Exception as error:
         raise InputError(
             f"the workers cannot run motionstereo: {words_of(error)}: install it there"
         ) from None
-    here: dict[str, str] = next(iter(theirs.values())) if local else _builds_here()
+    here: dict[str, str] = next(iter(theirs.values())) if local else builds_here()
     for worker, found in theirs.items():
-        if difference := difference_from(found, here):
+        if said := difference(found, here):
             raise InputError(
-                f"{difference} on {worker}: install the same versions, so that all give the same "
-                "results"
+                f"{said} on {worker}: install the same versions, so that all give the same results"
             )
     return here
-
-
-def _builds() -> dict[str, str]:
-    from motionstereo_cli.runs.record import builds
-
-    return builds()
-
-
-def _builds_here() -> dict[str, str]:
-    """Return the builds of this process, found in another one: to load them all takes memory."""
-    code = f"import json; from {__name__} import _builds; print(json.dumps(_builds()))"
-    command = [sys.executable, "-c", code]
-    found = subprocess.run(command, capture_output=True, check=False)
-    if found.returncode:
-        raise InputError("this process cannot run motionstereo: install it again")
-    builds: dict[str, str] = json.loads(found.stdout)
-    return builds
-
-
-def difference_from(theirs: Mapping[str, str], here: Mapping[str, str]) -> str:
-    """Return the difference between a process's builds and this one's, in words; empty if none."""
-    for name, ours in here.items():
-        if (there := theirs.get(name)) != ours:
-            return f"{name} is {there}, and not {ours} as here,"
-    return ""

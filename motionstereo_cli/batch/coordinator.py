@@ -14,20 +14,14 @@ import math
 import os
 import time
 from collections import Counter, deque
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
-from msgspec import structs
-
-from motionstereo_cli.batch.cluster import (
-    Cluster,
-    client_of,
-    difference_from,
-    threads_of,
-)
+from motionstereo_cli.batch.builds import difference, own_builds
+from motionstereo_cli.batch.cluster import Cluster, client_of, threads_of
 from motionstereo_cli.batch.ledger import BatchWatcher, Ledger
 from motionstereo_cli.batch.own_folder import claim, pieces_path, read_status
 from motionstereo_cli.batch.status import FAILED
@@ -47,6 +41,9 @@ if TYPE_CHECKING:
 _PROGRESS = "motionstereo-frames"
 #: Mean number of reports of progress a second, of all workers, and minimum time between two of one.
 _TOLD_PER_S, _TELL_S = 25, 0.5
+#: Between two looks at what has ended, time for so many workers a second, and maximum time in s:
+#: with many workers, more end at once, which costs little more than one.
+_GATHERED_PER_S, _MAX_PAUSE_S = 2000.0, 0.2
 #: Workers with other builds that are excluded before the batch fails.
 _TRIES = 20
 #: Minimum time between counting the workers, in s.
@@ -174,8 +171,7 @@ class _Batch:
         """Give all tasks to the scheduler, which keeps them when this client has gone."""
         from distributed import fire_and_forget
 
-        for item in items:
-            fire_and_forget(self._submit(item))
+        fire_and_forget(self._submit(list(items)))
 
     def process(self, items: Iterable[Item]) -> None:
         """Keep each worker busy with one task at a time, until all have ended."""
@@ -192,33 +188,36 @@ class _Batch:
         def fill() -> None:
             # No more at a time than there are workers: all tasks that a worker holds are
             # suspects when it dies.
-            while waiting and len(under_way) < self._room.tasks:
+            items: list[Item] = []
+            while waiting and len(under_way) + len(items) < self._room.tasks:
                 item = waiting.popleft()
                 if known[item.name].status not in FAILED:
                     if item.piece is not None:
                         self._ledger.begin(item.name)
-                    future = self._submit(item)
-                    under_way[future.key] = item
-                    ended.add(future)
+                    items.append(item)
+            for item, future in zip(items, self._submit(items), strict=True):
+                under_way[future.key] = item
+                ended.add(future)
 
         try:
             fill()
-            for future in ended:
-                item = under_way.pop(future.key)
-                if self._left_out(future):
-                    waiting.appendleft(item)
-                    future.release()
-                    fill()
-                    continue
-                left[item.name] -= 1
-                if item.piece is None or not self._went_well(item, future):
-                    self._note(item.name, future)
-                elif not left[item.name]:
-                    following = self._following(item)
-                    waiting.extendleft(reversed(following))
-                    left[item.name] = len(following)
-                future.release()
+            for futures in ended.batches():
+                for future in futures:
+                    item = under_way.pop(future.key)
+                    if self._left_out(future):
+                        waiting.appendleft(item)
+                        continue
+                    left[item.name] -= 1
+                    if item.piece is None or not self._went_well(item, future):
+                        self._note(item.name, future)
+                    elif not left[item.name]:
+                        following = self._following(item)
+                        waiting.extendleft(reversed(following))
+                        left[item.name] = len(following)
+                # Each call from this thread would wake that of the connection.
+                self._client.loop.add_callback(_release, futures)
                 fill()
+                time.sleep(min(self._room.tasks / _GATHERED_PER_S, _MAX_PAUSE_S))
         except KeyboardInterrupt:
             client.run(_stop, str(self._ledger.out), time.time(), on_error="ignore")
             for future in ended:  # running tasks write their checkpoints
@@ -248,12 +247,12 @@ class _Batch:
         Raises:
             InputError: there are too many such workers, or it cannot be closed.
         """
-        found = future.result() if future.status == "finished" else None
-        if found is None:
+        error = future.exception() if future.status == "error" else None
+        if not isinstance(error, OtherBuildsError):
             return False
-        worker, theirs = found
+        worker, theirs = error.args
         self._tries += 1
-        said = f"{difference_from(theirs, self._builds)} on {worker}, which joined later"
+        said = f"{difference(theirs, self._builds)} on {worker}, which joined later"
         if self._tries > _TRIES:
             raise InputError(
                 f"{said}: install the same versions, so that all give the same results"
@@ -267,11 +266,25 @@ class _Batch:
             return False
         return read_status(self._ledger.out, item.name).status == "running"
 
-    def _submit(self, item: Item) -> Future:
+    def _submit(self, items: Sequence[Item]) -> list[Future]:
+        """Give tasks to the scheduler, in one message."""
+        if not items:
+            return []
+        tasks = [self._task(item) for item in items]
+        # Dask keeps statistics for each prefix of keys. What an earlier client has left on the
+        # scheduler has the same key, and is not done twice.
+        keys = [
+            ("motionstereo", f"{i.name}-{i.piece}-{i.seek}-{task['hash']}-{self._tries}")
+            for i, task in zip(items, tasks, strict=True)
+        ]
+        futures: list[Future] = self._client.map(_work, tasks, key=keys, pure=False)
+        return futures
+
+    def _task(self, item: Item) -> dict[str, Any]:
         plan, known_as = self._ledger.task_of(item.name)
         # Pieces have what was measured; the joined run warns of what was wrong with it.
         measured = {} if item.piece is None else item.measured
-        task = {
+        return {
             "plan": {**plan, "jobs": plan["jobs"] or self._jobs, **measured},
             "out": str(self._ledger.out),
             "name": item.name,
@@ -284,35 +297,23 @@ class _Batch:
             "builds": self._builds,
             **self._ledger.more,
         }
-        # Dask keeps statistics for each prefix of keys. What an earlier client has left on the
-        # scheduler has the same key, and is not done twice.
-        what = f"{item.name}-{item.piece}-{item.seek}-{known_as}-{self._tries}"
-        future: Future = self._client.submit(_work, task, key=("motionstereo", what), pure=False)
-        return future
 
     def _note(self, name: str, future: Future) -> None:
-        status = read_status(self._ledger.out, name)
-        if future.status in ("error", "lost", "cancelled"):
-            status = self._unended(name, status, future)
-        self._ledger.ended(status)
-
-    def _unended(self, name: str, status: Status, future: Future) -> Status:
-        """Return the status of a recording whose worker did not write one."""
+        """Note how the worker of a recording has ended."""
+        if future.status == "finished":
+            self._ledger.ended(read_status(self._ledger.out, name))
+            return
         from distributed.scheduler import KilledWorker
 
         error = future.exception() if future.status == "error" else None
         if error is None:
             raise InputError("lost the scheduler: start it, and run the same command again")
-        lost = isinstance(error, KilledWorker)
-        reason = "its worker died twice" if lost else str(error)
-        status = structs.replace(
-            status,
-            status="lost" if lost else "failed",
-            reason=reason.splitlines()[0] if reason else type(error).__name__,
-            plan=self._ledger.task_of(name)[1],
-        )
-        self._ledger.write(status)
-        return status
+        self._ledger.failed(name, error, died=isinstance(error, KilledWorker))
+
+
+def _release(futures: Iterable[Future]) -> None:
+    for future in futures:
+        future.release()
 
 
 class _Room:
@@ -338,19 +339,24 @@ def _stop(out: str, submitted_s: float) -> None:
     _stopped[out] = submitted_s
 
 
-def _work(task: Mapping[str, Any]) -> tuple[str, dict[str, str]] | None:
-    """Process a task in a Dask worker; if its builds differ, return them and do nothing.
+class OtherBuildsError(Exception):
+    """A worker has other builds than its batch: its address, and they."""
 
-    A worker may join at any time, so this is checked for each task.
+
+def _work(task: Mapping[str, Any]) -> None:
+    """Process a task in a Dask worker.
+
+    Raises:
+        OtherBuildsError: its builds differ. A worker may join at any time, so this is checked for
+            each task. Results would have to be fetched by the client, errors come by themselves.
     """
     from distributed import get_worker
 
     from motionstereo_cli.batch.task import work
-    from motionstereo_cli.runs.record import builds
 
     worker, done = get_worker(), 0
-    if builds() != task["builds"]:
-        return worker.address, builds()
+    if own_builds() != task["builds"]:
+        raise OtherBuildsError(worker.address, own_builds())
 
     def tell(frames: int) -> None:
         nonlocal done
@@ -361,4 +367,3 @@ def _work(task: Mapping[str, Any]) -> tuple[str, dict[str, str]] | None:
         return bool(_stopped.get(task["out"], 0.0) >= task["submitted_s"])
 
     work(task, tell, stops)
-    return None

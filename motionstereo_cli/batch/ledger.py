@@ -18,16 +18,17 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
+from msgspec import structs
+
 from motionstereo_cli.batch.own_folder import TABLE, claim, ended_path, read_status, write_status
 from motionstereo_cli.batch.status import DONE, FAILED, format_statuses, row_of
-from motionstereo_cli.errors import OutputError
+from motionstereo_cli.errors import OutputError, words_of
 from motionstereo_cli.files.atomic import open_log, reported, write_whole
 from motionstereo_cli.files.folders import make_folder
 from motionstereo_cli.runs.plan import RunPlan
+from motionstereo_cli.sinks.outputs import RECORD
 from motionstereo_cli.sinks.records import Status
 
-#: The file that marks a finished run.
-_RECORD = "run.json"
 #: Minimum time between two writes of the table, in s, and its maximum share of the time.
 _RENEW_S, _RENEW_SHARE = 1.0, 0.02
 
@@ -89,7 +90,7 @@ class Ledger:
             return True
         same = known.plan == self.task_of(name)[1]
         # To a store, the status goes after the results.
-        kept = self.more.get("store") or (self.out / name / _RECORD).is_file()
+        kept = self.more.get("store") or (self.out / name / RECORD).is_file()
         if same and known.status in DONE and kept:
             return False
         return retry_failed or not (same and known.status in FAILED)
@@ -112,6 +113,21 @@ class Ledger:
             self._append(status)
         self.watcher.ended(status)
         self.renew()
+
+    def failed(self, name: str, error: BaseException, *, died: bool) -> None:
+        """Note that a recording has ended without a status of its own.
+
+        Args:
+            name: the recording.
+            error: why.
+            died: whether that ended its process, however often it was tried.
+        """
+        reason = "it ended the process that worked on it, twice" if died else words_of(error)
+        status = read_status(self.out, name)
+        how, plan = "lost" if died else "failed", self.task_of(name)[1]
+        status = structs.replace(status, status=how, reason=reason, plan=plan)
+        self.write(status)
+        self.ended(status)
 
     def _append(self, status: Status) -> None:
         path = ended_path(self.out, self._log)

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import TextIO
 
@@ -13,7 +12,7 @@ from msgspec import structs
 from motionstereo_cli import __version__
 from motionstereo_cli.batch.status import COLUMNS
 from motionstereo_cli.errors import InputError, OutputError
-from motionstereo_cli.files.atomic import Temporary, is_left_over, open_log, reported, write_whole
+from motionstereo_cli.files.atomic import is_left_over, open_log, reported, write_whole
 from motionstereo_cli.files.folders import check_no_links, make_folder, spread
 from motionstereo_cli.files.reading import read_bytes, real
 from motionstereo_cli.files.records import Record, encode, read_json, typed
@@ -28,12 +27,6 @@ _MARK, _PROGRAM = "batch.json", "motionstereo batch"
 _BUILDS = "builds.json"
 
 _MAX_TABLE_BYTES = 256_000_000
-
-
-class BuildsRecord(Record, frozen=True):
-    """``builds.json``: what the bytes of results depend on, see ``runs.record.builds``."""
-
-    builds: dict[str, str]
 
 
 class BatchMark(Record, frozen=True):
@@ -68,29 +61,9 @@ def shard_path(out: Path, name: str) -> Path:
     return out / OWN / "shards" / name
 
 
-def check_builds(out: Path, builds: Mapping[str, str]) -> None:
-    """Check that all shards of a batch have the same builds; the first one records its own.
-
-    Raises:
-        InputError: another one has others.
-        OutputError: the record cannot be written.
-    """
-    path = out / OWN / _BUILDS
-    if not os.path.lexists(path):
-        with reported(path), contextlib.suppress(FileExistsError):
-            record = Temporary(path)
-            record.content.write(encode(BuildsRecord(dict(builds))))
-            try:
-                record.place_new()
-            finally:
-                record.discard()
-    theirs = typed(read_json(path, within=out), BuildsRecord, path).builds
-    for name, here in builds.items():
-        if (there := theirs.get(name)) != here:
-            raise InputError(
-                f"{name} is {here} here, and {there} where this batch began: install the same "
-                f"versions, so that all give the same results, or remove {path}"
-            )
+def builds_path(out: Path) -> Path:
+    """Return the record of the builds with which a batch began."""
+    return out / OWN / _BUILDS
 
 
 def write_status(out: Path, status: Status) -> None:
@@ -146,11 +119,11 @@ def claim(out: Path, inputs: Iterable[Path]) -> None:
         OutputError: an input or a foreign file has a name that the batch needs.
     """
     own, table = out / OWN, out / TABLE
-    taken = tuple(inputs)
+    taken = dict.fromkeys(inputs)
     check_targets((table, own), taken)
-    place = real(own)
+    place = os.path.join(real(own), "")
     for path in taken:
-        if real(path).is_relative_to(place):
+        if os.path.realpath(path).startswith(place):
             raise OutputError(f"{path}, an input, is in {own}: give another folder")
     check_no_links(own / _MARK, out)
     check_no_links(table, out)

@@ -22,10 +22,9 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
-from msgspec import structs
-
+from motionstereo_cli.batch.builds import check_builds, own_builds
 from motionstereo_cli.batch.ledger import BatchWatcher, Ledger
-from motionstereo_cli.batch.own_folder import check_builds, claim, read_status, shard_path
+from motionstereo_cli.batch.own_folder import claim, read_status, shard_path
 from motionstereo_cli.errors import SettingsError
 from motionstereo_cli.files.lock import locked
 from motionstereo_cli.runs.cores import usable_cores
@@ -139,7 +138,7 @@ def _process(ledger: Ledger, names: Iterable[str], workers: int) -> None:
             context.set_forkserver_preload(["motionstereo_cli.batch.task"])
         stop = context.Event()
         idle = [stack.enter_context(_Worker(context, stop)) for _ in range(workers)]
-        check_builds(ledger.out, idle[0].submit(_builds).result())
+        check_builds(ledger.out, idle[0].submit(own_builds).result())
         under_way: dict[Future[Any], tuple[_Worker, str, int]] = {}
 
         def start(worker: _Worker, name: str, trial: int) -> None:
@@ -166,28 +165,20 @@ def _process(ledger: Ledger, names: Iterable[str], workers: int) -> None:
                             start(worker, name, trial + 1)
                             continue
                     idle.append(worker)
-                    ledger.ended(_status_of(ledger, name, future.exception()))
+                    _note(ledger, name, future)
         except KeyboardInterrupt:
             stop.set()
             for future, (_, name, _) in under_way.items():
-                ledger.ended(_status_of(ledger, name, future.exception()))
+                _note(ledger, name, future)
             raise
 
 
-def _status_of(ledger: Ledger, name: str, error: BaseException | None) -> Status:
-    """Return what a recording's process has written, or why it could not."""
-    status = read_status(ledger.out, name)
-    if error is not None:
-        lost = isinstance(error, BrokenProcessPool)
-        reason = "its process ended while it was processed, twice" if lost else str(error)
-        status = structs.replace(
-            status,
-            status="lost" if lost else "failed",
-            reason=(reason.splitlines() or [type(error).__name__])[0],
-            plan=ledger.task_of(name)[1],
-        )
-        ledger.write(status)
-    return status
+def _note(ledger: Ledger, name: str, future: Future[Any]) -> None:
+    """Note how a recording's process has ended."""
+    if error := future.exception():
+        ledger.failed(name, error, died=isinstance(error, BrokenProcessPool))
+    else:
+        ledger.ended(read_status(ledger.out, name))
 
 
 class _Worker:
@@ -250,9 +241,3 @@ def _work(task: Mapping[str, Any]) -> None:
     assert _stop is not None
     with _busy:
         work(task, stops=_stop.is_set)
-
-
-def _builds() -> dict[str, str]:
-    from motionstereo_cli.runs.record import builds
-
-    return builds()

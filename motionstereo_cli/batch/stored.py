@@ -22,11 +22,11 @@ from motionstereo_cli.files.atomic import write_whole
 from motionstereo_cli.files.folders import make_folder, remove_tree
 from motionstereo_cli.files.reading import read_bytes
 from motionstereo_cli.files.store import Store, address_of
+from motionstereo_cli.sinks.outputs import RECORD
 
 if TYPE_CHECKING:
     from motionstereo_cli.runs.plan import RunPlan
 
-_RECORD = "run.json"
 #: What all shards have in common, the mark of a batch first.
 _COMMON = ("batch.json", "builds.json")
 _MAX_RECORD_BYTES = 16_000_000
@@ -129,7 +129,7 @@ def at_hand(plan: RunPlan, task: Mapping[str, Any]) -> Iterator[RunPlan]:
         )
         yield fetched
         if known and plan.folder is not None:
-            _with_addresses(plan.folder / _RECORD, known)
+            _with_addresses(plan.folder / RECORD, known)
     finally:
         remove_tree(home, out)
 
@@ -158,10 +158,10 @@ def put_back(task: Mapping[str, Any]) -> None:
     name, folder = task["name"], Path(task["out"], task["name"])
     store = Store(address)
     files = sorted(path for path in folder.rglob("*") if path.is_file())
-    files.sort(key=lambda path: path == folder / _RECORD)
+    files.sort(key=lambda path: path == folder / RECORD)
     new = [(path, f"{name}/{path.relative_to(folder).as_posix()}") for path in files]
     before = [f"{name}/{each}" for each in store.files(name)]
-    store.remove([each for each in before if each == f"{name}/{_RECORD}"])
+    store.remove([each for each in before if each == f"{name}/{RECORD}"])
     store.remove([each for each in before if each not in {at for _, at in new}])
     store.put(new)
     remove_tree(folder, Path(task["out"]))

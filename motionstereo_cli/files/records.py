@@ -26,6 +26,9 @@ FORMAT_VERSION = 1
 #: Where the JSON is in an npz file.
 _JSON = "record"
 
+#: The longest part of a message that is quoted.
+_MAX_QUOTED = 200
+
 _T = TypeVar("_T")
 
 
@@ -97,7 +100,7 @@ def typed(value: Any, kind: type[_T], name: object, *, strict: bool = True) -> _
     try:
         record = msgspec.convert(value, kind, strict=strict)
     except (msgspec.ValidationError, OverflowError) as error:
-        raise InputError(f"{name} is damaged: {_in_words(error)}: write it again") from error
+        raise InputError(f"{name} is damaged: {in_words(error)}: write it again") from error
     if isinstance(record, Record) and record.format_version > FORMAT_VERSION:
         raise InputError(
             f"{name} has format_version {record.format_version}, "
@@ -106,10 +109,11 @@ def typed(value: Any, kind: type[_T], name: object, *, strict: bool = True) -> _
     return record
 
 
-def _in_words(error: Exception) -> str:
+def in_words(error: Exception) -> str:
+    """Return what is wrong with a field and where it is; both may quote the file."""
     what, _, place = str(error).replace("`", "").partition(" - at $")
-    where = place.strip(".") or "the record"
-    return f"{where}: {what[:1].lower()}{what[1:]}"
+    where = place.strip(".")[:_MAX_QUOTED] or "the record"
+    return f"{where}: {what[:1].lower()}{what[1:_MAX_QUOTED]}"
 
 
 def encode(record: Record) -> bytes:
@@ -174,7 +178,7 @@ def restored(value: Any, kind: Any) -> Any:
     try:
         return msgspec.convert(value, kind, dec_hook=_array)
     except msgspec.ValidationError as error:
-        raise ValueError(_in_words(error)) from error
+        raise ValueError(in_words(error)) from error
 
 
 def _array(kind: Any, value: Any) -> Any:

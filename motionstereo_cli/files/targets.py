@@ -13,7 +13,7 @@ import stat
 import time
 from collections.abc import Iterable
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, NamedTuple
 
 from motionstereo_cli.errors import OutputError
 from motionstereo_cli.files.atomic import (
@@ -24,11 +24,34 @@ from motionstereo_cli.files.atomic import (
     reported,
     write_whole,
 )
-from motionstereo_cli.files.reading import open_regular, real, sha256_of
+from motionstereo_cli.files.reading import open_regular, sha256_of
 
 #: How long to wait for a reader of a FIFO, in s, and how often to look.
 _PATIENCE_S = 10.0
 _GLANCE_S = 0.05
+
+
+class _Place(NamedTuple):
+    """Where a path leads.
+
+    Attributes:
+        name: absolute, with links resolved.
+        file: device and number of what is there; None if nothing is.
+        is_folder: whether that is a folder.
+    """
+
+    name: str
+    file: tuple[int, int] | None
+    is_folder: bool
+
+
+def _place_of(path: Path) -> _Place:
+    name = os.path.realpath(path)
+    try:
+        status = os.stat(name)
+    except OSError:
+        return _Place(name, None, is_folder=False)
+    return _Place(name, (status.st_dev, status.st_ino), stat.S_ISDIR(status.st_mode))
 
 
 def check_target(path: Path, inputs: Iterable[Path]) -> None:
@@ -41,23 +64,29 @@ def check_target(path: Path, inputs: Iterable[Path]) -> None:
     Raises:
         OutputError: it is one of them, under any name, or inside one.
     """
-    with reported(path):
-        place = real(path)
-        for taken in inputs:
-            if any(_same(each, taken) for each in (path, part_of(path))):
-                raise OutputError(f"{path} is an input of this run: give another name")
-            if taken.is_dir() and place.is_relative_to(real(taken)):
-                raise OutputError(
-                    f"{path} lies in {taken}, an input of this run: give another place"
-                )
+    check_targets((path,), inputs)
 
 
 def check_targets(paths: Iterable[Path | None], inputs: Iterable[Path]) -> None:
     """Check several files as :func:`check_target` does; None is skipped."""
-    taken = tuple(inputs)
+    targets = []
     for path in paths:
         if path is not None:
-            check_target(path, taken)
+            with reported(path):
+                targets.append((path, _place_of(path), _place_of(part_of(path))))
+    for taken in dict.fromkeys(inputs):  # there may be thousands: each is looked at once
+        with reported(taken):
+            found = _place_of(taken)
+        inside = os.path.join(found.name, "")
+        for path, place, part in targets:
+            if found.name in (place.name, part.name) or (
+                found.file is not None and found.file in (place.file, part.file)
+            ):
+                raise OutputError(f"{path} is an input of this run: give another name")
+            if found.is_folder and place.name.startswith(inside):
+                raise OutputError(
+                    f"{path} lies in {taken}, an input of this run: give another place"
+                )
 
 
 def write_output(path: Path, content: bytes, inputs: Iterable[Path] = ()) -> None:
@@ -153,13 +182,6 @@ def _is_stdout(status: os.stat_result) -> bool:
         return os.path.samestat(status, os.fstat(1))
     except OSError:
         return False
-
-
-def _same(path: Path, other: Path) -> bool:
-    try:
-        return real(path) == real(other) or path.samefile(other)
-    except OSError:
-        return False  # one of them is not there
 
 
 def check_place(path: Path) -> None:

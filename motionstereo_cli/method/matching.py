@@ -174,8 +174,13 @@ def wanted_of(
     """
     wanted = (right.charge > settings.charge_min) | (settings.depth_of == "all")
     found = np.where(wanted, disparity_px, np.float32(np.nan))
-    sure = np.full_like(found, np.nan) if chance is None else chance
-    return Found(found, lambda: np.where(np.isnan(found), np.float32(np.nan), sure))
+
+    def sure() -> Real:
+        if chance is None:
+            return np.full_like(found, np.nan)
+        return np.where(np.isnan(found), np.float32(np.nan), chance)
+
+    return Found(found, sure)
 
 
 #: By the name that users give, as :data:`~motionstereo_cli.method.settings.MATCHERS` describes

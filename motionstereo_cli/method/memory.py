@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import TYPE_CHECKING, TypeVar
 
@@ -113,6 +113,20 @@ def see(memory: Memory | None, image: Grey, settings: Settings) -> Memory:
         gains = {"gain": s.charge_gain, "leak": s.charge_leak}
         charge = accumulate(memory.charge, moved, **gains, **limits)
     return Memory(image, local, banded, moved, charge)
+
+
+def glance(memory: Memory | None, image: Grey, settings: Settings) -> Memory:
+    """Return the memory of a view of which only the image is looked at: all is at rest.
+
+    Args:
+        memory, image, settings: as of :func:`see`, which takes five times as long.
+    """
+    s = settings
+    local = blur(contrast(image, s.contrast_px, s.contrast_floor), s.blur_px)
+    if memory is not None:
+        return replace(memory, grey=image, contrast=local)
+    nothing = np.full_like(image, s.charge_min)
+    return Memory(image, local, np.ones_like(image), np.zeros(image.shape, np.bool_), nothing)
 
 
 def _moved_and_charge(

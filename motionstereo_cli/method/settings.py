@@ -38,13 +38,19 @@ class Matcher(NamedTuple):
         knows_confidence: whether it gives a confidence; otherwise that is NaN.
         is_averaged: whether its disparity is averaged in time.
         knows_rest: whether it tells the disparity of what stands still, too.
+        compares_memories: whether it takes the memories of both views; otherwise it takes that of
+            the reference view, and the image of the other.
     """
 
     what: str
     knows_confidence: bool = True
     is_averaged: bool = False
     knows_rest: bool = False
+    compares_memories: bool = True
 
+
+#: Of those that are no part of the method.
+_OF_IMAGES = {"knows_confidence": False, "knows_rest": True, "compares_memories": False}
 
 MATCHERS = {
     "trails": Matcher("pair runs of equal charge by their ends"),
@@ -56,15 +62,14 @@ MATCHERS = {
     "regions": Matcher(
         "largest connected region of equal charge at each displacement", knows_confidence=False
     ),
-    "sgbm": Matcher("OpenCV's StereoSGBM, for comparison", knows_confidence=False, knows_rest=True),
-    "bm": Matcher("OpenCV's StereoBM, for comparison", knows_confidence=False, knows_rest=True),
+    "sgbm": Matcher("OpenCV's StereoSGBM, for comparison", **_OF_IMAGES),
+    "bm": Matcher("OpenCV's StereoBM, for comparison", **_OF_IMAGES),
     "consensus": Matcher(
         "what OpenCV's StereoSGBM finds along eight paths with two windows alike, to measure "
         "against",
-        knows_confidence=False,
-        knows_rest=True,
+        **_OF_IMAGES,
     ),
-    GIVEN: Matcher("what --disparity has", knows_confidence=False, knows_rest=True),
+    GIVEN: Matcher("what --disparity has", **_OF_IMAGES),
 }
 
 #: Meanings of the codes of ``--save occlusion``.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -121,7 +122,9 @@ class RunPlan:
 
     def as_json(self) -> dict[str, Any]:
         """Return the plan as JSON-able values, for another process."""
-        return {key: _plain(value) for key, value in dataclasses.asdict(self).items()}
+        values = {each.name: getattr(self, each.name) for each in dataclasses.fields(self)}
+        groups = {name: dict(_values_of(values[name])) for name in _PARAMETERS}
+        return {key: _plain(value) for key, value in values.items()} | groups
 
     @classmethod
     def of_json(cls, values: Mapping[str, Any]) -> RunPlan:
@@ -186,3 +189,8 @@ def _plain(value: Any) -> Any:
     if isinstance(value, Path):
         return str(value)
     return [_plain(each) for each in value] if isinstance(value, tuple) else value
+
+
+@functools.lru_cache(64)  # most recordings of a batch have the same
+def _values_of(group: Any) -> dict[str, Any]:
+    return dataclasses.asdict(group)

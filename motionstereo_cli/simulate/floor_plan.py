@@ -19,8 +19,9 @@ import numpy as np
 from msgspec import Meta
 from numpy.typing import NDArray
 
-from motionstereo_cli.errors import InputError, SettingsError
+from motionstereo_cli.errors import InputError, SettingsError, words_of
 from motionstereo_cli.files.reading import read_bytes
+from motionstereo_cli.files.records import in_words
 
 #: Folder of the plans that come with the program.
 _HOME = Path(__file__).parent / "worlds"
@@ -161,10 +162,9 @@ def read_plan(world: str) -> FloorPlan:
         values = tomllib.loads(read_bytes(path, "the floor plan", _MAX_BYTES).decode())
         plan = msgspec.convert(values, FloorPlan)
     except msgspec.ValidationError as error:
-        what, _, where = str(error).replace("`", "").partition(" - at $.")
-        raise InputError(f"{path}: {where + ': ' if where else ''}{_lowered(what)}") from None
+        raise InputError(f"{path}: {in_words(error)}") from None
     except (ValueError, RecursionError) as error:
-        raise InputError(f"{path} cannot be read as TOML: {_lowered(str(error))}") from None
+        raise InputError(f"{path} cannot be read as TOML: {_lowered(words_of(error))}") from None
     try:
         prisms(plan)
     except ValueError as error:

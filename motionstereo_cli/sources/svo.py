@@ -29,6 +29,7 @@ from motionstereo_cli.files.bounded import bound_rosbags
 from motionstereo_cli.files.reading import MAX_PIXELS, HeldFile, open_regular
 from motionstereo_cli.files.stills import DamagedImageError, Stated, decode
 from motionstereo_cli.sources.luma import colours, grey_levels, has_colour
+from motionstereo_cli.sources.names import MAX_STAMP
 from motionstereo_cli.sources.recording import Image, Recording, images
 
 SUFFIX = ".svo2"
@@ -152,7 +153,6 @@ class SvoRecording(Recording):
     def _counted(self, file: BinaryIO) -> tuple[int | None, Fraction | None]:
         """Return the number of images and the mean rate in the summary; None if it is cut off."""
         try:
-            from mcap.exceptions import McapError
             from mcap.reader import make_reader
         except ImportError:
             raise InputError(
@@ -160,7 +160,9 @@ class SvoRecording(Recording):
             ) from None
         try:
             summary = make_reader(file).get_summary()
-        except (McapError, *_TORN):
+        except Exception as error:
+            if not is_damage(error):
+                raise
             return None, None
         if summary is None or summary.statistics is None:
             return None, None
@@ -241,6 +243,7 @@ class SvoRecording(Recording):
             try:
                 strips = _strips_of(content)
                 if strips:
+                    _check_time(recorded_ns)
                     self._codec = "jpeg"
                     image = made(self._of_strips(strips), number, recorded_ns)
                     if image is not None:
@@ -251,11 +254,14 @@ class SvoRecording(Recording):
                 if decoder is None:  # it begins between key frames
                     self._lost += 1
                     continue
+                _check_time(time_ns)
                 packet = av.Packet(stream)
                 packet.pts = packet.dts = time_ns
                 numbers[time_ns] = number
                 yield from decoded(packet)
-            except (DamagedImageError, av.FFmpegError, struct.error):
+            except Exception as error:
+                if not is_damage(error):
+                    raise
                 self._lost, torn = self._lost + 1, True
         if decoder is not None:
             with contextlib.suppress(av.FFmpegError):
@@ -281,24 +287,13 @@ class SvoRecording(Recording):
         return av.VideoFrame.from_ndarray(samples.reshape(len(samples), -1, 2), "yuyv422")
 
 
-#: Further errors of damaged content, in mcap and its codecs.
-_TORN = (
-    OSError,
-    ValueError,
-    TypeError,
-    LookupError,
-    EOFError,
-    struct.error,
-    RuntimeError,
-    AssertionError,
-)
-
-
 def _rate_in(header: bytes) -> Fraction | None:
     """Return the images per second in a header: the fourth uint32 of its values."""
     try:
         values = struct.unpack_from("<4I", base64.b64decode(json.loads(header)["header"]))
-    except _TORN:
+    except Exception as error:
+        if not is_damage(error):
+            raise
         return None
     return Fraction(values[3]) if 0 < values[3] <= _FASTEST else None
 
@@ -342,6 +337,11 @@ def _strips_of(content: bytes) -> list[bytes]:
             ends = np.cumsum([at, *sizes]).tolist()
             return [content[a:b] for a, b in itertools.pairwise(ends)]
     return []
+
+
+def _check_time(time_ns: int) -> None:
+    if not 0 <= time_ns <= MAX_STAMP:
+        raise DamagedImageError("its time is out of range")
 
 
 def _stream_of(content: bytes, recorded_ns: int) -> tuple[bytes, int]:

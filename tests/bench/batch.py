@@ -10,6 +10,7 @@ import argparse
 import contextlib
 import csv
 import ctypes
+import dataclasses
 import filecmp
 import json
 import os
@@ -19,9 +20,10 @@ import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TextIO
 
 from bench.clips import Clip, rendered, repeated
 from bench.markdown import table
@@ -84,9 +86,16 @@ class Started:
         command: its words.
         text: what it reads from standard input.
         environment: added to this one's.
+        said: where its standard error goes; None: nowhere.
     """
 
-    def __init__(self, command: Sequence[object], text: str = "", **environment: str) -> None:
+    def __init__(
+        self,
+        command: Sequence[object],
+        text: str = "",
+        environment: Mapping[str, str] | None = None,
+        said: TextIO | None = None,
+    ) -> None:
         self._begin_s = time.perf_counter()
         with tempfile.TemporaryFile("w+") as given:
             given.write(text)
@@ -95,9 +104,9 @@ class Started:
                 list(map(str, command)),
                 stdin=given,
                 stdout=subprocess.DEVNULL,
-                stderr=subprocess.DEVNULL,
+                stderr=said or subprocess.DEVNULL,
                 # Installed, it is compiled to bytecode once.
-                env={**os.environ, "PYTHONDONTWRITEBYTECODE": "", **environment},
+                env={**os.environ, "PYTHONDONTWRITEBYTECODE": "", **(environment or {})},
                 start_new_session=True,
             )
         self.pid = self._process.pid
@@ -230,16 +239,12 @@ def sleepers(clip: Clip, size: Size, folder: Path) -> Iterator[Row]:
         manifest = _manifest(folder / f"{what}.csv", rows)
         file = folder / f"{what}.json"
         words = (sys.executable, "-m", "bench.sleepers", file, "--workers", size.sleepers)
-        cluster = subprocess.Popen(
-            [*map(str, words), "--seconds", str(seconds)],
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-        )
+        cluster = subprocess.Popen([*map(str, words), "--seconds", str(seconds)])
         until_s = time.monotonic() + _PATIENCE_S
-        while not file.exists() and time.monotonic() < until_s:
+        while not file.exists() and cluster.poll() is None and time.monotonic() < until_s:
             time.sleep(0.1)
         out, options = folder / what, ("--save", "steering", "--scheduler-file", file)
-        client = Started([*_COMMAND, "batch", manifest, "-o", out, *options])
+        client = Started([*_COMMAND, "batch", manifest, "-o", out, *options], said=sys.stderr)
         cost = client.watch(orphans=False)
         cluster.terminate()
         cluster.wait()
@@ -253,8 +258,8 @@ def sleepers(clip: Clip, size: Size, folder: Path) -> Iterator[Row]:
             done = sum(status["status"] == "done" for status in _statuses(out))
             yield f"{whole}: done", str(done), str(count)
         else:
-            most = found["most a second"]
-            yield f"{whole}: messages a second", f"{most} at most", "50"
+            shown = f"{found['mean a second']:.0f}, at most {found['most a second']}"
+            yield f"{whole}: messages a second", shown, "50"
 
 
 def hard(clip: Clip, size: Size, folder: Path) -> Iterator[Row]:
@@ -272,13 +277,13 @@ def hard(clip: Clip, size: Size, folder: Path) -> Iterator[Row]:
     preload = folder / "killer.py"
     preload.write_text(killer_of("killer"))
     environment = {"DASK_DISTRIBUTED__WORKER__PRELOAD": str(preload)}
-    begun = Started(_batch(manifest, out), **environment)
+    begun = Started(_batch(manifest, out), environment=environment)
     _wait_for(out, size.good // 4)
     os.kill(_worker(out), signal.SIGKILL)
     _wait_for(out, size.good // 2)
     begun.kill()
     before = {path: path.stat().st_mtime_ns for path in out.glob("*/run.json")}
-    Started(_batch(manifest, out), **environment).watch()
+    Started(_batch(manifest, out), environment=environment).watch()
     counts = Counter(status["status"] for status in _statuses(out))
     said = ", ".join(f"{count} {name}" for name, count in sorted(counts.items()))
     what = f"{len(rows)} recordings, a worker and then the client killed"
@@ -382,12 +387,17 @@ def _long(folder: Path, frames: int) -> Clip:
 def main(args: list[str]) -> int:
     """Print the table."""
     parser = argparse.ArgumentParser(prog="bench batch", description=__doc__)
+    parser.add_argument("--rows", type=int, help="recordings of the trial sleepers")
+    parser.add_argument("--sleepers", type=int, help="workers of the trial sleepers")
     parser.add_argument("--quick", action="store_true", help="small sizes, in about a minute")
     parser.add_argument(
         "--trials", default="clips,tiny,shards,sleepers,hard,pieces,join", help="which, by name"
     )
     given = parser.parse_args(args)
     size = QUICK if given.quick else FULL
+    size = dataclasses.replace(
+        size, rows=given.rows or size.rows, sleepers=given.sleepers or size.sleepers
+    )
     _adopt()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
