@@ -264,7 +264,7 @@ def test_what_is_not_asked_for_is_not_found():
 @pytest.mark.parametrize("reference", ["right", "left"])
 @pytest.mark.parametrize("matcher", ["sgbm", "bm", "consensus"])
 def test_matchers_of_images_need_no_memory_of_the_other_view(monkeypatch, matcher, reference):
-    frames = sliding([20])
+    frames = list(sliding([20]))
     settings = Settings(matcher=matcher, reference=reference, max_disparity=31)
     found = list(process(frames, settings))
     whole = MATCHERS[matcher]._replace(compares_memories=True)
