@@ -475,6 +475,39 @@ def test_parts_that_are_damaged_or_missing_are_named(tmp_path, kind, harm):
         assert len(frames) == (6 if harm == "renamed" else 9)
 
 
+@pytest.mark.parametrize("kind", [".db3", ".mcap"])
+@pytest.mark.parametrize("harm", ["none", "cut", "missing", "metadata"])
+def test_a_split_bag_with_metadata_is_read_but_for_what_is_damaged(tmp_path, kind, harm, capsys):
+    parts = tmp_path / "parts"
+    parts.mkdir()
+    for part in range(3):
+        with Bag(tmp_path / f"{part}", kind) as bag:
+            for n, pair in list(enumerate(greys()))[2 * part : 2 * part + 2]:
+                for side, grey in zip(("left", "right"), pair, strict=True):
+                    bag.image(f"/{side}/image_raw", grey, n * PERIOD_NS)
+        (file,) = (tmp_path / f"{part}").glob(f"*{kind}")
+        file.rename(parts / f"a_{part}{kind}")
+    about = (tmp_path / "0/metadata.yaml").read_text()
+    names = "".join(f"  - a_{part}{kind}\n" for part in range(3))
+    listed = re.sub(r"(relative_file_paths:\n)( *- .*\n)+", rf"\1{names}", about)
+    (parts / "metadata.yaml").write_text("x: [" if harm == "metadata" else listed)
+    middle = parts / f"a_1{kind}"
+    if harm == "cut":
+        middle.write_bytes(middle.read_bytes()[: middle.stat().st_size // 2])
+    elif harm == "missing":
+        middle.unlink()
+    out = ["-o", str(tmp_path / "out"), "--save", "steering", "--no-check"]
+    if harm == "metadata":
+        assert main(["run", str(parts), *out]) == 1
+        assert "move metadata.yaml elsewhere" in capsys.readouterr().err
+        (parts / "metadata.yaml").unlink()
+    damaged = harm in ("cut", "missing")
+    assert main(["run", str(parts), *out]) == (3 if damaged else 0)
+    assert (f"{middle} is left out" in capsys.readouterr().err) == damaged
+    counts = json.loads((tmp_path / "out/run.json").read_text())["counts"]
+    assert counts["written"] == (4 if damaged else 6)
+
+
 @pytest.mark.parametrize(("encoding", "red"), [("nv12", 1), ("nv21", 0)])
 @pytest.mark.parametrize("padding", [0, 16])
 def test_chroma_below_the_luma_gives_colours(tmp_path, encoding, red, padding):

@@ -28,6 +28,7 @@ from test_calibration import (
 )
 
 from motionstereo_cli.errors import InputError
+from motionstereo_cli.rig import format_rig
 from motionstereo_cli.rig.calibration import read_calibration
 from motionstereo_cli.rig.settings import RigSettings
 
@@ -401,6 +402,41 @@ def test_remap_tables_in_npz(tmp_path: Path) -> None:
         assert getattr(found.rig, name) == pytest.approx(getattr(rig, name), abs=1e-6), name
     np.testing.assert_allclose(found.maps, plain.maps)
     assert "remap tables" in found.describe()
+
+
+@pytest.mark.parametrize("name", ["maps.xml", "maps.yml", "maps.npz"])
+@pytest.mark.parametrize("kind", [cv2.CV_16SC2, cv2.CV_32FC1])
+def test_remap_tables_with_a_rig_of_the_rectified_images(
+    tmp_path: Path, name: str, kind: int
+) -> None:
+    plain = read_calibration([opencv_file(tmp_path / "plain.yml")], SIZE)
+    assert plain.maps is not None
+    fixed = [cv2.convertMaps(*maps, cv2.CV_16SC2) for maps in plain.maps]
+    given = fixed if kind == cv2.CV_16SC2 else plain.maps
+    sides = ("L", "R") if name != "maps.yml" else ("l", "r")
+    tables = {
+        f"stereoMap{side}_{axis}": table
+        for side, maps in zip(sides, given, strict=True)
+        for axis, table in zip("xy", maps, strict=True)
+    }
+    path, rig = tmp_path / name, tmp_path / "rig.yaml"
+    if name == "maps.npz":
+        np.savez(path, **tables)
+    else:
+        storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
+        for each, table in tables.items():
+            storage.write(each, table)
+        storage.release()
+    with pytest.raises(InputError, match=r"neither focal length nor baseline: give rig\.yaml"):
+        read_calibration([path], SIZE)
+    rig.write_text(format_rig(plain.rig))
+    for files in ([path, rig], [rig, path]):
+        found = read_calibration(files, SIZE)
+        for part in ("focal_px", "baseline_m", "cx", "cy", "doffs"):
+            assert getattr(found.rig, part) == pytest.approx(getattr(plain.rig, part), abs=1e-6)
+        np.testing.assert_allclose(found.maps, plain.maps, atol=1 / 32)
+    with pytest.raises(InputError, match=r"leave the remap tables in .* out"):
+        read_calibration([path, tmp_path / "plain.yml"], SIZE)
 
 
 def test_opencv_needs_no_blank_after_a_colon(tmp_path: Path) -> None:

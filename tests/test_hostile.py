@@ -357,6 +357,7 @@ LARGE = [
         "rig.formats.MAX_CALIBRATION_BYTES",
     ),
     (["rig", "big.yaml"], "big.yaml", "rig.formats.MAX_CALIBRATION_BYTES"),
+    (["rig", "maps.yml"], "maps.yml", "rig.formats.MAX_MAPS_BYTES"),
     (
         ["run", "left", "right", "--rig", "rig.yaml", "--poses", "big.txt"],
         "big.txt",
@@ -374,6 +375,8 @@ def test_files_that_are_too_large_are_named(recording, monkeypatch, capsys, comm
     monkeypatch.setattr(f"motionstereo_cli.{limit}", 10_000)
     if name == "big.csv":
         Path(name).write_text("frame,id,x,y,width,height\n")
+    if name == "maps.yml":
+        Path(name).write_text("stereoMapL_x: !!opencv-matrix\n")
     with Path(name).open("a") as file:
         file.write(" " * 10_001)
     capsys.readouterr()

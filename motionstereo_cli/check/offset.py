@@ -37,8 +37,9 @@ _MIN_OVERLAP, _LEAST_PART = 24, 4
 #: Lags by motion that are looked at closely, and how often one is followed to the next.
 _CANDIDATES, _ROUNDS = 3, 3
 
-#: Where rows do not tell, motion is believed to the image where this many images overlap.
-_ALONE = 120
+#: Where this many images overlap, rows or motion alone is believed to the image; where that many
+#: do, both together are.
+_ALONE, _TOGETHER = 120, 40
 
 #: Drift over a recording that is worth a word, in s.
 _DRIFT_S = 0.01
@@ -132,22 +133,27 @@ def _by_motion(recordings: _Recordings, settings: InputSettings, say: Say) -> In
         found = lags_of(
             sides[0].profiles, sides[1].profiles, max(lengths), overlap, most=_CANDIDATES
         )
-        for lag in found:
-            settled = _settled(recordings, _with(settings, _in_numbers(lag.images, *sides)))
-            if settled is not None:
-                return _said(recordings, settled, min(lengths) + 1, say)
+        for lag in found[: 1 if found and found[0].is_certain else None]:
+            likely = _with(settings, _in_numbers(lag.images, *sides))
+            common = min(lengths[0], lengths[1] - lag.images) - max(0, -lag.images)
+            settled, by_rows = _settled(recordings, likely)
+            if lag.is_certain and not by_rows and common >= _ALONE:
+                settled = likely
+            elif settled is None or not (by_rows or lag.is_certain):
+                continue
+            sure = common >= _ALONE or (by_rows and settled == likely and common >= _TOGETHER)
+            _say_found(settled, min(lengths) + 1, None if sure else common, say)
+            _say_drift(recordings, settled, say)
+            return settled
         if found:
-            likely = _with(settings, _in_numbers(found[0].images, *sides))
-            common = min(lengths[0], lengths[1] - found[0].images) - max(0, -found[0].images)
-            if found[0].is_certain and common >= _ALONE:
-                return _said(recordings, likely, min(lengths) + 1, say)
-            likeliest = f" ({likely.sync_offset} seems likeliest, but is not certain)"
+            likeliest = str(_in_numbers(found[0].images, *sides))
         if max(lengths) < most - 1:
             break
+    likely_words = f" ({likeliest} seems likeliest, but is not certain)" if likeliest else ""
     raise InputError(
         "--sync-offset auto: the motion in both recordings does not tell how far they are apart: "
-        f"give --sync-offset N{likeliest}, or longer recordings, in which something moves up or "
-        "down, nearer or farther"
+        f"give --sync-offset N{likely_words}, or longer recordings, in which something moves up "
+        "or down, nearer or farther"
     )
 
 
@@ -155,27 +161,38 @@ def _with(settings: InputSettings, offset: int) -> InputSettings:
     return dataclasses.replace(settings, sync_offset=str(offset))
 
 
-def _settled(recordings: _Recordings, settings: InputSettings) -> InputSettings | None:
-    """Return settings at which the rows of both views agree, from nearly such; None if unknown."""
+def _settled(recordings: _Recordings, settings: InputSettings) -> tuple[InputSettings | None, bool]:
+    """Return settings at which the rows of both views agree, and whether at no other ones.
+
+    Args:
+        recordings: the recordings.
+        settings: nearly such settings.
+
+    Returns:
+        None and False where rows do not tell them.
+    """
     for _ in range(_ROUNDS):
         with recordings.opened(settings) as source:
             expected = min(source.expected_frames or _STAGES[0], _STAGES[0])
             step = step_of(itertools.islice(source, expected), expected)
         if step is None:
-            return None
+            break
         if not step.whole:
-            return settings if step.is_certain else None
+            return settings, step.is_certain
         settings = _with(settings, (settings.offset or 0) - step.whole)
-    return None
+    return None, False
 
 
-def _said(recordings: _Recordings, settings: InputSettings, images: int, say: Say) -> InputSettings:
-    say(
-        "note",
-        f"--sync-offset {settings.sync_offset}: measured by the motion in {images} images",
-    )
-    _say_drift(recordings, settings, say)
-    return settings
+def _say_found(settings: InputSettings, images: int, overlap: int | None, say: Say) -> None:
+    """Say what was measured, and of how few images if that is not certain."""
+    found = f"--sync-offset {settings.sync_offset}"
+    say("note", f"{found}: measured by the motion in {images} images")
+    if overlap is not None:
+        say(
+            "warning",
+            f"{found} may be off by an image or two, as little moves in the {overlap} images that "
+            "both recordings have in common: see that depth is as expected, or give the offset",
+        )
 
 
 def _seen(source: StereoSource, view: int, most: int) -> _Sighted:

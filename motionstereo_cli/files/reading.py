@@ -88,6 +88,15 @@ def read_bytes(path: str | Path, what: str, max_bytes: int, within: Path | None 
     return content
 
 
+def read_head(path: str | Path, size: int) -> bytes:
+    """Return the first bytes of a file, none where it cannot be read."""
+    try:
+        with open_regular(path) as file:
+            return file.read(size)
+    except OSError:
+        return b""
+
+
 def read_text(path: str | Path, what: str, max_bytes: int, within: Path | None = None) -> str:
     """Return the text of a file, as :func:`read_bytes` reads it."""
     return as_text(read_bytes(path, what, max_bytes, within))

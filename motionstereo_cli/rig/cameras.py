@@ -15,7 +15,7 @@ from motionstereo_cli.errors import InputError
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from motionstereo_cli.types import Real
+    from motionstereo_cli.types import Real, Rig
 
     Matrix = NDArray[np.float64]
 
@@ -128,6 +128,15 @@ def rectified_pair(
     """Return a pair of rectified images with these projections (3, 4)."""
     left, right = ((np.eye(3), projection) for projection in projections)
     return Pair(kind, rectified=(left, right), size=size, unit=unit, notes=notes)
+
+
+def of_rig(rig: Rig) -> Pair:
+    """Return the pair of the rectified images that a rig describes."""
+    matrix = intrinsic_matrix(rig.focal_px, rig.focal_y_px or rig.focal_px, rig.cx, rig.cy)
+    left = np.column_stack([matrix, np.zeros(3)])
+    right = left.copy()
+    right[0, 2:] = rig.cx + rig.doffs, -rig.focal_px * rig.baseline_m
+    return rectified_pair("rig.yaml", (left, right), (rig.width, rig.height), "m")
 
 
 def lens_model(name: object, models: Sequence[str]) -> str:

@@ -11,19 +11,9 @@ import numpy as np
 from motionstereo_cli.errors import InputError
 
 if TYPE_CHECKING:
-    from motionstereo_cli.rig.cameras import Maps
     from motionstereo_cli.rig.structure import Values
 
 _AS_JSON = "save the matrices as JSON, as M1 D1 M2 D2 R T"
-_BEFORE_MAPS = (
-    "holds remap tables, which say neither focal length nor baseline: give the calibration that "
-    "they were made from (M1 D1 M2 D2 R T), which rectifies the recorded images itself; for "
-    "images that are rectified already, its P1 and P2 or Q"
-)
-
-#: Names of remap tables: stereoMapL_x, Left_Stereo_Map_x, leftMapX, map1x, mapx1, map1.
-_MAP = r"(\w*stereo_?map\w*|\w*map_?[lr12]?_?[xy]_?[lr12]?|map_?[12])"
-
 #: First bytes of files that are not read, and what to do.
 _BYTES = {
     b"\x80": "is a Python pickle, which could run programs: save the arrays with numpy.savez",
@@ -35,7 +25,6 @@ _BYTES = {
 
 #: Patterns that identify files by their text before it is parsed: tables of maps are large.
 _TEXTS = {
-    rf"^\s*<{_MAP}[ >]|^{_MAP}:": _BEFORE_MAPS,
     r"^# (Camera|Image) list with": (
         "is COLMAP's, whose lengths have no known unit: give the calibration of the stereo camera"
     ),
@@ -83,14 +72,6 @@ def refuse_foreign_values(path: Path, values: Values) -> None:
     Raises:
         InputError: it is such a file.
     """
-    maps = [
-        name
-        for name, value in values.items()
-        if re.fullmatch(_MAP, name) and not isinstance(value, str | float)
-    ]
-    intrinsics = values.keys() & {"m1", "k1", "cameramatrix1", "leftcameramatrix", "mtxl"}
-    if len(maps) > 1 and not intrinsics and not (ready_maps(values) and values.keys() & {*OF_Q}):
-        raise InputError(f"{path} {_BEFORE_MAPS}")
     if "relativeconfigimucam" in values:
         chain = str(values["relativeconfigimucam"])
         raise InputError(
@@ -119,27 +100,6 @@ def refuse_foreign_values(path: Path, values: Values) -> None:
             f"{path} is of one camera: a stereo camera needs M1 D1 M2 D2 of both, and R and T "
             "between them (cv2.stereoCalibrate finds them)"
         )
-
-
-#: Names of the matrix that makes points of disparities.
-OF_Q = ("q", "disparitytodepthmap", "dispartitytodepthmap")
-
-#: What remap tables of the left and of the right camera are called, of x and of y.
-_READY = (
-    ("leftmapx", "leftmapy", "rightmapx", "rightmapy"),
-    ("map1x", "map1y", "map2x", "map2y"),
-    ("stereomaplx", "stereomaply", "stereomaprx", "stereomapry"),
-)
-
-
-def ready_maps(values: Values) -> tuple[Maps, Maps] | None:
-    """Return the remap tables in a file, as OpenCV's CV_32FC1; None if it has none of that form."""
-    for names in _READY:
-        tables = [np.asarray(values.get(name, ()), object) for name in names]
-        if tables[0].ndim == 2 and all(each.shape == tables[0].shape for each in tables):
-            left_x, left_y, right_x, right_y = (each.astype(np.float32) for each in tables)
-            return (left_x, left_y), (right_x, right_y)
-    return None
 
 
 def _is_matrix(value: Any) -> bool:

@@ -7,6 +7,7 @@ reads it. The result is a :class:`~motionstereo_cli.types.Rig` for a rig file, o
 
 from __future__ import annotations
 
+import dataclasses
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -14,15 +15,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from motionstereo_cli.errors import InputError
-from motionstereo_cli.files.reading import MAX_CALIBRATION_BYTES, as_text, read_bytes
+from motionstereo_cli.files.reading import MAX_CALIBRATION_BYTES, as_text, read_bytes, read_head
 from motionstereo_cli.rig import placed, plain
-from motionstereo_cli.rig.cameras import Pair
+from motionstereo_cli.rig.cameras import Pair, of_rig
 from motionstereo_cli.rig.devices import read_depthai, read_zed
 from motionstereo_cli.rig.foreign import (
     refuse_foreign_bytes,
     refuse_foreign_text,
     refuse_foreign_values,
 )
+from motionstereo_cli.rig.maps import MAX_MAPS_BYTES, begins_maps, maps_in, parse_maps
 from motionstereo_cli.rig.opencv import has_numbered_cameras, read_opencv
 from motionstereo_cli.rig.rig_file import parse_rig
 from motionstereo_cli.rig.ros_and_orbslam import (
@@ -35,6 +37,7 @@ from motionstereo_cli.rig.ros_and_orbslam import (
 from motionstereo_cli.types import Rig
 
 if TYPE_CHECKING:
+    from motionstereo_cli.rig.cameras import Maps
     from motionstereo_cli.rig.structure import Values
 
 
@@ -104,9 +107,12 @@ def read_files(
     """
     if not 1 <= len(paths) <= _MOST_FILES:
         raise InputError(f"{len(paths)} calibration files are too many: give one, or a pair")
-    contents = [read_bytes(path, "the rig", MAX_CALIBRATION_BYTES) for path in paths]
+    contents = [read_bytes(path, "the rig", _most_bytes(path)) for path in paths]
     read = [_read(path, content) for path, content in zip(paths, contents, strict=True)]
     texts, values = [text for text, _ in read], [values for _, values in read]
+    for at, each in enumerate(values):
+        if (maps := maps_in(each)) is not None and not has_numbered_cameras(each):
+            return _mapped(paths[at], maps, each, [*paths[:at], *paths[at + 1 :]], size)
     given = _Given(paths, texts, values, size, pair)
     known = [each for each in FORMATS if each.knows(texts[0], values[0])]
     found = known[0]
@@ -130,6 +136,50 @@ def read_files(
     return found.read(given)
 
 
+def _mapped(
+    path: Path,
+    maps: tuple[Maps, Maps],
+    values: Values,
+    others: Sequence[Path],
+    size: tuple[int, int] | None,
+) -> Pair:
+    """Return the pair of remap tables, with what Q or another file says of the rectified images.
+
+    Raises:
+        InputError: there is no such file, or it is of recorded images.
+    """
+    height, width = maps[0][0].shape
+    if not others:
+        try:
+            read: Rig | Pair = read_opencv(str(path), values)
+        except InputError:
+            raise InputError(
+                f"{path} holds remap tables, which say neither focal length nor baseline: give "
+                f"rig.yaml of the rectified images of {width}x{height} px as well (--rig "
+                f"{path.name} --rig rig.yaml; its focal_px and cx, cy are in P1, its baseline_m is "
+                "the distance between the cameras), or in place of the tables the calibration "
+                "that they were made from (M1 D1 M2 D2 R T)"
+            ) from None
+    else:
+        read = read_files(others, size)
+    if isinstance(read, Rig):
+        read = of_rig(read)
+    if read.cameras is not None:
+        raise InputError(
+            f"{' and '.join(map(str, others))} rectifies recorded images by itself: leave the "
+            f"remap tables in {path} out"
+        )
+    return dataclasses.replace(read, maps=maps, size=read.size or (width, height))
+
+
+def _most_bytes(path: Path) -> int:
+    begin = as_text(read_head(path, _HEAD_BYTES))
+    return MAX_MAPS_BYTES if begins_maps(begin) else MAX_CALIBRATION_BYTES
+
+
+#: By so much of it a file of remap tables is known.
+_HEAD_BYTES = 4096
+
 #: The largest number of files of one calibration.
 _MOST_FILES = 3
 
@@ -143,6 +193,15 @@ def _read(path: Path, content: bytes) -> tuple[str, Values]:
         refuse_foreign_values(path, values)
         return "", values
     text = as_text(content)
+    if begins_maps(text[:_HEAD_BYTES]):
+        values = parse_maps(path, text)
+        if maps_in(values) is None:
+            raise InputError(
+                f"{path} holds remap tables, but not two of each camera under names such as "
+                "stereoMapL_x, stereoMapL_y, stereoMapR_x and stereoMapR_y: give those of both "
+                "cameras, or the calibration that they were made from (M1 D1 M2 D2 R T)"
+            )
+        return "", values
     refuse_foreign_text(path, text)
     if _is_plain(text):
         return text, {}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
@@ -10,7 +9,6 @@ import numpy as np
 
 from motionstereo_cli.errors import InputError
 from motionstereo_cli.rig.cameras import Pair, checked_intrinsics, intrinsic_matrix, rectified_pair
-from motionstereo_cli.rig.foreign import OF_Q, ready_maps
 from motionstereo_cli.rig.values import Source, coefficients, flattened
 
 if TYPE_CHECKING:
@@ -29,6 +27,8 @@ _P_RECT = ("p", "projection", "projectionmatrix")
 _R = ("r", "rotation", "rotationmatrix", "rmat", "rot")
 _T = ("t", "translation", "translationvector", "tvec", "trans")
 _MODELS = ("distortionmodel", "cameramodel", "lensmodel", "model", "distortiontype")
+#: Names of the matrix that makes points of disparities.
+_OF_Q = ("q", "disparitytodepthmap", "dispartitytodepthmap")
 _SIZE = ("imagesize", "imgsize", "size", "resolution", "imageshapewh")
 
 #: The smallest inverse length that Q may hold.
@@ -50,7 +50,7 @@ def read_opencv(name: str, values: Values) -> Pair:
     size = size or next(filter(None, (source.size(f"left{each}") for each in _SIZE)), None)
     projections = _projections(source, sides)
     has_cameras = any(source.find([*_names(_K, side), *_names(("fx",), side)]) for side in sides)
-    names = [*_R, *_T, *OF_Q, "p1", *(name for side in sides for name in _names(_D, side))]
+    names = [*_R, *_T, *_OF_Q, "p1", *(name for side in sides for name in _names(_D, side))]
     if not has_cameras and not source.find(names):
         found = ", ".join(list(values)[:6]) or "none"
         raise InputError(
@@ -61,14 +61,9 @@ def read_opencv(name: str, values: Values) -> Pair:
         if projections is not None:
             half = (_without_intrinsics(name),) if source.find(_T) else ()
             return rectified_pair("OpenCV P1, P2", projections, size, notes=half)
-        if source.find(OF_Q):
-            q = source.matrix(OF_Q, "Q", (4, 4))
-            found_maps = ready_maps(values)
-            if found_maps is not None:
-                height, width = found_maps[0][0].shape
-                size = width, height
-            pair = rectified_pair("OpenCV Q", _projections_of(q, name), size)
-            return dataclasses.replace(pair, maps=found_maps)
+        if source.find(_OF_Q):
+            q = source.matrix(_OF_Q, "Q", (4, 4))
+            return rectified_pair("OpenCV Q", _projections_of(q, name), size)
     (left, left_notes), (right, right_notes) = (_camera(source, side) for side in sides)
     cameras, notes = (left, right), (*left_notes, *right_notes)
     if projections is not None and all(source.find(_names(_R_RECT, side)) for side in sides):

@@ -280,6 +280,8 @@ class BagRecording(Recording):
                     raise
                 self._ended = words_of(error)
                 self._lost += max(sum(each.msgcount for each in part) - count, 1)
+            else:  # what is damaged between messages is passed over
+                self._lost += max(sum(each.msgcount for each in part) - count, 0)
 
     def _deserialized(self, raw: bytes, kind: str) -> Any:
         """Return a message, None if it is damaged."""

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from motionstereo_cli.errors import InputError, SettingsError, is_damage, words_of
 from motionstereo_cli.files.bounded import bound_rosbags
+from motionstereo_cli.files.reading import MAX_CALIBRATION_BYTES, read_text
 from motionstereo_cli.sources.names import natural_key, right_of
 from motionstereo_cli.sources.recording import images
 
@@ -153,6 +154,7 @@ def opened_bag(files: Sequence[Path], damage: list[str] | None = None) -> Iterat
         InputError: nothing can be read, or rosbags is not installed.
     """
     reader: AnyReader | None = None
+    files = _storages(files)
     try:
         reader = _open(files)
     except InputError:
@@ -173,6 +175,28 @@ def opened_bag(files: Sequence[Path], damage: list[str] | None = None) -> Iterat
         yield reader
     finally:
         reader.close()
+
+
+#: In metadata.yaml: a file of messages, and that these are compressed one by one.
+_STORAGE = re.compile(r"^\s*-\s*[\"']?(?:[^\s\"']*/)?([^\s/\"']+\.(?:db3|mcap))[\"']?\s*$", re.M)
+_COMPRESSED = re.compile(r"^\s*compression_mode:\s*[\"']?(message|file)", re.M | re.I)
+
+
+def _storages(files: Sequence[Path]) -> Sequence[Path]:
+    """Return the files of a ROS 2 bag that was split, so that damage in one does not end it all.
+
+    Its folder stays as it is where that is needed to decompress messages.
+    """
+    if len(files) != 1 or not files[0].is_dir():
+        return files
+    try:
+        metadata = read_text(files[0] / "metadata.yaml", "the metadata", MAX_CALIBRATION_BYTES)
+    except InputError:
+        return files
+    names = dict.fromkeys(_STORAGE.findall(metadata))
+    if len(names) < 2 or _COMPRESSED.search(metadata):
+        return files
+    return [files[0] / name for name in names]
 
 
 def _open(files: Sequence[Path]) -> AnyReader:
@@ -201,6 +225,8 @@ def _mending(files: Sequence[Path], said: str) -> str:
     kinds = {file.suffix.lower() for file in files}
     with contextlib.suppress(OSError):
         kinds |= {each.suffix for file in files if file.is_dir() for each in file.iterdir()}
+    if "metadata" in said:
+        return "move metadata.yaml elsewhere: the other files in the folder are read without it"
     if "index" in said:
         return "rosbag reindex makes an index"
     if ".mcap" in kinds:

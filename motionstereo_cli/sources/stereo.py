@@ -278,7 +278,7 @@ class StereoSource:
     def damage(self) -> list[str]:
         """Losses so far, one line each; complete after the iteration."""
         shown = self._sides[: len(self._streams)]
-        lines = [line for side in shown for line in side.loss.damage]
+        lines = list(dict.fromkeys(line for side in shown for line in side.loss.damage))
         offset = 0 if self._pairing.by_time else self.settings.offset or 0
         left, right = self._sides
         # Images without partners because of an offset, or of a later start, are not damage.
