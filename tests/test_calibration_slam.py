@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -26,6 +27,7 @@ from test_calibration import (
     opencv_file,
     values,
 )
+from test_calibration_formats import orb_slam_2
 
 from motionstereo_cli.errors import InputError
 from motionstereo_cli.rig import format_rig
@@ -353,6 +355,10 @@ def test_rectified_pairs_of_datasets(tmp_path: Path, text: str, doffs_px: float)
         ("up_sigma_px: 1\nup_slam_sigma_px: 1\nrelative_config_imucam: c.yaml\n", "names, c.yaml"),
         ("camera0: 4\ncamera1: 6\nframe_width: 1280\n", "no calibration of a form that is read"),
         ('[{"x": 1}, {"x": 2}]', "no calibration of a form that is read"),
+        ("Training:\n  edge_threshold: 1\n", "no calibration of a form that is read"),
+        ("EDGE_PROJECT_P2MC 1 2\n", "a graph of g2o"),
+        ("458.6 457.3 367.2 248.4 -0.28 0.07 0.0 0.0\n", "the numbers of one camera"),
+        ("\n", "is empty"),
         ("tracker: {threads: 4}\n", "no calibration of a form that is read"),
         ("1403636579763555584\n1403636579813555456\n", "no calibration of a form that is read"),
     ],
@@ -446,6 +452,24 @@ def test_opencv_needs_no_blank_after_a_colon(tmp_path: Path) -> None:
         "Camera.bf: 36.0\nViewer.PointSize:2\n"
     )
     assert read_calibration([path], SIZE).rig.baseline_m == pytest.approx(0.12)
+
+
+@pytest.mark.parametrize("baseline_in_p", [True, False])
+def test_airslam(tmp_path: Path, baseline_in_p: bool) -> None:
+    plain = read_calibration([orb_slam_2(tmp_path)], SIZE)
+    text = "".join(
+        line
+        for line in (tmp_path / "orb2.yaml").read_text().splitlines(keepends=True)
+        if not line.startswith("Camera.")
+    )
+    if not baseline_in_p:
+        (shift,) = {n for n in re.findall(r"-\d+\.\d+", text[text.index("RIGHT.P") :]) if n}
+        text = text.replace(shift, "0.0") + f"bf: {shift[1:]}\n"
+    path = tmp_path / "airslam.yaml"
+    path.write_text(text + "distortion_type: 0\n")
+    found = read_calibration([path], SIZE)
+    assert found.rig == plain.rig
+    np.testing.assert_allclose(found.maps, plain.maps)
 
 
 def test_half_of_an_opencv_calibration(tmp_path: Path) -> None:

@@ -36,7 +36,9 @@ _TEXTS = {
         "is nuScenes' or Argoverse's table of sensors: give rig.yaml of the two cameras, or M1 D1 "
         "M2 D2 R T of them as JSON"
     ),
-    r"^[ \t]*(VERTEX_CAM|EDGE_)": "is a graph of g2o: give the calibration of the stereo camera",
+    r"^[ \t]*(?-i:VERTEX_CAM|EDGE_[A-Z])": (
+        "is a graph of g2o: give the calibration of the stereo camera"
+    ),
 }
 
 

@@ -239,15 +239,16 @@ def _is_plain(text: str) -> bool:
 
 def _rig_or_rows(given: _Given) -> Rig | Pair:
     path, text = given.paths[0], given.texts[0]
+    if not text.strip():
+        raise InputError(f"{path} is empty: give the calibration")
     rows = ":" not in text or text.lstrip()[:1] in ("[", "{", "<")
-    if rows or (text.strip() and not _OF_RIG.search(text)):
+    if rows or not _OF_RIG.search(text):
         if rows and (found := plain.read_rows(path, text)) is not None:
             return found
-        if text.strip():
-            raise InputError(
-                f"{path} is no calibration of a form that is read: give one of those that "
-                "'motionstereo rig --help' lists, or rig.yaml"
-            )
+        raise InputError(
+            f"{path} is no calibration of a form that is read: give one of those that "
+            "'motionstereo rig --help' lists, or rig.yaml"
+        )
     return parse_rig(path, text)
 
 

@@ -130,6 +130,8 @@ def _projections(source: Source, sides: Sequence[Sequence[str]]) -> tuple[Matrix
     if not all(source.find(_names(_P_RECT, side)) for side in sides):
         return None
     left, right = (source.matrix(_names(_P_RECT, side), f"P{side[0]}", (3, 4)) for side in sides)
+    if left[0, 3] == right[0, 3] and source.find(("bf",)):  # AirSLAM
+        right[0, 3] = left[0, 3] - source.number(("bf",), "bf")
     return left, right
 
 

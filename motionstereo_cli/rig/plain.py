@@ -116,6 +116,9 @@ def read_rows(path: Path, text: str) -> Pair | None:
 
     Two (or more) rows of 12 are projections, as KITTI's without names; 9 numbers and one more are
     K and the baseline, as FoundationStereo's K.txt has them. Images are rectified.
+
+    Raises:
+        InputError: they are of one camera.
     """
     rows = [_floats(line) for line in text.splitlines() if line.strip()]
     numbers = [row for row in rows if row is not None]
@@ -136,6 +139,12 @@ def read_rows(path: Path, text: str) -> Pair | None:
             "and P1 of rectified images",
         )
         return rectified_pair("bare P0, P1", (first, second), None, "m", notes)
+    if (len(counts) == 1 and 4 <= counts[0] <= 9) or counts == [3, 3, 3]:
+        raise InputError(
+            f"{path} has the numbers of one camera (fx fy cx cy ..., or K): a stereo camera needs "
+            "M1 D1 M2 D2 of both, and R and T between them; for images that are rectified already, "
+            "give rig.yaml with focal_px, cx, cy and baseline_m"
+        )
     return None
 
 

@@ -32,6 +32,9 @@ _ROTATION_TOLERANCE = 1e-2
 #: Names under which files give the lens model.
 _MODELS = ("distortionmodel", "cameramodel", "lensmodel", "model", "distortiontype", "cameratype")
 
+#: Lens models that have a number for a name.
+_NUMBERED = {"0.0": "radtan", "1.0": "fisheye"}
+
 #: Names and values by which files mark a fisheye.
 _FISHEYE_FLAGS, _TRUE = (
     ("fisheyemodel", "fisheye", "isfisheye", "usefisheye"),
@@ -186,6 +189,8 @@ class Source:
     def lenses(self, models: Sequence[str] = _MODELS) -> list[str]:
         """Return the known names of lens models in the file."""
         said = [self.text(name) for name in models]
+        # AirSLAM and AirVO number them.
+        said = [_NUMBERED.get(each, each) for each in said]
         if any(self.text(name) in _TRUE for name in _FISHEYE_FLAGS):
             said.append("fisheye")
         lens_model(self.name, said)
