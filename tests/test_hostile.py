@@ -5,6 +5,7 @@ import contextlib
 import dataclasses
 import errno
 import fcntl
+import io
 import json
 import os
 import pickle
@@ -347,6 +348,10 @@ def test_compressed_content_has_a_limit(monkeypatch):
         bounded.decompressed(bz2.BZ2Decompressor(), bz2.compress(bytes(1_000_000)))
     with pytest.raises(ValueError, match="is cut off"):
         bounded.decompressed(bz2.BZ2Decompressor(), content[:-9])
+    capped = bounded._Capped(io.BytesIO(bytes(3000)), 2000)
+    assert capped.read(2000) == bytes(2000)
+    with pytest.raises(ValueError, match="is too large"):
+        capped.read()
 
 
 #: Commands, a file that is larger than the limit of its kind, and where that limit stands.
@@ -363,6 +368,18 @@ LARGE = [
         "big.txt",
         "rig.pose_forms.MAX_TABLE_BYTES",
     ),
+    (["run", "kitti"], "kitti/times.txt", "sources.times.MAX_TABLE_BYTES"),
+    (
+        ["run", "left", "right", "--config", "big.toml"],
+        "big.toml",
+        "commands.options._MAX_CONFIG_BYTES",
+    ),
+    (
+        ["run", "left", "right", "--matcher", "onnx:big.onnx"],
+        "big.onnx",
+        "runs.onnx_model._MAX_BYTES",
+    ),
+    (["report", "b"], "b/batch.csv", "report.batch_page._MAX_BYTES"),
     (["batch", "big.csv", "-o", "b"], "big.csv", "batch.manifest.MAX_RECORD_BYTES"),
     (["report", "out"], "out/run.json", "files.records.MAX_RECORD_BYTES"),
     (["evaluate", "big.csv", "big.csv"], "big.csv", "evaluation.objects.MAX_RESULT_BYTES"),
@@ -373,6 +390,9 @@ LARGE = [
 def test_files_that_are_too_large_are_named(recording, monkeypatch, capsys, command, name, limit):
     assert ran("-o", "out", "--save", "steering,depth", "--rig", "rig.yaml") == 0
     monkeypatch.setattr(f"motionstereo_cli.{limit}", 10_000)
+    Path("b").mkdir()
+    for number, side in enumerate(("left", "right")):
+        shutil.copytree(side, f"kitti/image_{number}")
     if name == "big.csv":
         Path(name).write_text("frame,id,x,y,width,height\n")
     if name == "maps.yml":

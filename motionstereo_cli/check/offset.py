@@ -21,6 +21,8 @@ from motionstereo_cli.sources.settings import InputSettings
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from motionstereo_cli.check.synchrony import PairingStep
+
 
 Say = Callable[[str, str], object]
 Prepare = Callable[[StereoSource], object]
@@ -40,6 +42,9 @@ _CANDIDATES, _ROUNDS = 3, 3
 #: Where this many images overlap, rows or motion alone is believed to the image; where that many
 #: do, both together are.
 _ALONE, _TOGETHER = 120, 40
+
+#: Standard error in images up to which rows support what motion says.
+_SUPPORTING = 0.25
 
 #: Drift over a recording that is worth a word, in s.
 _DRIFT_S = 0.01
@@ -135,13 +140,15 @@ def _by_motion(recordings: _Recordings, settings: InputSettings, say: Say) -> In
         )
         for lag in found[: 1 if found and found[0].is_certain else None]:
             likely = _with(settings, _in_numbers(lag.images, *sides))
-            common = min(lengths[0], lengths[1] - lag.images) - max(0, -lag.images)
-            settled, by_rows = _settled(recordings, likely)
+            common = min(lengths[0], lengths[1] - lag.images) - max(0, -lag.images) + 1
+            settled, step = _settled(recordings, likely)
+            by_rows = step is not None and step.is_certain
             if lag.is_certain and not by_rows and common >= _ALONE:
                 settled = likely
             elif settled is None or not (by_rows or lag.is_certain):
                 continue
-            sure = common >= _ALONE or (by_rows and settled == likely and common >= _TOGETHER)
+            agreed = settled == likely and step is not None and step.sigma < _SUPPORTING
+            sure = common >= _ALONE or (agreed and common >= _TOGETHER)
             _say_found(settled, min(lengths) + 1, None if sure else common, say)
             _say_drift(recordings, settled, say)
             return settled
@@ -161,15 +168,17 @@ def _with(settings: InputSettings, offset: int) -> InputSettings:
     return dataclasses.replace(settings, sync_offset=str(offset))
 
 
-def _settled(recordings: _Recordings, settings: InputSettings) -> tuple[InputSettings | None, bool]:
-    """Return settings at which the rows of both views agree, and whether at no other ones.
+def _settled(
+    recordings: _Recordings, settings: InputSettings
+) -> tuple[InputSettings | None, PairingStep | None]:
+    """Return settings at which the rows of both views agree, and how well they tell that.
 
     Args:
         recordings: the recordings.
         settings: nearly such settings.
 
     Returns:
-        None and False where rows do not tell them.
+        None where rows do not tell them.
     """
     for _ in range(_ROUNDS):
         with recordings.opened(settings) as source:
@@ -178,9 +187,9 @@ def _settled(recordings: _Recordings, settings: InputSettings) -> tuple[InputSet
         if step is None:
             break
         if not step.whole:
-            return settings, step.is_certain
+            return settings, step
         settings = _with(settings, (settings.offset or 0) - step.whole)
-    return None, False
+    return None, None
 
 
 def _say_found(settings: InputSettings, images: int, overlap: int | None, say: Say) -> None:
