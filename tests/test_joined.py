@@ -211,6 +211,9 @@ def test_chapters_that_are_not_there_are_named(tmp_path: Path, names: tuple[str,
     with open_stereo(whole, images) as source:
         said = f"{whole}: begins with {names[1]}: the chapters before it are not there"
         assert said in source.warnings
+    (whole / names[1]).unlink()
+    with open_stereo(whole, images) as source:
+        assert said.replace(names[1], names[2]) in source.warnings
 
 
 @pytest.mark.parametrize("kind", ["videos", "folders", "names"])

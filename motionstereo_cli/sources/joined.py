@@ -78,7 +78,7 @@ def next_chapter(path: Path) -> Path | None:
     return following if following.is_file() else None
 
 
-def _missing(files: Sequence[Path]) -> list[str]:
+def missing_files(files: Sequence[Path]) -> list[str]:
     """Return a line that names the gaps in the numbers of files."""
     found = [_GOPRO.fullmatch(file.stem) for file in files]
     if all(found):
@@ -151,7 +151,7 @@ class JoinedRecording(Recording):
         if not self._parts:
             raise InputError(self._damage[0])
         self.expected_images = sum(n or 0 for n in places) if all(places) else None
-        if missing := _missing(files):
+        if missing := missing_files(files):
             self.warnings += tuple(f"{name}: {line}" for line in missing)
             self.holes = self.warnings[-1]
         self._images = self._read()

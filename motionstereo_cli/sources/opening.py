@@ -17,7 +17,7 @@ from motionstereo_cli.sources.bag import BagRecording
 from motionstereo_cli.sources.bag_topics import bags_in, image_topics_of, stereo_topics
 from motionstereo_cli.sources.folder import FolderRecording
 from motionstereo_cli.sources.joined import SUFFIXES as VIDEO_SUFFIXES
-from motionstereo_cli.sources.joined import JoinedRecording, next_chapter, parts_of
+from motionstereo_cli.sources.joined import JoinedRecording, missing_files, next_chapter, parts_of
 from motionstereo_cli.sources.multiview import add_nominal_rig, eyes_in
 from motionstereo_cli.sources.names import right_of
 from motionstereo_cli.sources.pages import PagesRecording, has_pages
@@ -258,7 +258,11 @@ def open_recording(
         )
     if parts := _videos_of(name):
         opened = functools.partial(_open_video, settings=settings, track=track, view=view)
-        return opened(parts[0]) if len(parts) == 1 else JoinedRecording(name, parts, opened)
+        if len(parts) > 1:
+            return JoinedRecording(name, parts, opened)
+        video = opened(parts[0])
+        video.warnings += tuple(f"{name}: {line}" for line in missing_files(parts))
+        return video
     is_still = path.suffix.lower() in SUFFIXES or not path.exists()
     if not (name == STDIN or is_address(name)) and (path.is_dir() or is_still):
         if path.is_file() and has_pages(path):
