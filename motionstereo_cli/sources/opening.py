@@ -6,7 +6,7 @@ import dataclasses
 import functools
 import glob
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import NamedTuple
@@ -257,12 +257,9 @@ def open_recording(
             topic.files, topic.name, white=settings.white, max_pixels=settings.max_pixels
         )
     if parts := _videos_of(name):
-        opened = functools.partial(_open_video, settings=settings, track=track, view=view)
-        if len(parts) > 1:
-            return JoinedRecording(name, parts, opened)
-        video = opened(parts[0])
-        video.warnings += tuple(f"{name}: {line}" for line in missing_files(parts))
-        return video
+        return _of_parts(
+            name, parts, functools.partial(_open_video, settings=settings, track=track, view=view)
+        )
     is_still = path.suffix.lower() in SUFFIXES or not path.exists()
     if not (name == STDIN or is_address(name)) and (path.is_dir() or is_still):
         if path.is_file() and has_pages(path):
@@ -277,6 +274,16 @@ def open_recording(
     if (following := next_chapter(path)) is not None:
         pattern = path.with_name(f"G???{path.stem[-4:]}{path.suffix}")
         video.warnings += (f"{name} goes on in {following}: to read both, give '{pattern}'",)
+    return video
+
+
+def _of_parts(
+    name: str, parts: Sequence[Path], opened: Callable[[Path], VideoRecording]
+) -> Recording:
+    if len(parts) > 1:
+        return JoinedRecording(name, parts, opened)
+    video = opened(parts[0])
+    video.warnings += tuple(f"{name}: {line}" for line in missing_files(parts))
     return video
 
 
