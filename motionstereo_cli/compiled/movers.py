@@ -2,7 +2,7 @@
 
 import cython
 import numpy as np
-from cython.cimports.libc.math import fabs, floor, isfinite, sqrt
+from cython.cimports.libc.math import fabs, isfinite
 
 NAN = cython.declare(cython.float, np.nan)
 #: Minimum depth of points before the camera.
@@ -10,6 +10,9 @@ MIN_DEPTH = cython.declare(cython.double, 0.05)
 #: Of what an alignment tells: shift along x and y and change of disparity in px; how sure; by how
 #: much disparity then misses that change; share of the squared differences that is left.
 FIELDS = 6
+#: An alignment that after so many steps has more than this share of what differed is given up.
+PATIENCE = cython.declare(cython.int, 3)
+HOPELESS = cython.declare(cython.double, 0.8)
 
 
 @cython.cclass
@@ -71,32 +74,28 @@ class Limits:
 class Workspace:
     """The pixels of a patch, for both views: used again and again."""
 
-    grey: cython.double[:, ::1]  # of now
-    slope_x: cython.double[:, ::1]
-    slope_y: cython.double[:, ::1]
-    column: cython.double[:, ::1]  # where it was if it stands
-    row: cython.double[::1]
-    off: cython.double[::1]
+    grey: cython.float[:, ::1]  # of now
+    slope_x: cython.float[:, ::1]  # less its mean, once they are centred
+    slope_y: cython.float[:, ::1]
+    column: cython.float[:, ::1]  # where it was if it stands
+    row: cython.float[::1]
     normal: cython.double[:, ::1]
-    step: cython.double[::1]
-    middle: cython.double[::1]  # of the patch: place and nearness then, and their change per px
+    inverse: cython.double[:, ::1]  # of the same, damped
+    right: cython.double[::1]  # the right side
+    middle: cython.double[
+        ::1
+    ]  # of the patch: place and nearness then; their errors by one of 1 px now
     shift: cython.double[::1]
     trial: cython.double[::1]
     none: cython.double[::1]
 
     def __init__(self, pixels):
-        self.grey = np.zeros((2, pixels))
-        self.slope_x = np.zeros((2, pixels))
-        self.slope_y = np.zeros((2, pixels))
-        self.column = np.zeros((2, pixels))
-        self.row = np.zeros(pixels)
-        self.off = np.zeros(pixels)
-        self.normal = np.zeros((3, 3))
-        self.step = np.zeros(3)
+        images = np.zeros((4, 2, pixels), np.float32)
+        self.grey, self.slope_x, self.slope_y, self.column = images
+        self.row = np.zeros(pixels, np.float32)
+        self.normal, self.inverse = np.zeros((2, 3, 3))
+        self.right, self.shift, self.trial, self.none = np.zeros((4, 3))
         self.middle = np.zeros(6)
-        self.shift = np.zeros(3)
-        self.trial = np.zeros(3)
-        self.none = np.zeros(3)
 
 
 def find(
@@ -132,26 +131,20 @@ def find(
                 x: cython.int = column * cell_px
                 y: cython.int = row * cell_px
                 middle: cython.double = now.disparity[y + cell_px // 2, x + cell_px // 2]
-                if not middle + camera.doffs > 0:
-                    continue
-                if way(camera, motion, x, y, middle + camera.doffs) > max_way:
+                near: cython.double = middle + camera.doffs
+                if not (near > 0 and way(camera, motion, x, y, near) <= max_way):
                     continue
                 count: cython.int = gather(
                     now, then, camera, motion, limits, x, y, cell_px, middle, work
                 )
-                if 2 * count < cell_px * cell_px:
+                if 4 * count < cell_px * cell_px:
                     continue
                 slopes: cython.double = 0
                 for n in range(count):
-                    slopes += (
-                        work.slope_x[0, n] * work.slope_x[0, n]
-                        + work.slope_y[0, n] * work.slope_y[0, n]
-                    )
-                off: cython.double = differences(then, camera, 0, count, work.none, work)
-                off += differences(then, camera, 1, count, work.none, work)
-                expected: cython.double = (
-                    2 * count * limits.noise * limits.noise + limits.per_slope * slopes
-                )
+                    slopes += work.slope_x[0, n] ** 2 + work.slope_y[0, n] ** 2
+                off: cython.double = misfit(then, camera, count, work.none, work)
+                expected: cython.double = 2 * count * limits.noise * limits.noise
+                expected += limits.per_slope * slopes
                 result[row, column] = off > limits.unexplained * expected
 
 
@@ -164,22 +157,23 @@ def align(
     cell_px: cython.int,
     reach: cython.int,
     wanted: cython.const[cython.uchar][:, ::1],
-    start: cython.const[cython.float][:, :, ::1],
+    coarse: cython.const[cython.float][:, :, ::1],
     work: Workspace,
     result: cython.float[:, :, ::1],
 ) -> None:
     """Fill in how cells moved in both views beyond what the rig's own motion explains.
 
     Gauss and Newton over three unknowns, a shift along x and y and a change of disparity, from
-    none and from ``start``.
+    none and from what was found at the next coarser level.
 
     Args:
         now, then, camera, motion, limits: as :func:`find` has them.
         cell_px: distance of cells.
         reach: a patch reaches so many px from the middle of its cell.
         wanted: cells that are asked for, (rows, columns), 0 or 1.
-        start: (rows, columns, :data:`FIELDS`) what is supposed, NaN = nothing.
-        work, result: for the pixels of a patch; like ``start``, receives it, NaN where unknown.
+        coarse: the result at the next coarser level, of no rows = there is none.
+        work: for the pixels of a patch.
+        result: (rows, columns, :data:`FIELDS`) receives it, NaN where unknown.
     """
     row: cython.int
     column: cython.int
@@ -192,9 +186,9 @@ def align(
                     result[row, column, k] = NAN
                 x: cython.int = column * cell_px + cell_px // 2
                 y: cython.int = row * cell_px + cell_px // 2
-                if not wanted[row, column] or x < reach or y < reach:
-                    continue
-                if x + reach >= now.view.shape[1] or y + reach >= now.view.shape[0]:
+                inside: cython.bint = reach <= x < now.view.shape[1] - reach
+                inside = inside and reach <= y < now.view.shape[0] - reach
+                if not (inside and wanted[row, column]):
                     continue
                 middle: cython.double = now.disparity[y, x]
                 if not middle + camera.doffs > 0:
@@ -202,10 +196,10 @@ def align(
                 count: cython.int = gather(
                     now, then, camera, motion, limits, x - reach, y - reach, side, middle, work
                 )
-                if 3 * count >= side * side and look_up(
+                if 6 * count >= side * side and look_up(
                     then, camera, motion, limits, x, y, middle, work
                 ):
-                    one(then, camera, limits, middle, count, row, column, start, work, result)
+                    one(then, camera, limits, middle, count, row, column, coarse, work, result)
 
 
 @cython.cfunc
@@ -219,18 +213,17 @@ def way(
     near: cython.double,
 ) -> cython.double:
     """Return how far a standing place came across the image because the camera changed place."""
+    axis: cython.int
+    result: cython.double = 0
     across: cython.double = (x - camera.cx) / camera.focal_x
     down: cython.double = (y - camera.cy) / camera.focal_y
     inverse: cython.double = near / camera.focal_baseline
-    far_z: cython.double = max(along(motion, 2, across, down, 0), MIN_DEPTH)
+    far: cython.double = max(along(motion, 2, across, down, 0), MIN_DEPTH)
     z: cython.double = max(along(motion, 2, across, down, inverse), MIN_DEPTH)
-    right: cython.double = (
-        along(motion, 0, across, down, inverse) / z - along(motion, 0, across, down, 0) / far_z
-    )
-    below: cython.double = (
-        along(motion, 1, across, down, inverse) / z - along(motion, 1, across, down, 0) / far_z
-    )
-    return camera.focal_x * max(fabs(right), fabs(below))
+    for axis in range(2):
+        there: cython.double = along(motion, axis, across, down, 0) / far
+        result = max(result, fabs(along(motion, axis, across, down, inverse) / z - there))
+    return camera.focal_x * result
 
 
 @cython.cfunc
@@ -248,16 +241,20 @@ def gather(
     middle: cython.double,
     work: Workspace,
 ) -> cython.int:
-    """Take the pixels of a square that are of one surface; return how many."""
+    """Take every second pixel of a square, as on a chessboard, of one surface; return how many."""
     x: cython.int
     y: cython.int
     count: cython.int = 0
+    half: cython.float = 0.5
+    per_px: cython.double = 1 / camera.focal_baseline
+    per_focal: cython.double = 1 / camera.focal_x
     height: cython.int = cython.cast(cython.int, now.view.shape[0])
     width: cython.int = cython.cast(cython.int, now.view.shape[1])
     jump: cython.double = max(limits.jump_px, limits.jump_share * (middle + camera.doffs))
     for y in range(max(top, 1), min(top + side, height - 1)):
         down: cython.double = (y - camera.cy) / camera.focal_y
-        for x in range(max(left, 1), min(left + side, width - 1)):
+        first_x: cython.int = max(left, 1)
+        for x in range(first_x + (first_x + y & 1), min(left + side, width - 1), 2):
             disparity: cython.double = now.disparity[y, x]
             if not fabs(disparity - middle) <= jump:  # nor where it is NaN
                 continue
@@ -265,39 +262,39 @@ def gather(
             if not (place >= 2 and place < width - 3):
                 continue
             near: cython.double = disparity + camera.doffs
-            inverse: cython.double = near / camera.focal_baseline
-            across: cython.double = (x - camera.cx) / camera.focal_x
+            inverse: cython.double = near * per_px
+            across: cython.double = (x - camera.cx) * per_focal
             z: cython.double = along(motion, 2, across, down, inverse)
-            if z < MIN_DEPTH:
-                continue
-            u: cython.double = camera.cx + camera.focal_x / z * along(
+            per_z: cython.double = 1 / z
+            u: cython.double = camera.cx + camera.focal_x * per_z * along(
                 motion, 0, across, down, inverse
             )
-            v: cython.double = camera.cy + camera.focal_y / z * along(
+            v: cython.double = camera.cy + camera.focal_y * per_z * along(
                 motion, 1, across, down, inverse
             )
-            w: cython.double = u + camera.other_cx - camera.cx + camera.side * near / z
-            if not (u >= 0 and u < width and w >= 0 and w < width and v >= 0 and v < height):
+            w: cython.double = u + camera.other_cx - camera.cx + camera.side * near * per_z
+            before: cython.bint = z >= MIN_DEPTH and v >= 0 and v < height
+            if not (before and u >= 0 and u < width and w >= 0 and w < width):
                 continue
             work.grey[0, count] = now.view[y, x]
-            work.slope_x[0, count] = 0.5 * (
-                cython.cast(cython.double, now.view[y, x + 1]) - now.view[y, x - 1]
+            work.slope_x[0, count] = half * (
+                cython.cast(cython.float, now.view[y, x + 1]) - now.view[y, x - 1]
             )
-            work.slope_y[0, count] = 0.5 * (
-                cython.cast(cython.double, now.view[y + 1, x]) - now.view[y - 1, x]
+            work.slope_y[0, count] = half * (
+                cython.cast(cython.float, now.view[y + 1, x]) - now.view[y - 1, x]
             )
-            first: cython.int = cython.cast(cython.int, floor(place))
-            a: cython.double = place - first
+            first: cython.int = cython.cast(cython.int, place)
+            a: cython.float = cython.cast(cython.float, place - first)
             work.grey[1, count] = between(now.other, y, first, a)
-            work.slope_x[1, count] = 0.5 * (
+            work.slope_x[1, count] = half * (
                 between(now.other, y, first + 1, a) - between(now.other, y, first - 1, a)
             )
-            work.slope_y[1, count] = 0.5 * (
+            work.slope_y[1, count] = half * (
                 between(now.other, y + 1, first, a) - between(now.other, y - 1, first, a)
             )
-            work.column[0, count] = u
-            work.column[1, count] = w
-            work.row[count] = v
+            work.column[0, count] = cython.cast(cython.float, u)
+            work.column[1, count] = cython.cast(cython.float, w)
+            work.row[count] = cython.cast(cython.float, v)
             count += 1
     return count
 
@@ -349,10 +346,9 @@ def look_up(
     work.middle[2] = near / z
     work.middle[3] = camera.focal_x * (motion[0, 3] - right * motion[2, 3]) * per_px
     work.middle[4] = camera.focal_y * (motion[1, 3] - below * motion[2, 3]) * per_px
-    work.middle[5] = 1 / z - near * motion[2, 3] * per_px / z
+    work.middle[5] = 1 / z - near * motion[2, 3] * per_px / z - 1
     before: cython.double = disparity_at(then, u, v) + camera.doffs
-    nearer: cython.double = max(limits.hidden_px, limits.hidden_share * near / z)
-    return not before > near / z + nearer
+    return not before > near / z + max(limits.hidden_px, limits.hidden_share * near / z)
 
 
 @cython.cfunc
@@ -376,37 +372,37 @@ def one(
     count: cython.int,
     row: cython.int,
     column: cython.int,
-    start: cython.const[cython.float][:, :, ::1],
+    coarse: cython.const[cython.float][:, :, ::1],
     work: Workspace,
     result: cython.float[:, :, ::1],
 ) -> cython.void:
     """Fill in how a patch moved."""
     k: cython.int
     trial: cython.int
-    first: cython.double = equations(then, camera, count, work.none, work)
+    equations(camera, count, work)
+    first: cython.double = misfit(then, camera, count, work.none, work)
     slopes: cython.double = work.normal[0, 0] + work.normal[1, 1]
     if first < limits.unexplained * (
         2 * count * limits.noise * limits.noise + limits.per_slope * slopes
     ):
         return
     least: cython.double = first
-    found: cython.bint = False
-    for trial in range(2):
+    upper: cython.int = cython.cast(cython.int, min(row // 2, coarse.shape[0] - 1))
+    aside: cython.int = cython.cast(cython.int, min(column // 2, coarse.shape[1] - 1))
+    for trial in range(2 if upper >= 0 else 1):
         for k in range(3):
-            work.trial[k] = 0.0 if trial else start[row, column, k]
-        if not (isfinite(work.trial[0]) and settled(then, camera, limits, count, work)):
+            work.trial[k] = 0.0 if trial or upper < 0 else 2 * coarse[upper, aside, k]
+        if not (isfinite(work.trial[0]) and settled(then, camera, limits, count, first, work)):
             continue
-        left: cython.double = equations(then, camera, count, work.trial, work)
+        left: cython.double = misfit(then, camera, count, work.trial, work)
         if left < least:
-            found = True
             least = left
             for k in range(3):
                 work.shift[k] = work.trial[k]
         if least < 0.2 * first:
             break
-    if not found:
+    if not least < first:
         return
-    equations(then, camera, count, work.shift, work)
     for k in range(3):
         result[row, column, k] = cython.cast(cython.float, work.shift[k])
     sure: cython.double = sureness(limits, disparity + camera.doffs, least, count, work)
@@ -414,8 +410,8 @@ def one(
     before: cython.double = disparity_at(
         then, work.middle[0] + work.shift[0], work.middle[1] + work.shift[1]
     )
-    expected: cython.double = work.middle[2] - camera.doffs + work.shift[2]
-    result[row, column, 4] = cython.cast(cython.float, before - expected)
+    before -= work.middle[2] - camera.doffs + work.shift[2]
+    result[row, column, 4] = cython.cast(cython.float, before)
     result[row, column, 5] = cython.cast(cython.float, least / first)
 
 
@@ -423,19 +419,33 @@ def one(
 @cython.nogil
 @cython.exceptval(check=False)
 def settled(
-    then: Moment, camera: Camera, limits: Limits, count: cython.int, work: Workspace
+    then: Moment,
+    camera: Camera,
+    limits: Limits,
+    count: cython.int,
+    first: cython.double,
+    work: Workspace,
 ) -> cython.bint:
-    """Improve the trial until it rests; False where it does not."""
+    """Improve the trial until it rests; False where it does not.
+
+    Args:
+        first: what differs if the patch stands.
+    """
+    i: cython.int
     k: cython.int
+    steps: cython.int
     rest: cython.double = 0
-    for _count in range(8):
-        equations(then, camera, count, work.trial, work)
-        if not solved(work):
+    for steps in range(8):
+        left: cython.double = misfit(then, camera, count, work.trial, work)
+        if steps >= PATIENCE and left > HOPELESS * first:
             return False
         rest = 0
         for k in range(3):
-            work.trial[k] += work.step[k]
-            rest += fabs(work.step[k])
+            step: cython.double = 0
+            for i in range(3):
+                step += work.inverse[k, i] * work.right[i]
+            work.trial[k] += step
+            rest += fabs(step)
             if not fabs(work.trial[k]) < limits.max_shift:
                 return False
         if rest < 0.03:
@@ -459,133 +469,123 @@ def sureness(
     own: cython.double = 1 / (sigma * sigma)
     for i in range(3):
         # A standing patch whose disparity is wrong seems to move along this line.
-        line: cython.double = work.middle[3 + i] - (1.0 if i == 2 else 0.0)
+        line: cython.double = work.middle[3 + i]
         for k in range(3):
             information: cython.double = work.normal[i, k] / variance
             all += work.shift[i] * information * work.shift[k]
             mixed += line * information * work.shift[k]
-            own += line * information * (work.middle[3 + k] - (1.0 if k == 2 else 0.0))
+            own += line * information * work.middle[3 + k]
     return all - mixed * mixed / own
 
 
 @cython.cfunc
 @cython.nogil
 @cython.exceptval(check=False)
-def differences(
+def misfit(
     then: Moment,
     camera: Camera,
-    side: cython.int,
     count: cython.int,
     moved: cython.const[cython.double][::1],
     work: Workspace,
 ) -> cython.double:
-    """Fill in by how much grey differs after a shift, less the mean; return the sum of squares."""
+    """Return the sum of squared differences of grey after a shift, a brighter view apart.
+
+    Fills in the right side of the equations, for slopes that are centred.
+    """
+    side: cython.int
     n: cython.int
-    mean: cython.double = 0
-    squares: cython.double = 0
-    view: cython.const[cython.uchar][:, ::1] = then.other if side else then.view
-    shift: cython.double = moved[0] + (camera.side * moved[2] if side else 0.0)
-    last_column: cython.double = view.shape[1] - 1.001
-    last_row: cython.double = view.shape[0] - 1.001
-    for n in range(count):
-        u: cython.double = min(max(work.column[side, n] + shift, 0.0), last_column)
-        v: cython.double = min(max(work.row[n] + moved[1], 0.0), last_row)
-        row: cython.int = cython.cast(cython.int, v)
-        first: cython.int = cython.cast(cython.int, u)
-        upper: cython.double = between(view, row, first, u - first)
-        lower: cython.double = between(view, row + 1, first, u - first)
-        work.off[n] = upper + (v - row) * (lower - upper) - work.grey[side, n]
-        mean += work.off[n]
-    mean /= count
-    for n in range(count):
-        work.off[n] -= mean
-        squares += work.off[n] * work.off[n]
-    return squares
+    zero: cython.float = 0
+    all: cython.double = 0
+    down: cython.float = cython.cast(cython.float, moved[1])
+    last_column: cython.float = cython.cast(cython.float, then.view.shape[1] - 1.001)
+    last_row: cython.float = cython.cast(cython.float, then.view.shape[0] - 1.001)
+    work.right[:] = 0
+    for side in range(2):
+        view: cython.const[cython.uchar][:, ::1] = then.other if side else then.view
+        right: cython.float = cython.cast(
+            cython.float, moved[0] + (camera.side * moved[2] if side else 0.0)
+        )
+        total: cython.double = 0
+        squares: cython.double = 0
+        by_x: cython.double = 0
+        by_y: cython.double = 0
+        for n in range(count):
+            u: cython.float = min(max(work.column[side, n] + right, zero), last_column)
+            v: cython.float = min(max(work.row[n] + down, zero), last_row)
+            row: cython.int = cython.cast(cython.int, v)
+            first: cython.int = cython.cast(cython.int, u)
+            upper: cython.float = between(view, row, first, u - first)
+            lower: cython.float = between(view, row + 1, first, u - first)
+            off: cython.float = upper + (v - row) * (lower - upper) - work.grey[side, n]
+            total += off
+            squares += off * off
+            by_x += off * work.slope_x[side, n]
+            by_y += off * work.slope_y[side, n]
+        all += max(squares - total * total / count, 0.0)
+        work.right[0] -= by_x
+        work.right[1] -= by_y
+        work.right[2] -= camera.side * side * by_x
+    return all
 
 
 @cython.cfunc
 @cython.nogil
 @cython.exceptval(check=False)
-def equations(
-    then: Moment,
-    camera: Camera,
-    count: cython.int,
-    moved: cython.const[cython.double][::1],
-    work: Workspace,
-) -> cython.double:
-    """Fill in the normal equations at a shift; return the sum of squared differences."""
+def equations(camera: Camera, count: cython.int, work: Workspace) -> cython.void:
+    """Centre the slopes, and fill in the equations and the inverse of them damped."""
     side: cython.int
     n: cython.int
-    squares: cython.double = 0
+    i: cython.int
+    k: cython.int
     a: cython.double[:, ::1] = work.normal
     a[:, :] = 0
-    work.step[:] = 0
     for side in range(2):
-        squares += differences(then, camera, side, count, moved, work)
         by_disparity: cython.double = camera.side * side
-        mean_x: cython.double = 0
-        mean_y: cython.double = 0
+        mean_x: cython.float = 0
+        mean_y: cython.float = 0
+        for n in range(count):
+            mean_x += work.slope_x[side, n]
+            mean_y += work.slope_y[side, n]
+        mean_x /= count
+        mean_y /= count
         xx: cython.double = 0
         xy: cython.double = 0
         yy: cython.double = 0
-        xr: cython.double = 0
-        yr: cython.double = 0
         for n in range(count):
-            x: cython.double = work.slope_x[side, n]
-            y: cython.double = work.slope_y[side, n]
-            mean_x += x / count
-            mean_y += y / count
+            # A brighter view says nothing.
+            x: cython.float = work.slope_x[side, n] - mean_x
+            y: cython.float = work.slope_y[side, n] - mean_y
+            work.slope_x[side, n] = x
+            work.slope_y[side, n] = y
             xx += x * x
             xy += x * y
             yy += y * y
-            xr += x * work.off[n]
-            yr += y * work.off[n]
-        # A brighter view says nothing.
-        xx -= count * mean_x * mean_x
-        xy -= count * mean_x * mean_y
-        yy -= count * mean_y * mean_y
         a[0, 0] += xx
         a[0, 1] += xy
         a[1, 1] += yy
         a[0, 2] += by_disparity * xx
         a[1, 2] += by_disparity * xy
         a[2, 2] += by_disparity * by_disparity * xx
-        work.step[0] -= xr
-        work.step[1] -= yr
-        work.step[2] -= by_disparity * xr
     a[1, 0] = a[0, 1]
     a[2, 0] = a[0, 2]
     a[2, 1] = a[1, 2]
-    return squares
-
-
-@cython.cfunc
-@cython.nogil
-@cython.exceptval(check=False)
-def solved(work: Workspace) -> cython.bint:
-    """Replace the right side ``work.step`` by the solution (Cholesky, damped); False if none."""
-    a: cython.double[:, ::1] = work.normal
-    s: cython.double[::1] = work.step
+    # The inverse, damped, by cofactors.
+    b: cython.double[:, ::1] = work.inverse
     damping: cython.double = 4
-    d0: cython.double = sqrt(a[0, 0] + damping)
-    l10: cython.double = a[1, 0] / d0
-    l20: cython.double = a[2, 0] / d0
-    rest: cython.double = a[1, 1] + damping - l10 * l10
-    if not rest > 0:
-        return False
-    d1: cython.double = sqrt(rest)
-    l21: cython.double = (a[2, 1] - l20 * l10) / d1
-    rest = a[2, 2] + damping - l20 * l20 - l21 * l21
-    if not rest > 0:
-        return False
-    d2: cython.double = sqrt(rest)
-    s[0] /= d0
-    s[1] = (s[1] - l10 * s[0]) / d1
-    s[2] = (s[2] - l20 * s[0] - l21 * s[1]) / d2
-    s[2] /= d2
-    s[1] = (s[1] - l21 * s[2]) / d1
-    s[0] = (s[0] - l10 * s[1] - l20 * s[2]) / d0
-    return True
+    p: cython.double = a[0, 0] + damping
+    q: cython.double = a[1, 1] + damping
+    r: cython.double = a[2, 2] + damping
+    b[0, 0] = q * r - a[1, 2] * a[1, 2]
+    b[0, 1] = a[0, 2] * a[1, 2] - a[0, 1] * r
+    b[0, 2] = a[0, 1] * a[1, 2] - a[0, 2] * q
+    b[1, 1] = p * r - a[0, 2] * a[0, 2]
+    b[1, 2] = a[0, 1] * a[0, 2] - p * a[1, 2]
+    b[2, 2] = p * q - a[0, 1] * a[0, 1]
+    determinant: cython.double = p * b[0, 0] + a[0, 1] * b[0, 1] + a[0, 2] * b[0, 2]
+    for i in range(3):
+        for k in range(i, 3):
+            b[i, k] /= determinant
+            b[k, i] = b[i, k]
 
 
 @cython.cfunc
@@ -593,8 +593,8 @@ def solved(work: Workspace) -> cython.bint:
 @cython.inline
 @cython.exceptval(check=False)
 def between(
-    view: cython.const[cython.uchar][:, ::1], row: cython.int, column: cython.int, a: cython.double
-) -> cython.double:
+    view: cython.const[cython.uchar][:, ::1], row: cython.int, column: cython.int, a: cython.float
+) -> cython.float:
     """Return the grey a share ``a`` from a pixel to the next one in its row."""
-    here: cython.double = cython.cast(cython.double, view[row, column])
+    here: cython.float = view[row, column]
     return here + a * (view[row, column + 1] - here)

@@ -1,4 +1,4 @@
-"""Disparity of single points: the loops of :mod:`motionstereo_cli.robot.alignment`."""
+"""Disparity of single points: loops of :mod:`motionstereo_cli.robot.alignment` and movers."""
 
 import cython
 import numpy as np
@@ -14,7 +14,7 @@ def measure(
     range_px: cython.int,
     noise: cython.float,
     ratio: cython.float,
-    costs: cython.float[::1],
+    work: cython.float[:, ::1],
     found: cython.float[:, ::1],
 ) -> None:
     """Fill in disparity and its standard deviation, (n, 2), of points of the right view.
@@ -29,7 +29,7 @@ def measure(
         range_px: largest disparity.
         noise: standard deviation of grey.
         ratio: see above.
-        costs: (range_px + 1,), used again and again.
+        work: (2, range_px + 1), used again and again.
         found: receives the result.
     """
     i: cython.Py_ssize_t
@@ -39,12 +39,96 @@ def measure(
             y: cython.int = places[i, 1]
             found[i, 0] = cython.cast(cython.float, NAN)
             found[i, 1] = cython.cast(cython.float, NAN)
-            d: cython.int = best(right, left, x, y, 1, range_px, noise, ratio, costs)
+            d: cython.int = best(right, left, x, y, 1, range_px, noise, ratio, work)
             if d < 0:
                 continue
-            back: cython.int = best(left, right, x + d, y, -1, range_px, noise, 1, costs)
+            back: cython.int = best(left, right, x + d, y, -1, range_px, noise, 1, work)
             if back >= 0 and abs(back - d) <= 1:
                 refine(right, left, x, y, d, noise, found, i)
+
+
+def edges(
+    view: cython.const[cython.float][:, ::1],
+    disparity: cython.const[cython.float][:, ::1],
+    square_px: cython.int,
+    min_slope: cython.float,
+    places: cython.int[:, ::1],
+) -> cython.int:
+    """Take the steepest pixel of each square of unknown disparity; return how many there are.
+
+    Args:
+        view: grey.
+        disparity: NaN = unknown.
+        square_px: side of a square.
+        min_slope: least slope along the row, in grey levels a px, of the mean of three rows.
+        places: (squares, 2) receives their columns and rows.
+    """
+    row: cython.int
+    column: cython.int
+    y: cython.int
+    x: cython.int
+    count: cython.int = 0
+    height: cython.int = cython.cast(cython.int, view.shape[0])
+    width: cython.int = cython.cast(cython.int, view.shape[1])
+    with cython.nogil:
+        for row in range(height // square_px):
+            for column in range(width // square_px):
+                steepest: cython.float = 8 * min_slope
+                found: cython.bint = False
+                for y in range(max(row * square_px, 1), min((row + 1) * square_px, height - 1)):
+                    for x in range(
+                        max(column * square_px, 1), min((column + 1) * square_px, width - 1)
+                    ):
+                        if disparity[y, x] == disparity[y, x]:
+                            continue
+                        slope: cython.float = fabs(
+                            view[y - 1, x + 1]
+                            - view[y - 1, x - 1]
+                            + 2 * (view[y, x + 1] - view[y, x - 1])
+                            + view[y + 1, x + 1]
+                            - view[y + 1, x - 1]
+                        )
+                        if slope > steepest:
+                            steepest = slope
+                            found = True
+                            places[count, 0] = x
+                            places[count, 1] = y
+                count += found
+    return count
+
+
+def fill(
+    places: cython.const[cython.int][:, ::1],
+    found: cython.const[cython.float][:, ::1],
+    max_sigma: cython.float,
+    reach: cython.int,
+    disparity: cython.float[:, ::1],
+    filled: cython.float[:, ::1],
+) -> None:
+    """Fill in the disparity around pixels where it is unknown, the largest where they compete.
+
+    Args:
+        places: (n, 2) column and row.
+        found: (n, 2) disparity and its standard deviation, NaN = unknown.
+        max_sigma: the largest one.
+        reach: how far around a pixel.
+        disparity: NaN = unknown.
+        filled: the same; is changed.
+    """
+    i: cython.Py_ssize_t
+    y: cython.int
+    x: cython.int
+    height: cython.int = cython.cast(cython.int, disparity.shape[0])
+    width: cython.int = cython.cast(cython.int, disparity.shape[1])
+    with cython.nogil:
+        for i in range(places.shape[0]):
+            if not found[i, 1] < max_sigma:
+                continue
+            near: cython.float = found[i, 0]
+            for y in range(max(places[i, 1] - reach, 0), min(places[i, 1] + reach + 1, height)):
+                for x in range(max(places[i, 0] - reach, 0), min(places[i, 0] + reach + 1, width)):
+                    if disparity[y, x] != disparity[y, x] and not filled[y, x] >= near:
+                        filled[y, x] = near
 
 
 @cython.cfunc
@@ -59,10 +143,9 @@ def best(
     range_px: cython.int,
     noise: cython.float,
     ratio: cython.float,
-    costs: cython.float[::1],
+    work: cython.float[:, ::1],
 ) -> cython.int:
     """Return the disparity of a pixel by search, -1 if it is uncertain."""
-    d: cython.int
     row: cython.int
     column: cython.int
     width: cython.int = cython.cast(cython.int, view.shape[1])
@@ -79,18 +162,12 @@ def best(
     least: cython.float = 1e30
     found: cython.int = -1
     reach: cython.int = min(range_px, width - 5 - x if sign > 0 else x - 4)
+    first: cython.int = 0 if sign > 0 else -reach
+    differences(view, other, x, y, first, reach + 1, work)
     for d in range(reach + 1):
-        shift: cython.int = sign * d
-        differences: cython.float = 0
-        squared: cython.float = 0
-        for row in range(y - 2, y + 3):
-            for column in range(x - 4, x + 5):
-                off: cython.float = other[row, column + shift] - view[row, column]
-                differences += off
-                squared += off * off
-        costs[d] = squared - differences * differences / cells
-        if costs[d] < least:
-            least = costs[d]
+        cost: cython.float = work[1, d]
+        if cost < least or (cost == least and sign < 0):
+            least = cost
             found = d
     if found < 0 or least > 6 * cells * noise * noise + cython.cast(cython.float, 0.1) * (
         squares - sum * sum / cells
@@ -98,9 +175,43 @@ def best(
         return -1
     limit: cython.float = ratio * (least + cython.cast(cython.float, 0.3) * cells * noise * noise)
     for d in range(reach + 1):
-        if (d < found - 2 or d > found + 2) and costs[d] <= limit:
+        if (d < found - 2 or d > found + 2) and work[1, d] <= limit:
             return -1
-    return found
+    return found if sign > 0 else reach - found
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def differences(
+    view: cython.const[cython.float][:, ::1],
+    other: cython.const[cython.float][:, ::1],
+    x: cython.int,
+    y: cython.int,
+    first: cython.int,
+    count: cython.int,
+    work: cython.float[:, ::1],
+) -> cython.void:
+    """Fill in the squared differences of a patch at each of some shifts along the row, from first.
+
+    Innermost are the shifts, which compilers make vectors of.
+    """
+    d: cython.int
+    row: cython.int
+    column: cython.int
+    cells: cython.float = 45
+    for d in range(count):
+        work[0, d] = 0
+        work[1, d] = 0
+    for row in range(y - 2, y + 3):
+        for column in range(x - 4, x + 5):
+            grey: cython.float = view[row, column]
+            for d in range(count):
+                off: cython.float = other[row, column + first + d] - grey
+                work[0, d] += off
+                work[1, d] += off * off
+    for d in range(count):
+        work[1, d] -= work[0, d] * work[0, d] / cells
 
 
 @cython.cfunc

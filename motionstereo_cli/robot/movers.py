@@ -117,11 +117,15 @@ class Moment:
     disparity_px: Real
     before_from_now: Reals
 
-    def at(self, level: int) -> Any:
-        """Return the moment at a level for the loops."""
-        q = 2**level
-        disparity_px = np.ascontiguousarray(self.disparity_px[::q, ::q]) / np.float32(q)
-        return loops.Moment(*self.views[level], disparity_px)  # type: ignore[call-arg]
+    def levels(self) -> list[Any]:
+        """Return the moment at each level for the loops."""
+        disparities = [self.disparity_px]
+        for level in range(1, LEVELS):
+            disparities.append(self.disparity_px[:: 2**level, :: 2**level] * np.float32(0.5**level))
+        return [
+            loops.Moment(*views, disparity_px)  # type: ignore[call-arg]
+            for views, disparity_px in zip(self.views, disparities, strict=True)
+        ]
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,11 +166,14 @@ def see(movers: Movers, now: Moment, eye: Eye) -> tuple[Movers, NDArray[np.bool_
     moving, lasting = None, np.zeros((rows, columns), np.bool_)
     if movers.moments:
         now = replace(now, disparity_px=_filled(now, eye))
-        gap = _gap(movers, now, eye)
-        shifts = _shifts(now, movers, gap, eye, math.inf)
+        gap, levels = _gap(movers, now, eye), now.levels()
+        shifts = _shifts(levels, _motion(movers, now, gap), movers.moments[-gap], eye, math.inf)
         farther = min(_FARTHER * gap, len(movers.moments))
         short_px = _SHORT_WAY * shape[1]
-        far = None if farther == gap else _shifts(now, movers, farther, eye, short_px)
+        far = None
+        if farther != gap:
+            motion = _motion(movers, now, farther)
+            far = _shifts(levels, motion, movers.moments[-farther], eye, short_px)
         near = np.nan_to_num(_in_cells(now.disparity_px) + np.float32(eye.doffs_px))
         moved = _moved(shifts, near)
         shifts[..., :3] /= gap
@@ -208,72 +215,51 @@ def _filled(now: Moment, eye: Eye) -> Real:
     A vehicle ahead at the speed of the rig hardly changes, and has no charge.
     """
     view, other = (image.astype(np.float32) for image in now.views[0])
-    row, column = _edges(view, np.isnan(now.disparity_px))
-    places = np.stack([column, row], axis=1).astype(np.int32)
+    squares = (view.shape[0] // _EDGE_PX) * (view.shape[1] // _EDGE_PX)
+    places = np.empty((squares, 2), np.int32)
+    places = places[: point_disparity.edges(view, now.disparity_px, _EDGE_PX, _MIN_SLOPE, places)]
+    there = places
     if eye.side < 0:  # in a mirror the other camera is at the left
         view, other = (np.ascontiguousarray(image[:, ::-1]) for image in (view, other))
-        places[:, 0] = view.shape[1] - 1 - places[:, 0]
-    found, costs = np.empty((len(places), 2), np.float32), np.empty(eye.range_px + 1, np.float32)
-    point_disparity.measure(
-        view, other, places, eye.range_px, _NOISE[0], _SECOND_BEST, costs, found
-    )
-    sure = found[:, 1] < _MAX_SIGMA_PX
-    known = np.full(view.shape, -np.inf, np.float32)
-    known[row[sure], column[sure]] = found[sure, 0]
-    around = cv2.dilate(known, np.ones((2 * _REACH_PX + 1,) * 2, np.uint8))
-    fill = np.isnan(now.disparity_px) & np.isfinite(around)
-    return np.where(fill, around, now.disparity_px)
+        there = np.array([view.shape[1] - 1, 0], np.int32) + np.array([-1, 1], np.int32) * places
+    found = np.empty((len(places), 2), np.float32)
+    work = np.empty((2, eye.range_px + 1), np.float32)
+    point_disparity.measure(view, other, there, eye.range_px, _NOISE[0], _SECOND_BEST, work, found)
+    filled = now.disparity_px.copy()
+    point_disparity.fill(places, found, _MAX_SIGMA_PX, _REACH_PX, now.disparity_px, filled)
+    return filled
 
 
-def _edges(view: Real, where: NDArray[np.bool_]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return row and column of the steepest pixel in each square of some pixels of an image."""
-    slope = np.where(where, np.abs(cv2.Sobel(view, cv2.CV_32F, 1, 0, scale=1 / 8)), 0)
-    rows, columns = (side // _EDGE_PX for side in slope.shape)
-    squares = slope[: rows * _EDGE_PX, : columns * _EDGE_PX]
-    squares = squares.reshape(rows, _EDGE_PX, columns, _EDGE_PX).swapaxes(1, 2)
-    squares = squares.reshape(rows * columns, _EDGE_PX**2)
-    square = np.flatnonzero(squares.max(axis=1) > _MIN_SLOPE)
-    row, column = np.divmod(squares[square].argmax(axis=1), _EDGE_PX)
-    return square // columns * _EDGE_PX + row, square % columns * _EDGE_PX + column
-
-
-def _shifts(now: Moment, movers: Movers, gap: int, eye: Eye, way_px: float) -> Real:
+def _shifts(now: list[Any], motion: Reals, then: Moment, eye: Eye, way_px: float) -> Real:
     """Return how patches moved since a frame, (rows, columns, fields), NaN = explained or unknown.
 
     Patches that differ at the second level are aligned at all levels, from coarse to fine.
 
     Args:
-        now, movers, eye: as :func:`see` has them.
-        gap: how many frames before it was.
+        now: the frame, at each level.
+        motion: (4, 4) takes places in the camera of now to those in the earlier one.
+        then: the earlier frame.
+        eye: the camera.
         way_px: only where what stands came at most so far across the image.
     """
-    motion, then = _motion(movers, now, gap), movers.moments[-gap]
-    height, width = now.disparity_px.shape
-    moments = [(now.at(level), then.at(level)) for level in range(LEVELS)]
+    height, width = then.disparity_px.shape
+    moments = list(zip(now, then.levels(), strict=True))
     limits = [_limits(level, _UNEXPLAINED_PATCH) for level in range(LEVELS)]
     search = _limits(1, _UNEXPLAINED_CELL)
     wanted = np.zeros((height // CELL_PX // 2, width // CELL_PX // 2), np.uint8)
     work: Any = reused(loops.Workspace, (2 * _REACH_PX + 1) ** 2)
     loops.find(*moments[1], eye.at(1), motion, search, CELL_PX, way_px / 2, work, wanted)
-    found: Real | None = None
+    found = np.empty((0, 0, loops.FIELDS), np.float32)
     for level in range(LEVELS - 1, -1, -1):
         shape = tuple(side // 2**level // CELL_PX for side in (height, width))
         asked = cv2.resize(wanted, shape[::-1], interpolation=cv2.INTER_NEAREST)
         if level == LEVELS - 1:
             asked = _any_of_four(wanted, shape)
-        start = np.full((*shape, loops.FIELDS), np.nan, np.float32)
-        if found is not None:
-            row, column = (
-                np.minimum(np.arange(n) // 2, last - 1)
-                for n, last in zip(shape, found.shape, strict=False)
-            )
-            start = np.ascontiguousarray(2 * found[row][:, column])
-        found = np.empty_like(start)
+        coarse, found = found, np.empty((*shape, loops.FIELDS), np.float32)
         loops.align(
             *(*moments[level], eye.at(level), motion, limits[level], CELL_PX, _REACH_PX),
-            *(np.asarray(asked), start, work, found),
+            *(np.asarray(asked), coarse, work, found),
         )
-    assert found is not None
     return found
 
 

@@ -39,9 +39,9 @@ BLOCK_FRAMES = 8
 #: So is one that sees less than this share of the last keyframe's points.
 _MIN_SEEN = 0.7
 
-#: An alignment is good enough with this share of the block's median score; at first, of 1. Corners
-#: are tried below the second share.
-_ENOUGH, _POOR = 0.85, 0.6
+#: An alignment is good enough with this share of the keyframe's median score; at first, of the
+#: last value. Corners are tried below the second share.
+_ENOUGH, _POOR, _USUAL_SCORE = 0.75, 0.7, 0.85
 #: Below it, the rig is lost, unless so many corners agree, and such a share of them.
 _MIN_SCORE = 0.3
 _MIN_INLIERS, _MIN_INLIER_SHARE = 15, 0.4
@@ -209,7 +209,7 @@ def _aligned(
         if _plausible(before.motion @ _inverse(found.motion), depth_m):
             best = found
 
-    usual = float(np.median(before.scores)) if len(before.scores) > 2 else 1.0
+    usual = float(np.median(before.scores)) if len(before.scores) > 2 else _USUAL_SCORE
 
     def below(share: float) -> bool:
         return best is None or best.score < share * usual
