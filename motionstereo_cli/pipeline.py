@@ -454,12 +454,13 @@ def analyse(
         now.set_exception(error)
         raise
     now.set_result(sighting)
-    if before:
-        earlier = [(each.result().disparity_px, each.result().grey) for each in before]
+    earlier = [(each.result().disparity_px, each.result().grey) for each in before]
+    if earlier:
         age = age_of(shown, s)
         steady = averaged(found.disparity_px, sighting.grey, age, earlier)
         found = found._replace(disparity_px=steady)
-    images, summary = described(frame, shown, found, motion, context)
+    earlier_px = [disparity_px for disparity_px, _ in earlier]
+    images, summary = described(frame, shown, found, motion, context, earlier_px)
     return FrameAnalysis(images, summary)
 
 
@@ -469,6 +470,7 @@ def described(
     found: Match,
     motion: Motion | None,
     context: StreamContext,
+    earlier_px: Sequence[Real] = (),
 ) -> tuple[FrameImages, FrameSummary]:
     """Return all results that depend on one frame's disparity.
 
@@ -478,11 +480,14 @@ def described(
         found: its disparity, and further results of the matcher.
         motion: the rig's own.
         context: the constants of the stream.
+        earlier_px: disparity of the last frames, each of its own alone.
     """
     s, rig, disparity_px = context.settings, context.rig, found.disparity_px
     regions: tuple[Region, ...] = ()
-    if context.tracker is not None:
-        regions = context.tracker.regions(disparity_px, age_of(shown, s) <= FRESH_FRAMES)
+    # Movers are the objects of a rig that is known to move.
+    if context.tracker is not None and (context.mover_finder is None or stands(motion)):
+        fresh = age_of(shown, s) <= FRESH_FRAMES
+        regions = context.tracker.regions(disparity_px, fresh, earlier_px)
     images = FrameImages(
         time=frame.time,
         view=frame.right if s.reference == "right" else frame.left,

@@ -28,6 +28,7 @@ from motionstereo_cli.robot.objects import (
     movement,
     regions,
     trust,
+    uncovered,
 )
 from motionstereo_cli.robot.tracker import MAX_CONTACT_S, Tracker, Tracks
 from motionstereo_cli.simulate.settings import SimulateSettings
@@ -99,6 +100,26 @@ class TestRegions:
             32,
             100,
         ]  # 30 and 31 are of mixed cells
+
+    def test_what_stands_before_something_is_one_even_between_nearer_ones(self):
+        near = scene((8, 0, 24, 96, 20), (32, 0, 80, 96, 10), (112, 0, 24, 96, 20))
+        fresh = np.isfinite(near)
+        assert [region.nearness_px for region in found(near, fresh)] == [20, 20]
+        near[20:60, 32:64] = 6  # seen behind the middle one, which so is no wall
+        fresh[20:60, 32:64] = False
+        assert sorted(region.nearness_px for region in found(near, fresh)) == [10, 20, 20]
+
+    def test_what_a_mover_uncovers_has_not_moved(self):
+        was, now = scene((40, 20, 40, 48, 20), ground=8), scene((64, 20, 40, 48, 20), ground=8)
+        fresh = scene((40, 20, 64, 48, 1), ground=0) > 0
+        lost = np.full(now.shape, NAN)
+        for earlier in ([was], [was, now, lost]):
+            hidden = uncovered(now, fresh, earlier, 0.0)
+            assert hidden[20:68, 40:64].all()
+            assert np.count_nonzero(hidden) == 24 * 48
+        assert not uncovered(now, fresh, [], 0.0).any()
+        assert not uncovered(now, fresh, [now + np.float32(1)], 0.0).any()  # it drew back a little
+        assert not uncovered(now, fresh, [was], 200.0).any()  # 12 px are a small share of 208
 
     def test_what_reaches_across_the_image_is_none(self):
         assert found(scene((0, 40, 160, 56, 10))) == ()

@@ -32,8 +32,11 @@ _JUMP_PX = 0.5
 _JUMP_SHARE = 0.03
 #: Gaps of twice this many cells are bridged.
 _GAP_CELLS = 2
-#: A region with nearer neighbours on more than this share of its sides is background.
-_BEHIND_SHARE = 0.5
+#: A region with nearer neighbours on more than the first share of its sides is background, unless
+#: it has farther ones on the second.
+_BEHIND_SHARE, _BEFORE_SHARE = 0.5, 0.1
+#: Where nearness was larger before by the larger of these, what is seen was hidden then.
+_HIDDEN_PX, _HIDDEN_SHARE = 1.0, 0.06
 
 #: Search range of an object about its expected position, in its sizes, and as a factor of nearness.
 _MAX_SIZES = 1.0
@@ -125,16 +128,38 @@ def regions(nearness_px: Reals, fresh: NDArray[np.bool_], min_share: float) -> t
     share, cells = _in_cells(nearness_px, fresh)
     bridged = _bridged(cells)
     count, labels = _labelled(bridged)
-    nearer, sides = _neighbours(labels, bridged, count)
+    nearer, farther, sides = _neighbours(labels, bridged, nearness_px, count)
     labels[np.isnan(cells)] = 0
     size, boxes = _boxes(labels, count)
-    wanted = (size >= min_share * cells.size) & (nearer <= _BEHIND_SHARE * sides)
+    wanted = (nearer <= _BEHIND_SHARE * sides) | (farther > _BEFORE_SHARE * sides)
+    wanted &= size >= min_share * cells.size
     wanted &= boxes[:, 2] - boxes[:, 0] < cells.shape[1]
     wanted[0] = False  # the unknown
     return tuple(
         _region(labels, label, boxes[label].tolist(), cells, share)
         for label in np.flatnonzero(wanted).tolist()
     )
+
+
+def uncovered(
+    disparity_px: Reals, fresh: NDArray[np.bool_], earlier_px: Sequence[Reals], doffs_px: float
+) -> NDArray[np.bool_]:
+    """Return where something changed because what was before it moved on, (height, width) bool.
+
+    Args:
+        disparity_px: (height, width) float32, NaN = unknown.
+        fresh: where something has just moved, (height, width) bool.
+        earlier_px: disparity in the last frames.
+        doffs_px: nearness less disparity.
+    """
+    where = np.flatnonzero(fresh)
+    now, before = disparity_px.ravel()[where], np.full(len(where), -np.inf, np.float32)
+    for each in earlier_px:
+        np.fmax(before, each.ravel()[where], out=before)
+    result = np.zeros(fresh.size, np.bool_)
+    hidden_px = np.maximum(np.float32(_HIDDEN_PX), _HIDDEN_SHARE * (now + np.float32(doffs_px)))
+    result[where] = before - now > hidden_px
+    return result.reshape(fresh.shape)
 
 
 def _in_cells(nearness_px: Reals, fresh: NDArray[np.bool_]) -> tuple[Reals, Reals]:
@@ -178,16 +203,22 @@ def _linked(a: Reals, b: Reals) -> NDArray[np.bool_]:
 
 
 def _neighbours(
-    labels: NDArray[np.int32], near: Reals, count: int
-) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return how often each region has a nearer one beside it in its rows, and any other end."""
+    labels: NDArray[np.int32], near: Reals, nearness_px: Reals, count: int
+) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
+    """Return how often each region has a nearer one beside it in its rows, and any other end.
+
+    Between these: how often something is farther there, whether or not it has moved.
+    """
     other = labels[:, :-1] != labels[:, 1:]
     left, right = labels[:, :-1][other], labels[:, 1:][other]
     left_is_near = near[:, :-1][other] > near[:, 1:][other]
-    behind = np.where(left_is_near, right, left)
-    return np.bincount(behind, minlength=count), np.bincount(
-        np.concatenate([left, right]), minlength=count
-    )
+    behind, sides = np.where(left_is_near, right, left), np.concatenate([left, right])
+    _, all_cells = _in_cells(nearness_px, np.ones(nearness_px.shape, np.bool_))
+    known = np.where(near > 0, near, all_cells)
+    one, two = known[:, :-1][other], known[:, 1:][other]
+    jump = np.maximum(np.float32(_JUMP_PX), _JUMP_SHARE * np.concatenate([one, two]))
+    before = sides[np.concatenate([one - two, two - one]) > jump]
+    return tuple(np.bincount(each, minlength=count) for each in (behind, before, sides))  # type: ignore[return-value]
 
 
 def _boxes(labels: NDArray[np.int32], count: int) -> tuple[NDArray[np.int32], NDArray[np.int32]]:

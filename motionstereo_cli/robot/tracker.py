@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -22,6 +22,7 @@ from motionstereo_cli.robot.objects import (
     movement,
     regions,
     trust,
+    uncovered,
 )
 from motionstereo_cli.types import (
     FrameTime,
@@ -76,14 +77,20 @@ class Tracker:
     settings: Settings
     rig: Rig | None
 
-    def regions(self, disparity_px: Real, fresh: NDArray[np.bool_]) -> tuple[Region, ...]:
-        """Return the regions of a frame that may be objects; they depend on this frame only.
+    def regions(
+        self, disparity_px: Real, fresh: NDArray[np.bool_], earlier_px: Sequence[Real] = ()
+    ) -> tuple[Region, ...]:
+        """Return the regions of a frame that may be objects; they depend on the last frames only.
 
         Args:
             disparity_px: (height, width) float32, NaN = unknown.
             fresh: where the disparity shows the present, (height, width) bool.
+            earlier_px: disparity in the last frames.
         """
-        near = self.rig.nearness_px(disparity_px) if self.rig else disparity_px
+        near, doffs_px = disparity_px, 0.0
+        if self.rig is not None:
+            near, doffs_px = self.rig.nearness_px(disparity_px), self.rig.doffs
+        fresh = fresh & ~uncovered(disparity_px, fresh, earlier_px, doffs_px)
         found = regions(near, fresh, MIN_KNOWN_SHARE)
         strips = min(self.settings.steer_strips, near.shape[1])
         surface_px = level_surface(near, strips, min_known=_SURFACE_STRIPS)
