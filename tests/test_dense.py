@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+from motionstereo_cli.compiled import bilateral
 from motionstereo_cli.compiled import dense as loops
 from motionstereo_cli.method import dense
 from motionstereo_cli.method.balance import balanced
@@ -82,7 +83,11 @@ class TestSmoothing:
         )
     )
     def test_pixels_are_the_oracles(self, view):
-        np.testing.assert_array_equal(smoothed(view), oracles.smoothed(view))
+        wanted = oracles.smoothed(view)
+        np.testing.assert_array_equal(smoothed(view), wanted)
+        plain = np.empty_like(view)
+        bilateral.smooth(view, bilateral.Workspace(view.shape[1]), plain)
+        np.testing.assert_array_equal(plain, wanted)
 
     def test_it_is_about_a_gaussian_bilateral_filter(self):
         noise = np.rint(3 * np.random.default_rng(0).standard_normal((60, 80)))

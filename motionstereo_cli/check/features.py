@@ -143,6 +143,11 @@ class FrameWindow:
             down[new], followed[new] = _followed(self.left, t, points[new])
         return down[chosen], followed[chosen]
 
+    def middle(self) -> tuple[Keypoints, Keypoints]:
+        """Return the keypoints of both views at its middle."""
+        t = len(self.left) // 2
+        return self._seen("left", t), self._seen("right", t)
+
     def _seen(self, side: str, t: int) -> Keypoints:
         if (side, t) not in self._features:
             image = (self.left if side == "left" else self.right)[t]
@@ -162,25 +167,36 @@ def mutual_matches(left: Keypoints, right: Keypoints) -> NDArray[np.intp]:
     """Return the indices of keypoints that clearly match each other, (n, 2): left, right."""
     if min(len(left.points), len(right.points)) < 2:
         return np.empty((0, 2), np.intp)
-    forth = _clear_matches(left.descriptors, right.descriptors)
-    back = _clear_matches(right.descriptors, left.descriptors)
-    both = [(i, j) for i, j in forth.items() if back.get(j) == i]
-    return np.array(both, np.intp).reshape(-1, 2)
+    across = _distances(left, right)
+    forth = _clear_matches(across, _distances(left, left))
+    back = _clear_matches(across.T, _distances(right, right))
+    one = np.flatnonzero(forth >= 0)
+    one = one[back[forth[one]] == one]
+    return np.stack([one, forth[one]], axis=1)
 
 
-def _clear_matches(descriptors: Any, others: Any) -> dict[int, int]:
-    """Return for each its nearest of the others, where nothing else looks nearly like it.
+def _distances(one: Keypoints, other: Keypoints) -> NDArray[np.float32]:
+    """Return the distances of all descriptors, (n, m); their numbers are whole: nothing is lost."""
+    lengths = [np.square(each.descriptors).sum(axis=1) for each in (one, other)]
+    products = one.descriptors @ other.descriptors.T
+    squares = lengths[0][:, np.newaxis] + lengths[1] - 2 * products
+    return np.asarray(np.sqrt(np.maximum(squares, 0)), np.float32)
+
+
+def _clear_matches(across: NDArray[np.float32], within: NDArray[np.float32]) -> NDArray[np.intp]:
+    """Return for each the nearest of the others, (n,); -1 where something else looks alike.
 
     Neither the second nearest of the others may, nor another in its own image: of a pattern that
     repeats itself, the true partner may be hidden.
+
+    Args:
+        across: distances from the others, (n, m).
+        within: distances in its own image, (n, n).
     """
-    matcher = cv2.BFMatcher(cv2.NORM_L2)
-    across, within = (matcher.knnMatch(descriptors, each, k=2) for each in (others, descriptors))
-    return {
-        best.queryIdx: best.trainIdx
-        for (best, second), (_, like) in zip(across, within, strict=True)
-        if best.distance < _MAX_RATIO * min(second.distance, like.distance)
-    }
+    nearest = across.argmin(axis=1)
+    best, second = np.partition(across, 1, axis=1)[:, :2].T
+    like = np.partition(within, 1, axis=1)[:, 1]
+    return np.where(best < _MAX_RATIO * np.minimum(second, like), nearest, -1)
 
 
 def _grey_at(image: Grey, points: NDArray[np.float32]) -> Column:

@@ -20,7 +20,7 @@ import numpy as np
 from motionstereo_cli.check.features import NO_MATCHES, FrameWindow, Matches, joined
 from motionstereo_cli.check.findings import DARK_GREY, CheckReport, Finding
 from motionstereo_cli.check.lag import BANDS, lag_of, profile, small
-from motionstereo_cli.check.mounting import Mounting, mounted
+from motionstereo_cli.check.mounting import mounted
 from motionstereo_cli.check.synchrony import (
     MAX_STEP,
     Fit,
@@ -256,7 +256,7 @@ class _Checker:
             step_certain=step is not None and step.is_certain,
             drift=drift,
             matches=len(seen),
-            mounted=self._mounted(),
+            mounted=mounted(self._windows[:_MOUNTED_WINDOWS]),
             **_light(self._windows),
             **_alignment(rows, seen, self._windows[0].shape, self._scale),
             **_disparities(agreed, self._scale, max_disparity, rig.doffs if rig else 0.0),
@@ -275,13 +275,6 @@ class _Checker:
         if found is None or not found.is_certain:
             return None
         return PairingStep(-found.images, float(-found.images))
-
-    def _mounted(self) -> Mounting | None:
-        """Look at one pair of images of the first windows."""
-        middles = [(each, len(each.left) // 2) for each in self._windows[:_MOUNTED_WINDOWS]]
-        return mounted(
-            [window.left[t] for window, t in middles], [window.right[t] for window, t in middles]
-        )
 
 
 def _light(windows: Sequence[FrameWindow]) -> dict[str, Any]:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import cv2
 import numpy as np
 
-from motionstereo_cli.check.features import keypoints, mutual_matches
+from motionstereo_cli.check.features import FrameWindow, Keypoints, keypoints, mutual_matches
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -59,14 +59,19 @@ _TURNS = (
 )
 
 
-def mounted(lefts: Sequence[Grey], rights: Sequence[Grey]) -> Mounting | None:
+def mounted(windows: Sequence[FrameWindow]) -> Mounting | None:
     """Return how the right view stands against the left one and what mends it, None if alike.
 
     Args:
-        lefts, rights: a few pairs of images of one moment, (height, width) uint8.
+        windows: of each the two images at its middle are looked at.
     """
-    pairs = [(_small(left), _small(right)) for left, right in zip(lefts, rights, strict=True)]
-    found = [_rows_and_columns(left, right) for left, right in pairs]
+    pairs, found = [], []
+    for window in windows:
+        t = len(window.left) // 2
+        pair = _small(window.left[t]), _small(window.right[t])
+        small = window.shape[1] > _WIDTH
+        pairs.append(pair)
+        found.append(_rows_and_columns(*(map(keypoints, pair) if small else window.middle())))
     across, down = np.concatenate(found).T if found else np.empty((2, 0))
     reach = _ROW_REACH * pairs[0][0].shape[0] if pairs else 0.0
     alike = _alike(down, reach)
@@ -121,7 +126,7 @@ def _mended(pairs: Sequence[tuple[Grey, Grey]], turn: _Turn) -> _Matches:
     for left, right in pairs:
         mended = np.ascontiguousarray(turn.mend(right))
         if mended.shape == left.shape:
-            found.append(_rows_and_columns(left, mended))
+            found.append(_rows_and_columns(keypoints(left), keypoints(mended)))
     return np.concatenate(found)
 
 
@@ -129,9 +134,8 @@ def _alike(down: _Matches, reach: float) -> int:
     return int(np.sum(np.abs(down - np.median(down)) < reach)) if len(down) else 0
 
 
-def _rows_and_columns(left: Grey, right: Grey) -> _Matches:
+def _rows_and_columns(one: Keypoints, other: Keypoints) -> _Matches:
     """Return by how much matches lie further right and lower in the right image, (n, 2) px."""
-    one, other = keypoints(left), keypoints(right)
     mutual = mutual_matches(one, other)
     return (other.points[mutual[:, 1]] - one.points[mutual[:, 0]]).astype(np.float64)
 

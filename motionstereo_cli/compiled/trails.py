@@ -41,7 +41,7 @@ class Workspace:
     next_left: cython.int[::1]
     best: cython.int[:, ::1]  # of the right trails of a row: support, pair
     column: cython.int[::1]  # which column of blocks each pixel of a row lies in
-    votes: cython.ushort[:, :, ::1]  # (rows of blocks, columns of blocks, disparities)
+    votes: cython.ushort[:, :, ::1]  # (three rows of blocks, columns of blocks, disparities)
     down: cython.int[:, ::1]  # sums of three rows of blocks, with a border of nothing
     pooled: cython.int[:, ::1]  # sums of 3 x 3 blocks, with a border of two disparities
     near: cython.int[:, ::1]  # the same within +-1 px
@@ -51,7 +51,6 @@ class Workspace:
         self.height, self.width, self.disparities = height, width, max_disparity + 1
         self.block_rows = block_rows
         self.columns = columns = -(-width // block_columns)
-        rows = -(-height // block_rows)
         trails = height * width  # at most; unused pages take no memory
         self.first = np.zeros((2, height + 1), np.int32)
         self.start = np.empty((2, trails), np.int32)
@@ -66,7 +65,7 @@ class Workspace:
         self.best_left, self.next_left = np.empty((2, trails), np.int32)
         self.best = np.empty((width + 1, 2), np.int32)
         self.column = (np.arange(width) // block_columns).astype(np.int32)
-        self.votes = np.empty((rows, columns, max_disparity + 1), np.uint16)
+        self.votes = np.empty((3, columns, max_disparity + 1), np.uint16)
         self.down = np.zeros((columns + 2, max_disparity + 1), np.int32)
         self.pooled = np.zeros((columns, max_disparity + 5), np.int32)
         self.near = np.empty((columns, max_disparity + 1), np.int32)
@@ -100,9 +99,7 @@ def match(
             work.newest[:] = -1
             work.pairs = np.empty((2 * work.pairs.shape[0], 3), np.int32)
     with cython.nogil:
-        vote(work)
         elect_winners(max_ratio, work)
-        vote_again(work)
         paint(right, left, min_votes, work, disparity, agreement)
 
 
@@ -203,33 +200,39 @@ def give(
 @cython.cfunc
 @cython.nogil
 @cython.exceptval(check=False)
-@cython.locals(row=cython.Py_ssize_t, i=cython.int, k=cython.int)
-def vote(work: Workspace) -> cython.void:
-    """Count all pairs, each at both its ends."""
-    work.votes[:, :, :] = 0
-    for row in range(work.height):
-        y: cython.Py_ssize_t = row // work.block_rows
-        for i in range(work.first[0, row], work.first[0, row + 1]):
-            at_start: cython.int = work.column[work.start[0, i]]
-            at_stop: cython.int = work.column[work.stop[0, i] - 1]
-            for k in range(work.first_pair[i], work.first_pair[i + 1]):
-                give(work, y, at_start, work.pairs[k, 1])
-                give(work, y, at_stop, work.pairs[k, 2])
+@cython.locals(y=cython.Py_ssize_t, i=cython.int, k=cython.int)
+def vote(y: cython.Py_ssize_t, work: Workspace) -> cython.void:
+    """Count the pairs in a row of blocks, each at both its ends."""
+    begin: cython.Py_ssize_t = y * work.block_rows
+    end: cython.Py_ssize_t = min(begin + work.block_rows, work.height)
+    if begin >= end:
+        return
+    y = y % 3
+    work.votes[y, :, :] = 0
+    for i in range(work.first[0, begin], work.first[0, end]):
+        at_start: cython.int = work.column[work.start[0, i]]
+        at_stop: cython.int = work.column[work.stop[0, i] - 1]
+        for k in range(work.first_pair[i], work.first_pair[i + 1]):
+            give(work, y, at_start, work.pairs[k, 1])
+            give(work, y, at_stop, work.pairs[k, 2])
 
 
 @cython.cfunc
 @cython.nogil
 @cython.exceptval(check=False)
-@cython.locals(row=cython.Py_ssize_t, i=cython.int)
-def vote_again(work: Workspace) -> cython.void:
+@cython.locals(y=cython.Py_ssize_t, i=cython.int)
+def vote_again(y: cython.Py_ssize_t, work: Workspace) -> cython.void:
     """Count the winners only, each at both its ends."""
-    work.votes[:, :, :] = 0
-    for row in range(work.height):
-        y: cython.Py_ssize_t = row // work.block_rows
-        for i in range(work.first[0, row], work.first[0, row + 1]):
-            if work.ends[i, 0] >= 0:
-                give(work, y, work.column[work.start[0, i]], work.ends[i, 0])
-                give(work, y, work.column[work.stop[0, i] - 1], work.ends[i, 1])
+    begin: cython.Py_ssize_t = y * work.block_rows
+    end: cython.Py_ssize_t = min(begin + work.block_rows, work.height)
+    if begin >= end:
+        return
+    y = y % 3
+    work.votes[y, :, :] = 0
+    for i in range(work.first[0, begin], work.first[0, end]):
+        if work.ends[i, 0] >= 0:
+            give(work, y, work.column[work.start[0, i]], work.ends[i, 0])
+            give(work, y, work.column[work.stop[0, i] - 1], work.ends[i, 1])
 
 
 @cython.cfunc
@@ -242,14 +245,15 @@ def pool(row: cython.Py_ssize_t, work: Workspace) -> cython.void:
     down: cython.int[:, ::1] = work.down
     pooled: cython.int[:, ::1] = work.pooled
     above: cython.Py_ssize_t = max(row - 1, 0)
-    below: cython.Py_ssize_t = min(row + 1, votes.shape[0] - 1)
+    last: cython.Py_ssize_t = (work.height - 1) // work.block_rows
+    below: cython.Py_ssize_t = min(row + 1, last)
     for column in range(work.columns):
         for d in range(work.disparities):
-            down[column + 1, d] = votes[row, column, d]
+            down[column + 1, d] = votes[row % 3, column, d]
         for other in range(above, below + 1):
             if other != row:
                 for d in range(work.disparities):
-                    down[column + 1, d] += votes[other, column, d]
+                    down[column + 1, d] += votes[other % 3, column, d]
     for column in range(work.columns):
         for d in range(work.disparities):
             pooled[column, d + 2] = down[column, d] + down[column + 1, d] + down[column + 2, d]
@@ -274,8 +278,10 @@ def elect_winners(max_ratio: cython.double, work: Workspace) -> cython.void:
     next_left: cython.int[::1] = work.next_left
     for j in range(work.first[1, work.height]):
         best_left[j] = next_left[j] = 0
+    vote(0, work)
     for row in range(work.height):
         if row % work.block_rows == 0:
+            vote(row // work.block_rows + 1, work)
             pool(row // work.block_rows, work)
             for block in range(work.columns):
                 for d in range(work.disparities):
@@ -370,10 +376,12 @@ def paint(
 ) -> cython.void:
     """Fill in the images of disparity and of votes, NaN = unknown."""
     width: cython.int = cython.cast(cython.int, work.width)
+    vote_again(0, work)
     for y in range(cython.cast(cython.int, work.height)):
         disparity[y, :] = NAN
         agreement[y, :] = NAN
         if y % work.block_rows == 0:
+            vote_again(y // work.block_rows + 1, work)
             pool(y // work.block_rows, work)
             work.choice[:] = -1
         for i in range(work.first[0, y], work.first[0, y + 1]):

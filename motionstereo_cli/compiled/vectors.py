@@ -1,7 +1,8 @@
-"""Semi-global matching in vectors: what :mod:`motionstereo_cli.compiled.dense` does, faster.
+"""Loops in vectors: what :mod:`motionstereo_cli.compiled.dense` and ``bilateral`` do, faster.
 
-The same results to the bit. The C source beside this file, ``semi_global.h``, uses the vector types
-of GCC and clang; with other compilers, and in plain Python, this module does not exist.
+The same results to the bit. The C sources beside this file, ``semi_global.h`` and ``bilateral.h``,
+use the vector types of GCC and clang; with other compilers, and in plain Python, this module does
+not exist.
 """
 
 import cython
@@ -10,6 +11,11 @@ import numpy as np
 if not cython.compiled:
     raise ImportError("there are no vectors in plain Python")
 
+from cython.cimports.motionstereo_cli.compiled.bilateral_vectors import (
+    HAS_LOOKUPS,
+    smooth_bytes,
+    smooth_vectors,
+)
 from cython.cimports.motionstereo_cli.compiled.semi_global import (
     Penalties,
     Tiles,
@@ -21,6 +27,9 @@ from cython.cimports.motionstereo_cli.compiled.semi_global import (
 #: Disparities in a chunk, and their maximum total.
 CHUNK = cython.declare(cython.int, 16)
 MAX_COUNT = 1024
+
+#: Whether :func:`smooth` works: the processor looks up bytes, 32 at a time.
+CAN_SMOOTH = bool(HAS_LOOKUPS)
 
 
 @cython.cclass
@@ -123,6 +132,24 @@ def semi_global(
             cython.address(disparity[0, 0]),
             cython.address(margin[0, 0]),
             rivals,
+        )
+
+
+def smooth(
+    view: cython.const[cython.uchar][:, ::1], work: Workspace, result: cython.uchar[:, ::1]
+) -> None:
+    """Do what :func:`motionstereo_cli.compiled.bilateral.smooth` does."""
+    width: cython.int = cython.cast(cython.int, view.shape[1])
+    size: cython.Py_ssize_t = smooth_bytes(width)
+    if work.memory.shape[0] < size:
+        work.memory = np.empty(size, np.uint8)
+    with cython.nogil:
+        smooth_vectors(
+            cython.address(view[0, 0]),
+            cython.cast(cython.int, view.shape[0]),
+            width,
+            cython.address(work.memory[0]),
+            cython.address(result[0, 0]),
         )
 
 

@@ -69,7 +69,10 @@ def smoothed(view: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Return a view with less noise and sharp edges, (height, width) uint8: a bilateral filter."""
     view = checked_array(view, np.uint8)
     result = np.empty_like(view)
-    bilateral.smooth(view, reused(bilateral.Workspace, view.shape[1]), result)
+    if vectors is not None and vectors.CAN_SMOOTH:
+        vectors.smooth(view, reused(vectors.Workspace), result)
+    else:
+        bilateral.smooth(view, reused(bilateral.Workspace, view.shape[1]), result)
     return result
 
 
