@@ -386,12 +386,11 @@ def averaged(disparity, grey, age, before):
     """Disparity averaged with what earlier frames say of the same thing, pixel by pixel."""
     result = disparity.copy()
     for place in np.ndindex(result.shape):
-        agreeing, weights = [disparity[place]], [1]
+        agreeing = [disparity[place]]
         for frames, (earlier, its_grey) in enumerate(reversed(before), 1):
             change = abs(earlier[place] - disparity[place])
             step = abs(int(its_grey[place]) - int(grey[place]))
             if change <= 0.6 and step <= 4 and age[place] >= frames:
                 agreeing.append(earlier[place])
-                weights.append(4 if frames < len(before) else 2)
-        result[place] = np.average(agreeing, weights=weights)
+        result[place] = np.mean(agreeing)
     return result

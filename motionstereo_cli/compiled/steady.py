@@ -12,22 +12,20 @@ def add(
     earlier: cython.const[cython.float][:, ::1],
     earlier_grey: cython.const[cython.uchar][:, ::1],
     frames: cython.int,
-    weight: cython.int,
     max_grey: cython.int,
     tolerance_px: cython.float,
     total: cython.float[:, ::1],
-    weights: cython.uchar[:, ::1],
+    count: cython.uchar[:, ::1],
 ) -> None:
-    """Add an earlier result where it agrees on the same surface.
+    """Add an earlier result where it agrees on the same surface, and count it.
 
     Args:
         disparity, grey, age: of now, (height, width).
         earlier, earlier_grey: of ``frames`` frames ago.
         frames: how long ago.
-        weight: of that result.
         max_grey: largest change of grey in levels.
         tolerance_px: largest change of disparity.
-        total, weights: sums of weighted disparities so far, and of their weights.
+        total, count: of disparities so far.
     """
     y: cython.Py_ssize_t
     with cython.nogil:
@@ -39,20 +37,19 @@ def add(
                 earlier[y],
                 earlier_grey[y],
                 frames,
-                weight,
                 max_grey,
                 tolerance_px,
                 total[y],
-                weights[y],
+                count[y],
             )
 
 
-def divide(weights: cython.const[cython.uchar][:, ::1], total: cython.float[:, ::1]) -> None:
+def divide(count: cython.const[cython.uchar][:, ::1], total: cython.float[:, ::1]) -> None:
     """Turn sums into means."""
     y: cython.Py_ssize_t
     with cython.nogil:
         for y in range(total.shape[0]):
-            divide_row(weights[y], total[y])
+            divide_row(count[y], total[y])
 
 
 # Compilers vectorise loops over arrays that are arguments of a separate function.
@@ -68,15 +65,13 @@ def add_row(
     earlier: cython.const[cython.float][::1],
     earlier_grey: cython.const[cython.uchar][::1],
     frames: cython.int,
-    weight: cython.int,
     max_grey: cython.int,
     tolerance_px: cython.float,
     total: cython.float[::1],
-    weights: cython.uchar[::1],
+    count: cython.uchar[::1],
 ) -> cython.void:
     """Add a row."""
     x: cython.Py_ssize_t
-    times: cython.float = cython.cast(cython.float, weight)
     for x in range(total.shape[0]):
         step: cython.int = cython.cast(cython.int, grey[x]) - cython.cast(
             cython.int, earlier_grey[x]
@@ -87,15 +82,15 @@ def add_row(
             & (step <= max_grey)
             & (step >= -max_grey)
         )
-        total[x] += times * earlier[x] if counts else ZERO
-        weights[x] += weight if counts else 0
+        total[x] += earlier[x] if counts else ZERO
+        count[x] += counts
 
 
 @cython.cfunc
 @cython.nogil
 @cython.exceptval(check=False)
-def divide_row(weights: cython.const[cython.uchar][::1], total: cython.float[::1]) -> cython.void:
+def divide_row(count: cython.const[cython.uchar][::1], total: cython.float[::1]) -> cython.void:
     """Turn a row of sums into means."""
     x: cython.Py_ssize_t
     for x in range(total.shape[0]):
-        total[x] /= weights[x]
+        total[x] /= count[x]

@@ -20,10 +20,6 @@ Greys = NDArray[np.uint8]
 #: Maximum differences of an averaged result: disparity in px, and grey in levels.
 _TOLERANCE_PX, _MAX_GREY = 0.6, 4
 
-#: Weights of the results of this frame, of those between, and of the oldest: results come and go in
-#: parts, so the average steps less from frame to frame than with equal weights.
-_NOW, _BETWEEN, _OLDEST = 1, 4, 2
-
 
 def averaged(
     disparity_px: Reals, grey: Greys, age: Greys, before: Sequence[tuple[Reals, Greys]]
@@ -39,14 +35,13 @@ def averaged(
     now = checked_array(disparity_px, np.float32)
     shape = now.shape
     grey, age = checked_array(grey, np.uint8, shape), checked_array(age, np.uint8, shape)
-    total, weights = _NOW * now, np.full(shape, _NOW, np.uint8)
+    total, count = now.copy(), np.ones(shape, np.uint8)
     for frames, (earlier_px, earlier_grey) in enumerate(reversed(before), 1):
         loops.add(
             *(now, grey, age),
             checked_array(earlier_px, np.float32, shape),
             checked_array(earlier_grey, np.uint8, shape),
-            *(frames, _BETWEEN if frames < len(before) else _OLDEST),
-            *(_MAX_GREY, _TOLERANCE_PX, total, weights),
+            *(frames, _MAX_GREY, _TOLERANCE_PX, total, count),
         )
-    loops.divide(weights, total)
+    loops.divide(count, total)
     return total
