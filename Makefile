@@ -6,7 +6,7 @@ BENCH = PYTHONPATH=tests $(BIN)/python -m bench
 # What sample_data/golden has.
 GOLDEN = steering,depth,disparity
 
-.PHONY: demo test lint sample regress fuzz figures presets bench bench-accuracy bench-batch bench-drive \
+.PHONY: demo test lint sample regress fuzz figures presets gallery bench bench-accuracy bench-batch bench-drive \
 	bench-map bench-objects own-motion check-trials torture sanitize goals coverage renew man clean help
 
 demo: $(READY)  ## run the main job on sample_data
@@ -87,6 +87,9 @@ figures: $(READY)  ## render the paper's figures 2 and 3
 
 presets: $(READY)  ## draw what the presets make of the same frames, sample_data/presets.jpg
 	$(BENCH) presets sample_data/presets.jpg
+
+gallery: $(READY)  ## draw the stills of the gallery; RECORDINGS=folder for the recorded ones
+	$(BENCH) gallery sample_data/gallery $(RECORDINGS)
 
 bench: $(READY)  ## measure how fast everything is, against StereoBM and StereoSGBM
 	$(BENCH) speed

@@ -14,12 +14,14 @@ import av
 import cv2
 import numpy as np
 import pytest
+from bags import Bag
 from recordings import encode, folder
 
 from motionstereo_cli.__main__ import main
 from motionstereo_cli.commands import cli
 from motionstereo_cli.report.words import command
 from motionstereo_cli.sinks.read_back import read_record
+from motionstereo_cli.types import Rig
 
 ROOT = Path(__file__).parent.parent
 SAMPLE = ROOT / "sample_data"
@@ -86,6 +88,12 @@ def yours(tmp_path_factory):
     (home / "poses.txt").write_text(
         "".join(f"{n / 30:.6f} {n / 60} 0 0.3 0 0 0 1\n" for n in range(len(both)))
     )
+    with Bag(home / "drive_bag", ".mcap") as bag:
+        rig = Rig(WIDTH, HEIGHT, focal_px, baseline_m, WIDTH / 2 - 0.5, HEIGHT / 2 - 0.5)
+        for side, images in zip(("left", "right"), views, strict=True):
+            for n, image in enumerate(images[:12]):
+                bag.image(f"/cam/{side}/image_raw", image, 10**9 + n * 10**8)
+            bag.camera_info(f"/cam/{side}/camera_info", rig, 10**9, right=side == "right")
     for name in ("one", "two"):
         for side in ("left", "right"):
             (home / "archive" / name).mkdir(parents=True, exist_ok=True)

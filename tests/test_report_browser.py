@@ -3,8 +3,11 @@
 import csv
 import shutil
 import time
+from pathlib import Path
 
+import numpy as np
 import pytest
+from recordings import encode
 
 from motionstereo_cli.__main__ import main
 
@@ -33,6 +36,8 @@ def browser(tmp_path_factory):
     yield driver
     driver.quit()
 
+
+PROBE = (Path(__file__).parent / "page_probe.js").read_text()
 
 #: The view among them: a recording outside the folder is not opened.
 SAVED = "steering,depth,charge,depth-video,view-video,objects"
@@ -156,6 +161,64 @@ def test_a_phone_needs_no_scrolling_sideways(page):
         until(page, "return document.querySelector('.uplot').clientWidth < 390")
     finally:
         page.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+
+
+@pytest.fixture(scope="module")
+def others(tmp_path_factory):
+    """A run without a rig that never has a heading, and one with a map and a warning."""
+    home = tmp_path_factory.mktemp("others")
+    flat = [np.full((48, 64), 40, np.uint8) for _ in range(12)]
+    for n, image in enumerate(flat):
+        image[10:20, 3 * n : 3 * n + 9] = 200
+    for side in ("left", "right"):
+        encode(home / f"{side}.mp4", flat, "libx264", "yuv420p")
+    blind = [str(home / f"{side}.mp4") for side in ("left", "right")]
+    assert main(["run", *blind, "-o", str(home / "blind"), "--save", "report"]) == 0
+    size = ["--width", "96", "--height", "64", "--frames", "300:340"]
+    assert main(["simulate", str(home / "way"), *size]) == 0
+    views = [str(home / f"way/{side}.mp4") for side in ("left", "right")]
+    given = ["--rig", str(home / "way/rig.yaml"), "--poses", str(home / "way/poses.txt")]
+    given += ["--max-disparity", "8", "--save", "report,map,poses", "-o", str(home / "mapped")]
+    assert main(["run", *views, *given]) == 0
+    return home
+
+
+@pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
+@pytest.mark.parametrize("width", [1280, 390])
+@pytest.mark.parametrize("name", ["cards", "blind", "mapped"])
+def test_nothing_overlaps_is_cut_or_leaves_the_screen(browser, run, others, name, width, dark):
+    size = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": width < 500}
+    scheme = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}
+    browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+    browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": [scheme]})
+    try:
+        out = run if name == "cards" else others / name
+        if not (out / "report.html").exists():
+            assert main(["report", str(out)]) == 0
+        browser.get_log("browser")  # of the pages before
+        browser.get((out / "report.html").as_uri())
+        until(browser, "return document.querySelectorAll('.plot canvas').length")
+        browser.execute_script(
+            "for (const e of document.querySelectorAll('details')) e.open = true"
+        )
+        assert browser.execute_script(PROBE) == []
+        assert browser.get_log("browser") == []
+    finally:
+        browser.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+        browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": []})
+
+
+def test_the_probe_finds_what_is_wrong(page):
+    spoil = """
+        const [text, next] = document.querySelectorAll("figcaption b");
+        text.style = next.style = "position: absolute; left: 9px; top: 200px; white-space: nowrap";
+        document.querySelector("h1").style = "position: absolute; left: 3000px";
+        document.querySelector(".about").style = "overflow: hidden; white-space: nowrap; width: 9px"
+    """
+    page.execute_script(spoil)
+    faults = "; ".join(page.execute_script(PROBE))
+    found = [word for word in ("overlap by", "leaves the screen", "is cut") if word in faults]
+    assert len(found) == 3, faults
 
 
 def test_without_the_videos_it_shows_a_frame_of_each(browser, run, tmp_path):

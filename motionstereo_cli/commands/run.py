@@ -118,6 +118,7 @@ def run_options(command: Callable[..., Any]) -> Callable[..., Any]:
         "motionstereo run left.mp4 right.mp4 --rig rig.yaml -o out/first",
         "motionstereo run both.mp4 --layout side-by-side --save report -o out/both",
         "motionstereo run kitti/sequences/00 --save report,preview -o out/kitti",
+        "motionstereo run drive_bag/ -o out/bag",
     ),
 )
 @progress_options

@@ -132,7 +132,7 @@
   });
   const lonely = (values) => values.flatMap((v, i) => (v !== null && (values[i - 1] ?? null) === null && (values[i + 1] ?? null) === null ? [i] : []));
   const axes = (values, space) => [
-    { stroke: () => colour("muted"), grid: { stroke: () => colour("grid"), width: 1 }, ticks: { show: false }, values: axisLabel, size: 26, gap: 2, font: "11px system-ui, sans-serif" },
+    { stroke: () => colour("muted"), grid: { stroke: () => colour("grid"), width: 1 }, ticks: { show: false }, values: axisLabel, size: 32, gap: 8, font: "11px system-ui, sans-serif" },
     { stroke: () => colour("muted"), grid: { stroke: () => colour("grid"), width: 1 }, ticks: { show: false }, values, space, size: 66, gap: 6, font: "11px system-ui, sans-serif" },
   ];
   const line = (name, fill) => {
@@ -216,19 +216,19 @@
     ctx.restore();
   };
   const reach = degrees ? 10 : 0.2;
-  add("plot-heading", 150, {
+  add("plot-heading", 156, {
     series: [line("steer")],
     values: (u, ticks) => ticks.map((v) => (v === 0 ? "0" : `${Math.abs(v)}${degrees ? "°" : ""} ${v > 0 ? "left" : "right"}`)),
     space: 26,
     scales: { y: { range: (u, low, high) => { const most = 1.15 * Math.max(reach, Math.abs(low ?? 0), Math.abs(high ?? 0)); return [-most, most]; } } },
     hooks: { drawClear: [bands] },
   }, [shown.steer], `Heading over time: ${span("steer", degrees ? "degrees, positive is left" : "of half the width, positive is left")}`);
-  add("plot-depth", 150, {
+  add("plot-depth", 156, {
     series: [line("depth_m"), line("nearest_m")],
     values: (u, ticks) => ticks.map((v) => `${+v.toFixed(3)} m`), space: 28,
     scales: { y: { range: (u, low, high) => [0, 1.1 * (high || 1)] } },
   }, [shown.depth_m, shown.nearest_m], `Over time: depth ahead ${span("depth_m", "m")}, nearest ${span("nearest_m", "m")}`);
-  add("plot-shares", 130, {
+  add("plot-shares", 136, {
     series: [line("charged"), line("matched")],
     values: (u, ticks) => ticks.map((v) => `${+v.toFixed(2)} %`), space: 28,
     scales: { y: { range: (u, low, high) => [0, Math.min(100, 1.15 * (high || 1)) ] } },
@@ -267,7 +267,7 @@
       });
       ctx.restore();
     };
-    add("plot-objects", 40 + 18 * rows, {
+    add("plot-objects", 46 + 18 * rows, {
       series: [{ show: true, paths: () => null, points: { show: false } }],
       values: (u, ticks) => ticks.map((v) => (v % 1 ? `${objects.shown[rows - v - 0.5]?.id ?? ""}` : "")),
       space: 10,

@@ -97,6 +97,17 @@ def encoded(image: NDArray[np.uint8], max_width: int, suffix: str = ".jpg") -> P
     return Picture(f"data:image/{kind};base64,{text}", image.shape[1], image.shape[0])
 
 
+def height_of(video: Path, within: Path) -> int | None:
+    """Return the height of a video in px, None if it cannot be opened; as :func:`poster`."""
+    try:
+        with opened_result(video, within) as container:
+            return int(container.streams.video[0].height)
+    except MemoryError:
+        raise
+    except Exception:  # whatever FFmpeg and PyAV make of a damaged one
+        return None
+
+
 def _frame_at(video: Path, within: Path, time_s: float | None) -> NDArray[np.uint8] | None:
     with opened_result(video, within) as container:
         stream = container.streams.video[0]

@@ -112,16 +112,6 @@ class Results:
         return output in (self.record.outputs or ())
 
     @property
-    def height(self) -> int | None:
-        """Height of the images in px: below them a video may have a strip. None if unknown."""
-        if self.record.camera:
-            return self.record.camera.height
-        given, inputs = self.record.values("input_settings"), self.record.inputs or {}
-        source = inputs.get("right") or inputs.get("left")
-        whole = not given.get("crop") and given.get("scale", 1.0) == 1.0
-        return source.height or None if source and whole else None
-
-    @property
     def reference(self) -> str:
         """The camera whose view the outputs show, ``right`` or ``left``."""
         return str(self.record.values("settings").get("reference", "right"))

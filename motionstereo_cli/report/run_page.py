@@ -15,7 +15,14 @@ from motionstereo_cli.errors import InputError, SettingsError
 from motionstereo_cli.files.reading import real
 from motionstereo_cli.files.stills import DamagedImageError, grey_of, read_still
 from motionstereo_cli.report import write_report
-from motionstereo_cli.report.pictures import Picture, address_of, encoded, histogram, poster
+from motionstereo_cli.report.pictures import (
+    Picture,
+    address_of,
+    encoded,
+    height_of,
+    histogram,
+    poster,
+)
 from motionstereo_cli.report.render import render
 from motionstereo_cli.report.run_folder import FRAME_S, Results, SteeringTable, read_results
 from motionstereo_cli.report.series import LATER_S, SOON_S, plotted, tracks
@@ -191,6 +198,13 @@ def _panels(
         number = int(steering.frames[steering.best])
     view, plays = run.view()
     shown = []
+    # Below depth there may be a strip: the poster is as high as the pictures without one.
+    rig, charge = run.record.camera, _parts(run.video("charge"), run.path)
+    rows = (
+        rig.height
+        if rig
+        else next((height_of(each, run.within) for each in charge if each.is_file()), None)
+    )
     panels: list[tuple[str, str, str, Path | None, bool]] = [
         ("view", f"{run.reference.capitalize()} view", "what the camera saw", view, plays),
         ("charge", "Charge", "white moved just now, darker longer ago", run.video("charge"), True),
@@ -213,7 +227,7 @@ def _panels(
                 "what": what,
                 "src": address,
                 "poster": source
-                and poster(source, run.within, when_s, max_width=_POSTER_PX, rows=run.height),
+                and poster(source, run.within, when_s, max_width=_POSTER_PX, rows=rows),
                 "alt": f"{title}{'' if number is None else f' of frame {number}'}: {what}",
             }
         )
@@ -253,7 +267,7 @@ def _histogram(run: Results, scale: DepthScale) -> dict[str, Any] | None:
     if found is None:
         return None
     count, (near, far) = len(found.shares), found.scale.ends
-    most = max(found.shares)
+    most = max(found.shares) or 1.0  # all may lie beyond its ends
     bars = []
     for index, share in enumerate(found.shares):
         low, middle, high = (near * (far / near) ** ((index + at) / count) for at in (0, 0.5, 1))

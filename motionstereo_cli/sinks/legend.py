@@ -17,8 +17,9 @@ if TYPE_CHECKING:
     from motionstereo_cli.sinks.scale import DepthScale
     from motionstereo_cli.types import FrameTime
 
-#: Minimum height of a strip in px, and the picture's width per px of its height.
-_MIN_HEIGHT_PX, _WIDTH_PER_PX = 28, 36
+#: Minimum height of a strip in px, and the picture's width per px of its height: of a whole strip,
+#: and of the last one of several panels.
+_MIN_HEIGHT_PX, _WIDTH_PER_PX, _PANEL_PER_PX = 28, 36, 18
 
 #: What the colour of what is unknown is called, and the share of the scale's width it may take.
 _UNKNOWN, _UNKNOWN_SHARE = "unknown", 0.3
@@ -41,8 +42,9 @@ def strip(
     Returns:
         (height, width, 3) uint8 RGB; the height is even and follows from the width and ``begin``.
     """
+    tall = width / _WIDTH_PER_PX if begin is None else (width - begin) / _PANEL_PER_PX
     begin = round(_TEXT_SHARE * width) if begin is None else begin
-    ruler = _ruler(width, scale, begin)
+    ruler = _ruler(width, scale, begin, max(_MIN_HEIGHT_PX, 2 * round(tall / 2)))
     if not text:
         return ruler
     height, size_px = len(ruler), _letters(len(ruler)) + 1
@@ -67,9 +69,7 @@ def time_text(time: FrameTime) -> str:
 
 
 @functools.lru_cache(maxsize=8)
-def _ruler(width: int, scale: DepthScale, begin: int) -> NDArray[np.uint8]:
-    room = (width - begin) / (1 - _TEXT_SHARE)
-    height = max(_MIN_HEIGHT_PX, 2 * round(room / _WIDTH_PER_PX / 2))
+def _ruler(width: int, scale: DepthScale, begin: int, height: int) -> NDArray[np.uint8]:
     size_px, margin = _letters(height), height // 3
     left, right = begin + margin, max(width - margin, begin + margin + 2)
     image = np.full((height, width, 3), DARK.ground, np.uint8)

@@ -29,6 +29,9 @@ if TYPE_CHECKING:
     from motionstereo_cli.sinks.sink import RunContext
     from motionstereo_cli.types import MovingObject, Steering, Step
 
+#: Titles grow with the panels: width of a panel per height of its letters.
+_PX_PER_LETTER = 32
+
 #: Colours of boxes by time to contact in s, RGB.
 _URGENT = ((2, (255, 95, 95)), (5, (255, 190, 70)), (math.inf, (110, 215, 255)))
 
@@ -70,7 +73,8 @@ def framed(
 
     Each has a title above; time and heading are below, and the scale is below depth.
     """
-    picture = titled(panels, titles, DARK)
+    size_px = max(DARK.size_px, panels[0].shape[1] // _PX_PER_LETTER)
+    picture = titled(panels, titles, DARK._replace(size_px=size_px))
     widths = [panel.shape[1] + GAP_PX for panel in panels]
     begin, end = sum(widths[:2]), sum(widths[:3]) - GAP_PX
     text = f"{time_text(step.time)}   {heading_text(step.steering)}"

@@ -9,6 +9,7 @@ BENCHES = (
     "accuracy",
     "batch",
     "drive",
+    "gallery",
     "goals",
     "map",
     "objects",
