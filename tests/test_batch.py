@@ -381,55 +381,63 @@ def test_a_batch_that_was_ended_goes_on(archive, tmp_path, ended_by):
     assert sorted(path.parent.name for path in out.glob("day/*/run.json")) == ["a", "b", "c"]
 
 
-def test_a_scheduler_and_workers_by_hand(archive, tmp_path):
-    """Separate processes that meet over TCP, and share each recording."""
-    file = tmp_path / "scheduler.json"
+@pytest.fixture(scope="module")
+def by_hand(tmp_path_factory):
+    """The file of a scheduler with a worker, separate processes that meet over TCP."""
+    folder = tmp_path_factory.mktemp("cluster")
+    file = folder / "scheduler.json"
     quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-    dask = [sys.executable, "-m", "distributed.cli.dask_scheduler"]
-    worker = [sys.executable, "-m", "distributed.cli.dask_worker"]
-    started = [
-        subprocess.Popen(
-            [
-                *dask,
-                "--host",
-                "127.0.0.1",
-                "--port",
-                "0",
-                "--no-dashboard",
-                "--scheduler-file",
-                str(file),
-            ],
-            **quiet,
-        ),
-        subprocess.Popen(
-            [
-                *worker,
-                "--scheduler-file",
-                str(file),
-                "--nthreads",
-                "1",
-                "--no-dashboard",
-                "--local-directory",
-                str(tmp_path),
-            ],
-            **quiet,
-        ),
-    ]
-    try:
-        until_s = time.monotonic() + 60
-        while not file.exists() and time.monotonic() < until_s:
-            time.sleep(0.1)
-        out = tmp_path / "out"
-        arguments = [str(archive / "[ab]/left.mp4"), str(archive / "[ab]/right.mp4")]
-        arguments += ["--scheduler-file", str(file), "--pieces", "2", "--checkpoint-frames", "3"]
-        assert main(["batch", *arguments, "-o", str(out), "--no-check"]) == 0
-        assert [row["status"] for row in table(out).values()] == ["done", "done"]
-        assert [row["frames"] for row in table(out).values()] == [str(FRAMES)] * 2
-        assert not list((out / ".batch/pieces").iterdir())
-    finally:
-        for process in reversed(started):
-            process.terminate()
-            process.wait(timeout=30)
+    programs = {
+        "dask_scheduler": ("--host", "127.0.0.1", "--port", "0"),
+        "dask_worker": ("--nthreads", "1", "--local-directory", folder),
+    }
+    started = []
+    for program, options in programs.items():
+        command = [sys.executable, "-m", f"distributed.cli.{program}", "--no-dashboard"]
+        given = [*options, "--scheduler-file", file]
+        started.append(subprocess.Popen([*command, *map(str, given)], **quiet))
+    until_s = time.monotonic() + 60
+    while not file.exists() and time.monotonic() < until_s:
+        time.sleep(0.1)
+    yield file
+    for process in reversed(started):
+        process.terminate()
+        process.wait(timeout=30)
+
+
+def by_scheduler(file, archive, out, *more):
+    given = [archive / "[ab]/left.mp4", archive / "[ab]/right.mp4", "-o", out]
+    given += ["--scheduler-file", file, "--no-check", *more]
+    return main(["batch", *map(str, given)])
+
+
+def test_a_scheduler_and_workers_by_hand(archive, by_hand, tmp_path):
+    """They share each recording."""
+    out = tmp_path / "out"
+    assert by_scheduler(by_hand, archive, out, "--pieces", 2, "--checkpoint-frames", 3) == 0
+    assert [row["status"] for row in table(out).values()] == ["done", "done"]
+    assert [row["frames"] for row in table(out).values()] == [str(FRAMES)] * 2
+    assert not list((out / ".batch/pieces").iterdir())
+
+
+def test_the_client_may_leave_and_come_back(archive, by_hand, tmp_path, capsys):
+    out = tmp_path / "out"
+    assert by_scheduler(by_hand, archive, out, "--detach") == 0
+    assert "the scheduler has the work" in capsys.readouterr().err
+    assert by_scheduler(by_hand, archive, out) == 0
+    assert [row["status"] for row in table(out).values()] == ["done", "done"]
+
+
+def test_what_a_client_has_left_is_done_without_it(archive, by_hand, tmp_path):
+    out = tmp_path / "out"
+    assert by_scheduler(by_hand, archive, out, "--detach") == 0
+    until_s = time.monotonic() + 60
+    while by_scheduler(by_hand, archive, out, "--status") and time.monotonic() < until_s:
+        time.sleep(0.1)
+    assert by_scheduler(by_hand, archive, out) == 0
+    assert [row["status"] for row in table(out).values()] == ["done", "done"]
+    logs = (out / ".batch/logs").rglob("*.log")
+    assert [path.read_text().count("note: done") for path in logs] == [1, 1]
 
 
 def test_without_a_scheduler_there_is_one_line(archive, tmp_path, capsys):

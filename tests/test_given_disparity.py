@@ -137,6 +137,28 @@ def test_all_that_follows_from_disparity_follows(clip, tmp_path, capsys):
     assert "--disparity" in record["options"]
 
 
+@pytest.mark.parametrize("matcher", ["sgbm", "bm", "consensus"])
+def test_all_that_follows_from_disparity_follows_from_that_of_opencv(clip, tmp_path, matcher):
+    given = [clip / "left.mp4", clip / "right.mp4", "--rig", clip / "rig.yaml", "--no-check"]
+    given += [
+        "--matcher",
+        matcher,
+        "--poses",
+        "auto",
+        "--save",
+        "steering,depth,objects,map,report",
+    ]
+    assert main(["run", *map(str, given), "-o", str(tmp_path / "out")]) == 0
+    rows = (tmp_path / "out/steering.csv").read_text().splitlines()
+    assert len(rows) == FRAMES + 1
+    assert ",ok," in rows[-1]
+    assert {path.name for path in (tmp_path / "out").iterdir()} >= {
+        *("objects.csv", "map.ply", "report.html", "depth"),
+    }
+    depth_m = Maps(tmp_path / "out/depth").read(FRAMES - 1)
+    assert np.isfinite(depth_m).mean() > 0.1
+
+
 def test_disparity_is_cut_and_scaled_with_the_images(clip, truth, tmp_path):
     options = ["--crop", "32,16,96,64", "--scale", "0.5", "--depth-of", "all"]
     options += ["--save", "disparity-pfm"]

@@ -11,7 +11,6 @@ import contextlib
 import dataclasses
 import itertools
 import math
-import os
 import time
 from collections import Counter, deque
 from collections.abc import Iterable, Mapping, Sequence
@@ -22,7 +21,7 @@ from typing import TYPE_CHECKING, Any
 
 from motionstereo_cli.batch.builds import difference, own_builds
 from motionstereo_cli.batch.cluster import Cluster, client_of, threads_of
-from motionstereo_cli.batch.ledger import BatchWatcher, Ledger
+from motionstereo_cli.batch.ledger import BatchWatcher, Ledger, inputs_of
 from motionstereo_cli.batch.own_folder import claim, pieces_path, read_status
 from motionstereo_cli.batch.status import FAILED
 from motionstereo_cli.errors import InputError, MotionStereoError, OutputError
@@ -84,9 +83,8 @@ def run_batch(
         OutputError: the folder of the batch cannot be written.
         KeyboardInterrupt: it was interrupted; unfinished recordings have checkpoints.
     """
-    read = [Path(name) for plan in plans.values() for name in plan.inputs]
     with locked(out):
-        claim(out, (*inputs, *filter(os.path.exists, read)))
+        claim(out, (*inputs, *inputs_of(plans)))
         ledger = Ledger(plans, out, watcher, "batch", more)
         waiting = [name for name in plans if ledger.to_do(name, retry_failed=retry_failed)]
         if waiting:

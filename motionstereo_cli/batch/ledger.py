@@ -148,6 +148,12 @@ class Ledger:
             self._due_s = ended_s + max(_RENEW_S, (ended_s - begin_s) / _RENEW_SHARE)
 
 
+def inputs_of(plans: Mapping[str, RunPlan]) -> list[Path]:
+    """Return the files and folders on this machine that recordings are read from, each once."""
+    names = {name for plan in plans.values() for name in plan.inputs}
+    return [Path(name) for name in sorted(names) if os.path.exists(name)]
+
+
 def statuses_of(plans: Mapping[str, RunPlan], out: Path, watcher: BatchWatcher) -> list[Status]:
     """Return the status of each recording of a batch as the disk has it, and write the table.
 

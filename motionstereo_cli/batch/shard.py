@@ -23,7 +23,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from motionstereo_cli.batch.builds import check_builds, own_builds
-from motionstereo_cli.batch.ledger import BatchWatcher, Ledger
+from motionstereo_cli.batch.ledger import BatchWatcher, Ledger, inputs_of
 from motionstereo_cli.batch.own_folder import claim, read_status, shard_path
 from motionstereo_cli.errors import SettingsError
 from motionstereo_cli.files.lock import locked
@@ -108,9 +108,8 @@ def run_shard(
         OutputError: the folder of the batch cannot be written, or this shard is running.
         KeyboardInterrupt: it was interrupted; the recordings under way have left checkpoints.
     """
-    read = [Path(name) for plan in plans.values() for name in plan.inputs]
     with locked(out, shared=True):
-        claim(out, (*inputs, *(path for path in read if path.exists())))
+        claim(out, (*inputs, *inputs_of(plans)))
         with locked(shard_path(out, shard.name)):
             ledger = Ledger(plans, out, watcher, f"shard-{shard.name}", more)
             waiting = [
