@@ -1,6 +1,7 @@
 """Batches in an object store: a real server on this machine, which may go away for a while."""
 
 import contextlib
+import functools
 import json
 import os
 import re
@@ -24,7 +25,7 @@ from motionstereo_cli.simulate.write import simulate
 pytest.importorskip("moto.server")
 pytest.importorskip("s3fs")
 
-FRAMES, NAMES = 6, ["day/a", "day/b", "day/c", "d"]
+FRAMES, NAMES = 3, ["day/a", "day/b", "day/c", "d"]
 
 
 class Proxy:
@@ -88,17 +89,14 @@ def proxy(tmp_path_factory):
 @pytest.fixture(scope="module")
 def bucket(proxy, tmp_path_factory):
     """A bucket with a recording and a manifest, and the folder they came from."""
-    import s3fs
-
     folder = tmp_path_factory.mktemp("bucket")
     settings = SimulateSettings(frames=f"300:{300 + FRAMES}", width=96, height=64, noise_sigma=1.5)
     simulate(folder / "clip", settings)
     rows = [f"clip/left.mp4,clip/right.mp4,clip/rig.yaml,{name}" for name in NAMES]
     (folder / "all.csv").write_text("\n".join(["left,right,rig,out", *rows]) + "\n")
-    system = s3fs.S3FileSystem(use_listings_cache=False, skip_instance_cache=True)
-    system.mkdir("archive")
+    system().mkdir("archive")
     for path in folder.rglob("*.*"):
-        system.put_file(str(path), f"archive/in/{path.relative_to(folder).as_posix()}")
+        system().put_file(str(path), f"archive/in/{path.relative_to(folder).as_posix()}")
     return folder
 
 
@@ -115,28 +113,40 @@ def words(out, scratch, *more):
     return [str(word) for word in (*given, *more)]
 
 
-def objects(out):
+@functools.cache
+def system():
     import s3fs
 
-    system = s3fs.S3FileSystem(use_listings_cache=False, skip_instance_cache=True)
-    top = f"archive/{out}/"
+    return s3fs.S3FileSystem(use_listings_cache=False, skip_instance_cache=True)
+
+
+def names(out):
+    return [path.removeprefix(f"archive/{out}/") for path in system().find(f"archive/{out}/")]
+
+
+def objects(out):
     found = {}
-    for path in system.find(top):
+    for name in names(out):
         with contextlib.suppress(FileNotFoundError):  # it has just been removed
-            found[path.removeprefix(top)] = system.cat_file(path)
+            found[name] = system().cat_file(f"archive/{out}/{name}")
     return found
 
 
-def check_whole(out, bucket, tmp_path):
+@functools.cache
+def done_here(bucket):
+    """Return what run makes of the recording on this machine, by name."""
+    out, clip = (
+        bucket / "alone",
+        [str(bucket / "clip" / name) for name in ("left.mp4", "right.mp4")],
+    )
+    options = ["--rig", str(bucket / "clip/rig.yaml"), "--no-check", "--save", "steering,depth"]
+    assert main(["run", *clip, *options, "-o", str(out)]) == 0
+    return {path.relative_to(out).as_posix(): path.read_bytes() for path in out.rglob("*.*")}
+
+
+def check_whole(out, bucket):
     """Every recording has all of its files, those of run, and nothing else is there."""
-    if not (tmp_path / "alone").exists():
-        clip = [str(bucket / "clip" / name) for name in ("left.mp4", "right.mp4")]
-        options = ["--rig", str(bucket / "clip/rig.yaml"), "--no-check", "--save", "steering,depth"]
-        assert main(["run", *clip, *options, "-o", str(tmp_path / "alone")]) == 0
-    alone = {
-        path.relative_to(tmp_path / "alone").as_posix(): path.read_bytes()
-        for path in (tmp_path / "alone").rglob("*.*")
-    }
+    alone = done_here(bucket)
     found = objects(out)
     for name in NAMES:
         mine = {
@@ -163,7 +173,7 @@ def test_shards_on_machines_without_a_common_disk_make_one_batch(bucket, tmp_pat
         assert main(words("shards", scratch, "--shard", f"{index}/2")) == 0
         assert not list(scratch.rglob("*.mp4"))
         assert not list(scratch.rglob("run.json"))
-    check_whole("shards", bucket, tmp_path)
+    check_whole("shards", bucket)
     before = objects("shards")
     capsys.readouterr()
     assert main(words("shards", tmp_path / "machine2", "--shard", "1/1")) == 0
@@ -175,42 +185,39 @@ def test_shards_on_machines_without_a_common_disk_make_one_batch(bucket, tmp_pat
 
 def test_a_killed_batch_leaves_nothing_half_and_goes_on(bucket, tmp_path):
     process = started(*words("killed", tmp_path / "scratch", "--shard", "0/1"))
-    until(lambda: any(name.endswith("run.json") for name in objects("killed")))
+    until(lambda: any(name.endswith("run.json") for name in names("killed")))
     process.send_signal(signal.SIGKILL)
     process.communicate()
-    found = objects("killed")
+    found = names("killed")
     for name in NAMES:
         if f"{name}/run.json" in found:
             assert f"{name}/steering.csv" in found
             assert f"{name}/depth/{FRAMES - 1:06d}.png" in found
     assert main(words("killed", tmp_path / "elsewhere", "--shard", "0/1")) == 0
-    check_whole("killed", bucket, tmp_path)
+    check_whole("killed", bucket)
 
 
 def test_the_store_may_be_gone_for_a_while(bucket, proxy, tmp_path):
     process = started(*words("outage", tmp_path / "scratch", "--shard", "0/1"))
-    until(lambda: any(name.endswith("run.json") for name in objects("outage")))
+    until(lambda: any(name.endswith("run.json") for name in names("outage")))
     proxy.go_down()
     time.sleep(float(os.environ.get("MOTIONSTEREO_OUTAGE_S", "3")))
     proxy.down = False
     _, said = process.communicate(timeout=300)
     assert process.returncode == 0, said
     assert "Traceback" not in said
-    check_whole("outage", bucket, tmp_path)
+    check_whole("outage", bucket)
 
 
 def test_what_the_store_lacks_or_is_too_large_is_named(bucket, proxy, tmp_path, capsys):
-    import s3fs
-
-    system = s3fs.S3FileSystem(use_listings_cache=False, skip_instance_cache=True)
-    system.pipe_file("archive/in/bad.csv", b"left,right,out\nnone.mp4,clip/right.mp4,a\n")
+    system().pipe_file("archive/in/bad.csv", b"left,right,out\nnone.mp4,clip/right.mp4,a\n")
     given = words("bad", tmp_path / "scratch", "--shard", "0/1")
     given[1] = "s3://archive/in/bad.csv"
     assert main(given) == 1
     assert "there is no s3://archive/in/none.mp4" in capsys.readouterr().err
     assert main(words("small", tmp_path / "s", "--shard", "0/1", "--fetch-mb", "1")) == 0
-    system.pipe_file("archive/in/clip/large.mp4", bytes(1_100_000))
-    system.pipe_file("archive/in/bad.csv", b"left,right,out\nclip/large.mp4,clip/right.mp4,a\n")
+    system().pipe_file("archive/in/clip/large.mp4", bytes(1_100_000))
+    system().pipe_file("archive/in/bad.csv", b"left,right,out\nclip/large.mp4,clip/right.mp4,a\n")
     given = words(
         "bad", tmp_path / "scratch", "--shard", "0/1", "--fetch-mb", "1", "--retry-failed"
     )
@@ -218,7 +225,7 @@ def test_what_the_store_lacks_or_is_too_large_is_named(bucket, proxy, tmp_path, 
     assert main(given) == 1
     assert "more than --fetch-mb lets be fetched" in capsys.readouterr().err
     # A folder of somebody else is not touched.
-    system.pipe_file("archive/mine/notes.txt", b"mine")
+    system().pipe_file("archive/mine/notes.txt", b"mine")
     assert main(words("mine", tmp_path / "m", "--shard", "0/1")) == 1
     assert "s3://archive/mine is not from an earlier batch" in capsys.readouterr().err
     assert objects("mine") == {"notes.txt": b"mine"}

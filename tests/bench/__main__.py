@@ -10,6 +10,7 @@ BENCHES = (
     "batch",
     "drive",
     "gallery",
+    "given",
     "goals",
     "map",
     "objects",

@@ -13,6 +13,7 @@ import ctypes
 import dataclasses
 import filecmp
 import json
+import math
 import os
 import signal
 import subprocess
@@ -23,7 +24,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TextIO
+from typing import NamedTuple, TextIO
 
 from bench.clips import Clip, rendered, repeated
 from bench.markdown import table
@@ -67,7 +68,15 @@ class Size:
 FULL = Size(24, 50, 1000, 17, 2000, (2, 4, 8), 500, 10_000, 200)
 QUICK = Size(4, 20, 30, 5, 200, (4,), 100, 200, 20)
 
-Row = tuple[str, str, str]
+
+class Row(NamedTuple):
+    """A row of the table; a ``figure`` has a ``key``, by which goals refer to it."""
+
+    trial: str
+    found: str
+    goal: str
+    key: str = ""
+    figure: float = math.nan
 
 
 @dataclass(frozen=True, slots=True)
@@ -179,13 +188,15 @@ def side_by_side(clip: Clip, size: Size, folder: Path) -> Iterator[Row]:
     theirs = Started(xargs, words).watch()
     what = f"{size.clips} clips of {size.clip_frames} frames, against xargs -P{WORKERS}"
     share = mine.cpu_s / theirs.cpu_s
-    yield (
+    yield Row(
         f"{what}: processor time",
         f"{mine.cpu_s:.1f} s to {theirs.cpu_s:.1f} s: {share:.2f}",
         "0.65",
     )
     share = mine.wall_s / theirs.wall_s
-    yield f"{what}: time", f"{mine.wall_s:.1f} s to {theirs.wall_s:.1f} s: {share:.2f}", "below 1"
+    yield Row(
+        f"{what}: time", f"{mine.wall_s:.1f} s to {theirs.wall_s:.1f} s: {share:.2f}", "below 1"
+    )
 
 
 def many(clip: Clip, size: Size, folder: Path) -> Iterator[Row]:
@@ -200,10 +211,10 @@ def many(clip: Clip, size: Size, folder: Path) -> Iterator[Row]:
     frames_s = sum(float(status["seconds"]) for status in _statuses(out))
     each_ms = 1000 * ((cost.wall_s - begin_s) * WORKERS - frames_s) / size.tiny
     what = f"{size.tiny} recordings of {clip.count} frames"
-    yield f"{what}: overhead of a task", f"{each_ms:.0f} ms of a worker", "50 ms"
+    yield Row(f"{what}: overhead of a task", f"{each_ms:.0f} ms of a worker", "50 ms")
     parts = [cost.rss_mb[round(share * (len(cost.rss_mb) - 1))] for share in (0.2, 0.5, 0.95)]
     shown = ", ".join(f"{each:.0f}" for each in parts)
-    yield f"{what}: client and scheduler, after 20, 50, 95 %", f"{shown} MB", "flat"
+    yield Row(f"{what}: client and scheduler, after 20, 50, 95 %", f"{shown} MB", "flat")
 
 
 def shards(clip: Clip, size: Size, folder: Path) -> Iterator[Row]:
@@ -221,11 +232,13 @@ def shards(clip: Clip, size: Size, folder: Path) -> Iterator[Row]:
         ("processor time", mine.cpu_s, theirs.cpu_s),
         ("time", mine.wall_s, theirs.wall_s),
     ):
-        yield (
+        yield Row(
             f"{size.tiny} recordings in {_SHARDS} shards, against a batch of {_SHARDS} workers: "
             f"{what}",
             f"{one:.1f} s to {other:.1f} s: {one / other:.2f}, {same} with the same bytes",
             "1.0, the same bytes",
+            f"shards, {what}",
+            one / other,
         )
 
 
@@ -253,13 +266,23 @@ def sleepers(clip: Clip, size: Size, folder: Path) -> Iterator[Row]:
         if what == "client":
             each_ms, rss_mb = 1000 * cost.cpu_s / count, max(cost.rss_mb)
             share = cost.cpu_s / cost.wall_s
-            yield f"{whole}: client, a recording", f"{each_ms:.2f} ms ({share:.2f} core)", "1 ms"
-            yield f"{whole}: memory of the client", f"{rss_mb:.0f} MB", "100 MB"
+            yield Row(
+                f"{whole}: client, a recording",
+                f"{each_ms:.2f} ms ({share:.2f} core)",
+                "1 ms",
+                "client, ms",
+                each_ms,
+            )
+            yield Row(
+                f"{whole}: memory of the client", f"{rss_mb:.0f} MB", "100 MB", "client, MB", rss_mb
+            )
             done = sum(status["status"] == "done" for status in _statuses(out))
-            yield f"{whole}: done", str(done), str(count)
+            yield Row(f"{whole}: done", str(done), str(count), "not done", count - done)
         else:
             shown = f"{found['mean a second']:.0f}, at most {found['most a second']}"
-            yield f"{whole}: messages a second", shown, "50"
+            yield Row(
+                f"{whole}: messages a second", shown, "50", "messages", found["most a second"]
+            )
 
 
 def hard(clip: Clip, size: Size, folder: Path) -> Iterator[Row]:
@@ -287,15 +310,15 @@ def hard(clip: Clip, size: Size, folder: Path) -> Iterator[Row]:
     counts = Counter(status["status"] for status in _statuses(out))
     said = ", ".join(f"{count} {name}" for name, count in sorted(counts.items()))
     what = f"{len(rows)} recordings, a worker and then the client killed"
-    yield f"{what}: what became of them", said, f"{size.good} done, 2 failed, 1 lost"
+    yield Row(f"{what}: what became of them", said, f"{size.good} done, 2 failed, 1 lost")
     reasons = sum(bool(s["reason"]) for s in _statuses(out) if s["status"] in ("failed", "lost"))
-    yield f"{what}: with a reason", f"{reasons} of 3", "3 of 3"
+    yield Row(f"{what}: with a reason", f"{reasons} of 3", "3 of 3")
     again = sum(path.stat().st_mtime_ns != time_ns for path, time_ns in before.items())
-    yield f"{what}: of {len(before)} that were done, done again", str(again), "0"
+    yield Row(f"{what}: of {len(before)} that were done, done again", str(again), "0")
     whole = folder / "whole"
     Started([*_COMMAND, "run", *clip.paths, "--rig", clip.rig_file, "-o", whole]).watch()
     same = sum(_same(whole, out / name) for *_, name in rows if name.startswith("good"))
-    yield f"{what}: with the bytes of run", f"{same} of {size.good}", f"{size.good}"
+    yield Row(f"{what}: with the bytes of run", f"{same} of {size.good}", f"{size.good}")
 
 
 def _wait_for(out: Path, done: int) -> None:
@@ -341,7 +364,7 @@ def cut(clip: Clip, size: Size, folder: Path) -> Iterator[Row]:
         out = folder / f"pieces{count}"
         cost = Started(_batch(manifest, out, "--pieces", count)).watch()
         bytes_ = "the same bytes" if _same(whole, out / "long") else "OTHER BYTES"
-        yield (
+        yield Row(
             f"{size.long_frames} frames in {count} pieces, against run --jobs 1: time",
             f"{cost.wall_s:.1f} s to {alone.wall_s:.1f} s: {cost.wall_s / alone.wall_s:.2f}, "
             f"{bytes_}",
@@ -363,7 +386,7 @@ def joining(clip: Clip, size: Size, folder: Path) -> Iterator[Row]:
         1000 * seconds / size.join_frames
         for seconds in (time.perf_counter() - made_s, made_s - begin_s)
     )
-    yield (
+    yield Row(
         "joining, for a frame",
         f"{join_ms:.2f} ms, {piece_ms:.1f} ms in a piece: the limit at {piece_ms / join_ms:.0f} "
         "workers",
@@ -384,6 +407,24 @@ def _long(folder: Path, frames: int) -> Clip:
     return repeated(short, folder, frames // short.count)
 
 
+def measured(names: Sequence[str], size: Size) -> Iterator[Row]:
+    """Yield the rows of some trials."""
+    _adopt()
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        trials = {
+            "clips": lambda: side_by_side(_clip(folder / "c", size.clip_frames), size, folder),
+            "tiny": lambda: many(_clip(folder / "t", 5, 64, 48), size, folder),
+            "hard": lambda: hard(_clip(folder / "h", size.clip_frames), size, folder),
+            "shards": lambda: shards(_clip(folder / "d", 5, 64, 48), size, folder),
+            "sleepers": lambda: sleepers(_clip(folder / "s", 5, 64, 48), size, folder),
+            "pieces": lambda: cut(_long(folder / "p", size.long_frames), size, folder),
+            "join": lambda: joining(_long(folder / "j", size.join_frames), size, folder),
+        }
+        for wanted in names:
+            yield from trials[wanted]()
+
+
 def main(args: list[str]) -> int:
     """Print the table."""
     parser = argparse.ArgumentParser(prog="bench batch", description=__doc__)
@@ -398,23 +439,9 @@ def main(args: list[str]) -> int:
     size = dataclasses.replace(
         size, rows=given.rows or size.rows, sleepers=given.sleepers or size.sleepers
     )
-    _adopt()
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-
-        trials = {
-            "clips": lambda: side_by_side(_clip(folder / "c", size.clip_frames), size, folder),
-            "tiny": lambda: many(_clip(folder / "t", 5, 64, 48), size, folder),
-            "hard": lambda: hard(_clip(folder / "h", size.clip_frames), size, folder),
-            "shards": lambda: shards(_clip(folder / "d", 5, 64, 48), size, folder),
-            "sleepers": lambda: sleepers(_clip(folder / "s", 5, 64, 48), size, folder),
-            "pieces": lambda: cut(_long(folder / "p", size.long_frames), size, folder),
-            "join": lambda: joining(_long(folder / "j", size.join_frames), size, folder),
-        }
-        rows: list[Row] = []
-        for wanted in given.trials.split(","):
-            for row in trials[wanted]():
-                print("  ".join(row), file=sys.stderr, flush=True)
-                rows.append(row)
+    rows = []
+    for row in measured(given.trials.split(","), size):
+        print("  ".join(row[:3]), file=sys.stderr, flush=True)
+        rows.append(row[:3])
     print(table(("trial", "found", "goal"), rows))
     return 0

@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 from tqdm import tqdm
 
-from bench import depth, drive, house, objects, own_motion, speed
+from bench import batch, depth, drive, given, house, objects, own_motion, speed
 from bench import map as maps
 from bench.markdown import table
 from motionstereo_cli.simulate.settings import DriveSettings, SimulateSettings
@@ -183,6 +183,16 @@ def _of_own_motion(_: Sequence[Goal], quick: bool) -> dict[str, float]:
     }
 
 
+def _of_batch(_: Sequence[Goal], quick: bool) -> dict[str, float]:
+    """Figures of the trials with many recordings, by their keys."""
+    size = batch.QUICK if quick else batch.FULL
+    return {row.key: row.figure for row in batch.measured(("shards", "sleepers"), size) if row.key}
+
+
+def _of_given(_: Sequence[Goal], quick: bool) -> dict[str, float]:
+    return given.measured(*((6, 96, 64) if quick else ()))
+
+
 #: By name: rows that want it, and whether it is only to be tried, to figures by key.
 MEASURES: dict[str, Callable[[Sequence[Goal], bool], dict[str, float]]] = {
     "house": _of_house,
@@ -193,6 +203,8 @@ MEASURES: dict[str, Callable[[Sequence[Goal], bool], dict[str, float]]] = {
     "drive": _of_drive,
     "map": _of_map,
     "own_motion": _of_own_motion,
+    "batch": _of_batch,
+    "given": _of_given,
 }
 
 
