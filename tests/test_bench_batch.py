@@ -25,5 +25,5 @@ def test_joining_is_timed(tmp_path):
     settings = SimulateSettings(width=64, height=48, frames="250:256")
     clip = rendered(tmp_path / "clip", settings)
     size = Size(0, 0, 0, 0, 0, (), clip.count, 0, 0)
-    ((_, found, _),) = joining(clip, size, tmp_path)
-    assert re.fullmatch(r"[\d.]+ ms, [\d.]+ ms in a piece: the limit at \d+ workers", found)
+    (row,) = joining(clip, size, tmp_path)
+    assert re.fullmatch(r"[\d.]+ ms, [\d.]+ ms in a piece: the limit at \d+ workers", row.found)
