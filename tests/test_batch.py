@@ -268,20 +268,21 @@ def options_of(clip):
 
 
 @pytest.mark.parametrize(
-    ("count", "save", "poses"),
+    ("count", "frames", "save", "poses"),
     [
-        (2, ",".join(OUTPUTS), "poses.txt"),
-        (5, "steering,objects,disparity,depth-video,map", "poses.txt"),
-        (5, "steering,objects,poses,poses-kitti,odometry,map", "auto"),
-        (5, "steering,objects,disparity,map", "disparity"),
+        (2, 45, ",".join(OUTPUTS), "poses.txt"),
+        (2, 31, ",".join(OUTPUTS), "auto"),
+        (5, 45, "steering,objects,disparity,depth-video,map", "poses.txt"),
+        (5, 44, "steering,objects,poses,poses-kitti,odometry,map", "auto"),
+        (5, 45, "steering,objects,disparity,map", "disparity"),
     ],
 )
-def test_pieces_give_the_bytes_of_one_run(long_clip, tmp_path, count, save, poses):
+def test_pieces_give_the_bytes_of_one_run(long_clip, tmp_path, count, frames, save, poses):
     """Every output, in permanency mode; a run-in that is too short shows."""
     options = ["--poses", poses if poses == "auto" else str(long_clip / poses)]
     if poses == "disparity":
         options = ["--disparity", str(long_clip / poses), "--poses", "auto"]
-    given = [*options_of(long_clip), *options, "--save", save]
+    given = [*options_of(long_clip), *options, "--save", save, "--end", str(frames)]
     assert piecemeal(given, tmp_path, count) == []
 
 

@@ -358,7 +358,7 @@ def test_spoilt_value_is_named(tmp_path: Path, changes: dict, complaint: str) ->
 @pytest.mark.parametrize(
     ("text", "complaint"),
     [
-        ("", "width is missing"),
+        ("", "is empty"),
         ("M1: [1, 2\nK: 3", "not a calibration file that can be read"),
         ("M1: !!python/object/apply:os.system ['exit']\n", "M1 .* is not 3x3 numbers"),
         ("<?xml version='1.0'?><opencv_storage><M1>", "not a calibration file"),
@@ -380,7 +380,7 @@ def test_spoilt_file_is_named(tmp_path: Path, text: str, complaint: str) -> None
 
 def test_pairs_of_files(tmp_path: Path) -> None:
     left, right = ros_files(tmp_path)
-    with pytest.raises(InputError, match="of one camera: give both"):
+    with pytest.raises(InputError, match="of one camera: give those of both"):
         read_calibration([left])
     with pytest.raises(InputError, match="give that file first"):
         read_calibration([right, left])

@@ -9,6 +9,7 @@ import re
 import sys
 import zipfile
 from collections.abc import Callable
+from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -643,3 +644,11 @@ def test_rig_command_takes_them(tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert "baseline_m: 0.12" in said.out
     assert isinstance(read_calibration([npz(tmp_path)]), Calibration)
     assert abs(BASELINE_M - LENGTH_M) < 1e-3
+
+
+def test_the_documentation_has_every_format() -> None:
+    page = resources.files("motionstereo_cli") / "docs/calibration.md"
+    rows = [line.lower() for line in page.read_text().splitlines() if line.startswith("|")]
+    for known in FORMATS:
+        words = re.findall(r"[\w.-]+", known.name.lower())
+        assert any(all(word in row for word in words) for row in rows), known.name

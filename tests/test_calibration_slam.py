@@ -349,7 +349,7 @@ def test_rectified_pairs_of_datasets(tmp_path: Path, text: str, doffs_px: float)
             "DepthMapFactor: 5000\n",
             "RGB-D camera",
         ),
-        ("{'lensmodel': 'LENSMODEL_PINHOLE'}\n", "of one camera: give both"),
+        ("{'lensmodel': 'LENSMODEL_PINHOLE'}\n", "of one camera: give those of both"),
         ("K: [1, 0, 0, 0, 1, 0, 0, 0, 1]\nD: [0, 0, 0, 0]\n", "is of one camera"),
         ("imu0:\n  update_rate: 200\n", "is of an IMU"),
         ("up_sigma_px: 1\nup_slam_sigma_px: 1\nrelative_config_imucam: c.yaml\n", "names, c.yaml"),

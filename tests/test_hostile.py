@@ -118,6 +118,18 @@ def test_no_command_writes_to_its_input(recording, capsys, command, target):
     assert {path: before.get(path) for path in contents(".")} == before
 
 
+def test_the_current_folder_is_a_place_for_results(recording, monkeypatch, capsys):
+    Path("here").mkdir()
+    monkeypatch.chdir("here")
+    command = ["run", "../left", "../right", "--no-check", "--save", "steering", "-o", "."]
+    assert main([*command, "--dry-run"]) == 0
+    assert main(command) == 0
+    assert {path.name for path in Path().iterdir()} == {"steering.csv", "run.json"}
+    assert main([*command, "--overwrite"]) == 0
+    assert main(["run", "../left", "../right", "-o", "/", "--overwrite", "--dry-run"]) in {0, 1}
+    assert "internal" not in capsys.readouterr().err
+
+
 def test_fifos_and_devices_are_written_into(recording, monkeypatch, capsys):
     os.mkfifo("fifo")
     got = []

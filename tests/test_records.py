@@ -175,6 +175,10 @@ def test_a_damaged_status_is_told_and_counts_as_waiting(tmp_path, change, named)
     assert named in text
 
 
+def test_a_name_that_is_too_long_ends_no_batch(tmp_path):
+    assert read_status(tmp_path, "n" * 300) == Status("n" * 300)
+
+
 @pytest.mark.parametrize(
     "row", ["a,done,inf,1", "a,done,1,nan", "a\0b,done,1,1", "a,done,x,1", ",done,1,1"]
 )

@@ -86,7 +86,7 @@ def read_status(out: Path, name: str, say: Callable[[str, str], object] | None =
         say: called with a kind and a line if it is damaged.
     """
     path = status_path(out, name)
-    if not path.exists():
+    if not os.path.lexists(path):  # False, too, of a name that is too long
         return Status(name)
     try:
         return structs.replace(typed(read_json(path), Status, path), name=name)

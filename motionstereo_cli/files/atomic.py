@@ -32,7 +32,7 @@ _MARKED = re.compile(rf"{re.escape(_MARK)}[0-9a-f]{{16}}{re.escape(_PART)}")
 
 def part_of(path: Path) -> Path:
     """Return the name of ``path`` while it is written, frame by frame."""
-    return path.with_name(path.name + _PART)
+    return path.parent / (path.name + _PART)  # "." has no name
 
 
 def segment_of(path: Path, number: int) -> Path:

@@ -125,7 +125,8 @@ def read_files(
                 others = f"of {max(found.counts)} files at most: leave {others} out"
             raise InputError(f"{paths[0]} is a {found.name} file, {others}")
         raise InputError(
-            f"{paths[0]} is the {found.name} of one camera: give both, the left camera's first"
+            f"{paths[0]} is a {found.name} file of one camera: give those of both, the left "
+            "camera's first"
         )
     if "ORB-SLAM" in found.name and has_numbered_cameras(values[0]):
         raise InputError(
@@ -260,8 +261,9 @@ def _ost(given: _Given) -> Pair:
     ]
     if len(cameras) != 2:
         raise InputError(
-            f"{given.name} is a calibration of ROS with {len(cameras)} "
-            f"camera{'' if len(cameras) == 1 else 's'}: give both, the left camera's first"
+            f"{given.name} has {len(cameras)} camera{'s' * (len(cameras) != 1)} of ROS's "
+            "calibrator (ost.txt): give the two cameras of the rig in one file, or in two files, "
+            "the left camera's first"
         )
     return read_ros(cameras)
 
