@@ -2,6 +2,7 @@
 
 import csv
 import html
+import itertools
 import json
 import re
 import shlex
@@ -14,9 +15,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from motionstereo_cli.__main__ import main
-from motionstereo_cli.report.run_page import run_page
+from motionstereo_cli.report.run_page import _TICK_ROOM, _ticks, run_page
 from motionstereo_cli.report.series import kept_rows, tracks
 from motionstereo_cli.sinks.legend import time_text
+from motionstereo_cli.sinks.scale import DepthScale
 from motionstereo_cli.sinks.steering_table import HEADER
 from motionstereo_cli.types import FrameTime
 
@@ -432,3 +434,16 @@ def test_what_moves_by_itself_is_said_of_each_object():
     [[track], count] = tracks(rows, {0: 0.0, 1: 0.1, 2: 0.2}, 0.1)
     assert (count, track["frame"], track["own"], track["speed"]) == (1, 0, 1, 1.4)
     assert track["spans"] == [pytest.approx([0, 0.2, 2, 0]), pytest.approx([0.2, 0.3, 2, 1])]
+
+
+@given(near=st.floats(0.01, 50), ratio=st.floats(2, 1e4), px_m=st.sampled_from([None, 40.0]))
+def test_ticks_of_a_scale_keep_apart_on_the_narrowest_screen(near, ratio, px_m):
+    near_px = px_m / near if px_m else near * ratio
+    ticks = _ticks(DepthScale(near_px, near_px / ratio, px_m, "plasma"))
+    begins = [
+        (place - len(text) * _TICK_ROOM * shift / 100, len(text) * _TICK_ROOM)
+        for text, place, shift in ticks
+    ]
+    for (begin, wide), (following, _) in itertools.pairwise(begins):
+        assert begin + wide < following
+    assert ticks

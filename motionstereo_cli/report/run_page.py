@@ -42,6 +42,8 @@ _A_YEAR_S = 366 * 86_400
 
 #: What a letter of a tick takes of the width of the narrowest scale.
 _TICK_ROOM = 0.035
+#: Ticks that are nearer to an end of the scale stay within it.
+_END = 0.04
 
 
 def run_page(out: Path, page: Path, record: RunRecord | None = None) -> str:
@@ -118,13 +120,20 @@ def _drawn(scale: DepthScale) -> dict[str, Any]:
     }
 
 
-def _ticks(scale: DepthScale) -> list[tuple[str, float]]:
-    """Return the ticks of a scale that have room: what they say, and their places from 0 to 1."""
-    ticks: list[tuple[str, float]] = []
+def _ticks(scale: DepthScale) -> list[tuple[str, float, int]]:
+    """Return the ticks of a scale that have room: what they say, and their places from 0 to 1.
+
+    The last number is how far the text is moved to the left of its place, in percent of its width:
+    50, its middle is there, but at an end it stays within the scale.
+    """
+    ticks: list[tuple[str, float, int]] = []
     for tick in scale.ticks():
         text, place = f"{tick:g}", scale.place(tick)
-        if not ticks or place - ticks[-1][1] > _TICK_ROOM * (len(text) + 1):
-            ticks.append((text, place))
+        shift = 0 if place < _END else 100 if place > 1 - _END else 50
+        aside = shift != 50 or bool(ticks and ticks[-1][2] != 50)
+        room = _TICK_ROOM * (len(text) + 1) * (1.5 if aside else 1)
+        if not ticks or place - ticks[-1][1] > room:
+            ticks.append((text, place, shift))
     return ticks
 
 
