@@ -441,6 +441,14 @@ def test_remap_tables_with_a_rig_of_the_rectified_images(
         for part in ("focal_px", "baseline_m", "cx", "cy", "doffs"):
             assert getattr(found.rig, part) == pytest.approx(getattr(plain.rig, part), abs=1e-6)
         np.testing.assert_allclose(found.maps, plain.maps, atol=1 / 32)
+    if name == "maps.npz":
+        all_of_it = {"leftK": K1, "leftD": D1, "rightK": K2, "rightD": D2, "R": R, "T": T}
+        np.savez(tmp_path / "all.npz", **tables, **all_of_it)
+        whole = read_calibration([tmp_path / "all.npz"], SIZE)
+        np.testing.assert_allclose(whole.maps, plain.maps, atol=1e-3)
+    rig.write_text(format_rig(plain.rig).replace("width: 320", "width: 640"))
+    with pytest.raises(InputError, match="remap tables of 320x240 px, but the rig is of 640x240"):
+        read_calibration([path, rig], SIZE)
     with pytest.raises(InputError, match=r"leave the remap tables in .* out"):
         read_calibration([path, tmp_path / "plain.yml"], SIZE)
 

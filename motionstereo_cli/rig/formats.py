@@ -111,7 +111,7 @@ def read_files(
     read = [_read(path, content) for path, content in zip(paths, contents, strict=True)]
     texts, values = [text for text, _ in read], [values for _, values in read]
     for at, each in enumerate(values):
-        if (maps := maps_in(each)) is not None and not has_numbered_cameras(each):
+        if (maps := maps_in(each)) is not None:
             return _mapped(paths[at], maps, each, [*paths[:at], *paths[at + 1 :]], size)
     given = _Given(paths, texts, values, size, pair)
     known = [each for each in FORMATS if each.knows(texts[0], values[0])]
@@ -165,12 +165,19 @@ def _mapped(
         read = read_files(others, size)
     if isinstance(read, Rig):
         read = of_rig(read)
+    if read.cameras is not None and not others:  # all that the tables were made from
+        return read
     if read.cameras is not None:
         raise InputError(
             f"{' and '.join(map(str, others))} rectifies recorded images by itself: leave the "
             f"remap tables in {path} out"
         )
-    return dataclasses.replace(read, maps=maps, size=read.size or (width, height))
+    if read.size not in (None, (width, height)):
+        raise InputError(
+            f"{path} has remap tables of {width}x{height} px, but the rig is of {read.size[0]}x"
+            f"{read.size[1]}: give that of the images that the tables make"
+        )
+    return dataclasses.replace(read, maps=maps, size=(width, height))
 
 
 def _most_bytes(path: Path) -> int:
