@@ -12,9 +12,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from bench.children import call, fork, warm_up
-from bench.clips import rendered
 from motionstereo_cli.files.maps import read_map
 from motionstereo_cli.simulate.settings import SimulateSettings
+from motionstereo_cli.simulate.write import simulate
 
 _TIMES, _PATIENCE_S = 5, 300.0
 
@@ -26,9 +26,11 @@ def measured(frames: int = 100, width: int = 640, height: int = 480) -> dict[str
     )
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        clip = rendered(folder / "clip", settings)
-        maps = clip.paths[0].parent / "disparity"
-        run = ["run", *map(str, clip.paths), "--rig", str(clip.rig_file), "--jobs", "1"]
+        clip = folder / "clip"
+        simulate(clip, settings)
+        maps = clip / "disparity"
+        run = ["run", str(clip / "left.mp4"), str(clip / "right.mp4"), "--rig"]
+        run += [str(clip / "rig.yaml"), "--jobs", "1"]
         run += ["--save", "steering", "--no-check", "--overwrite", "-o", str(folder / "out")]
         ways = {"given": [*run, "--disparity", str(maps)], "fast": [*run, "--preset", "fast"]}
         for command in ways.values():
