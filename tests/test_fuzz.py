@@ -239,6 +239,7 @@ def test_calibration_files(fuzz, tmp_path):
     sized = files[-1].read_bytes()
     assert b"320." in sized
     finds = [sized.replace(b"320.", size) for size in (b"1e999", b"2e9", b"1e6")]
+    finds.append(b"P0: 7 0 6 0 0 7 1 0 0 0 1 0\nP1: 0 0 6 0 0 0 1 0 0 0 1 0\n")
     finds += [samples[0].replace(b"rows: 3", b"rows: 1e999"), sized.replace(b"258.", b"1e-320")]
     fuzz(damaged(samples), check, finds)
 
@@ -340,7 +341,7 @@ def test_configuration_files(fuzz, tmp_path, monkeypatch, command, sample):
         assert "internal: " not in talk.getvalue()
         assert talk.getvalue().count("\n") == 1
 
-    finds = [b"max-disparity = 1" + b"0" * 400, b"tolerance = " + b"[" * 3000]
+    finds = [b"max-disparity = 1" + b"0" * 400, b"tolerance = " + b"[" * 3000, b'junit = ""']
     fuzz(damaged([sample]), check, finds)
 
 

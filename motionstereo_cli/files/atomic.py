@@ -57,7 +57,7 @@ def reported(path: Path | str) -> Iterator[None]:
 
     Raises:
         OutputError: the block raised an OSError (full disk, no permission, ...), or a ValueError
-            because the name has a NUL.
+            because the name is empty or has a NUL.
         BrokenPipeError: unchanged, because a reader that closes its end is not a failure.
     """
     try:
@@ -67,6 +67,8 @@ def reported(path: Path | str) -> Iterator[None]:
     except OSError as error:
         raise OutputError(f"cannot write {path}: {error.strerror or error}") from error
     except ValueError as error:
+        if "empty name" in str(error):
+            raise OutputError(f"cannot write {path}: that is no file; give it a name") from error
         if "null" not in str(error):
             raise
         raise OutputError(f"cannot write {path}: its name has a NUL") from error

@@ -54,7 +54,8 @@ def read_kitti(path: Path, text: str, pair: tuple[int, int] | None) -> Pair:
     )
     size = source.size(labels.get(pair[0], "P").replace("P_", "S_")) if raw else None
     measured_m = _measured_m(values, [labels[n] for n in pair]) if raw else None
-    stated_m = (left[0, 3] - right[0, 3]) / right[0, 0]
+    # A focal length that is none is refused with all else that the pair has to be.
+    stated_m = (left[0, 3] - right[0, 3]) / right[0, 0] if right[0, 0] > 0 else np.nan
     if measured_m and abs(stated_m - measured_m) > _MAX_BASELINES_APART * measured_m:
         notes += (
             f"{path}: {labels[pair[1]]} places the cameras {stated_m:.4g} m apart, and T "
