@@ -362,6 +362,8 @@ def test_without_a_rig_the_page_speaks_of_disparity_in_px(recording, tmp_path):
     assert "<b>Disparity, px</b>" in page
     assert "Scale of the disparity colours: " in page
     assert "How near things were, in px of disparity" in page
+    assert "Disparity known" in page
+    assert "Depth known" not in page
     assert "Histogram of disparity: median " in page
     assert "<b>Depth" not in page
 

@@ -151,7 +151,7 @@
     const head = document.createElement("div");
     head.className = "playhead";
     const plot = new uPlot({
-      width: home.clientWidth, height, legend: { show: false }, padding: [8, 8, 0, 0],
+      width: home.clientWidth, height, legend: { show: false }, padding: [8, 18, 0, 0],
       scales: { x: { time: false }, ...more.scales },
       cursor: { sync: { key: "run" }, drag: { x: true, y: false, setScale: true }, y: false, points: { size: 6 } },
       series: [{}, ...more.series], axes: axes(more.values, more.space),

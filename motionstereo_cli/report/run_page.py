@@ -71,7 +71,7 @@ def run_page(out: Path, page: Path, record: RunRecord | None = None) -> str:
     if steering:
         data = plotted(steering)
         shares = {name: n / len(steering) for name, n in Counter(steering.status).items()}
-        facts = _facts(steering)
+        facts = _facts(steering, scale.quantity)
         objects = _objects(run, steering)
     return render(
         "run.html",
@@ -175,7 +175,7 @@ class Fact(NamedTuple):
     frame: int | None = None
 
 
-def _facts(steering: SteeringTable) -> list[Fact]:
+def _facts(steering: SteeringTable, quantity: str) -> list[Fact]:
     count = len(steering)
     lasts = f"{np.ptp(steering.time_s):.1f} s" if steering.timed else ""
     ok = steering.status.count("ok") / count
@@ -191,7 +191,7 @@ def _facts(steering: SteeringTable) -> list[Fact]:
         when = int(np.nanargmin(nearest))
         frame = int(steering.frames[when])
         facts.append(Fact("Nearest", f"{nearest[when]:.2f} m", f"in frame {frame}", frame))
-    for name, label in (("charged", "Moved"), ("matched", "Depth known")):
+    for name, label in (("charged", "Moved"), ("matched", f"{quantity.capitalize()} known")):
         mean = np.nanmean(steering.series[name])
         facts.append(Fact(label, f"{mean:.0%}", "of the image"))
     return facts
