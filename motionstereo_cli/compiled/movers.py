@@ -164,7 +164,7 @@ def align(
     """Fill in how cells moved in both views beyond what the rig's own motion explains.
 
     Gauss and Newton over three unknowns, a shift along x and y and a change of disparity, from
-    none and from what was found at the next coarser level.
+    what was found at the next coarser level, from none, and from what neighbours did.
 
     Args:
         now, then, camera, motion, limits: as :func:`find` has them.
@@ -245,7 +245,6 @@ def gather(
     x: cython.int
     y: cython.int
     count: cython.int = 0
-    half: cython.float = 0.5
     per_px: cython.double = 1 / camera.focal_baseline
     per_focal: cython.double = 1 / camera.focal_x
     height: cython.int = cython.cast(cython.int, now.view.shape[0])
@@ -277,24 +276,24 @@ def gather(
             if not (before and u >= 0 and u < width and w >= 0 and w < width):
                 continue
             work.grey[0, count] = now.view[y, x]
-            work.slope_x[0, count] = half * (
+            work.slope_x[0, count] = 0.5 * (
                 cython.cast(cython.float, now.view[y, x + 1]) - now.view[y, x - 1]
             )
-            work.slope_y[0, count] = half * (
+            work.slope_y[0, count] = 0.5 * (
                 cython.cast(cython.float, now.view[y + 1, x]) - now.view[y - 1, x]
             )
             first: cython.int = cython.cast(cython.int, place)
             a: cython.float = cython.cast(cython.float, place - first)
             work.grey[1, count] = between(now.other, y, first, a)
-            work.slope_x[1, count] = half * (
+            work.slope_x[1, count] = 0.5 * (
                 between(now.other, y, first + 1, a) - between(now.other, y, first - 1, a)
             )
-            work.slope_y[1, count] = half * (
+            work.slope_y[1, count] = 0.5 * (
                 between(now.other, y + 1, first, a) - between(now.other, y - 1, first, a)
             )
-            work.column[0, count] = cython.cast(cython.float, u)
-            work.column[1, count] = cython.cast(cython.float, w)
-            work.row[count] = cython.cast(cython.float, v)
+            work.column[0, count] = u
+            work.column[1, count] = w
+            work.row[count] = v
             count += 1
     return count
 
@@ -389,9 +388,13 @@ def one(
     least: cython.double = first
     upper: cython.int = cython.cast(cython.int, min(row // 2, coarse.shape[0] - 1))
     aside: cython.int = cython.cast(cython.int, min(column // 2, coarse.shape[1] - 1))
-    for trial in range(2 if upper >= 0 else 1):
+    for trial in range(4):
         for k in range(3):
-            work.trial[k] = 0.0 if trial or upper < 0 else 2 * coarse[upper, aside, k]
+            work.trial[k] = 0
+            if trial == 0 and upper >= 0:
+                work.trial[k] = 2 * coarse[upper, aside, k]
+            elif trial >= 2:  # the one before it, and the one above
+                work.trial[k] = result[max(row + 2 - trial, 0), max(column - 3 + trial, 0), k]
         if not (isfinite(work.trial[0]) and settled(then, camera, limits, count, first, work)):
             continue
         left: cython.double = misfit(then, camera, count, work.trial, work)
@@ -407,11 +410,10 @@ def one(
         result[row, column, k] = cython.cast(cython.float, work.shift[k])
     sure: cython.double = sureness(limits, disparity + camera.doffs, least, count, work)
     result[row, column, 3] = cython.cast(cython.float, sure)
-    before: cython.double = disparity_at(
-        then, work.middle[0] + work.shift[0], work.middle[1] + work.shift[1]
-    )
-    before -= work.middle[2] - camera.doffs + work.shift[2]
-    result[row, column, 4] = cython.cast(cython.float, before)
+    u: cython.double = work.middle[0] + work.shift[0]
+    off: cython.double = disparity_at(then, u, work.middle[1] + work.shift[1])
+    off -= work.middle[2] - camera.doffs + work.shift[2]
+    result[row, column, 4] = cython.cast(cython.float, off)
     result[row, column, 5] = cython.cast(cython.float, least / first)
 
 
@@ -494,8 +496,8 @@ def misfit(
     """
     side: cython.int
     n: cython.int
-    zero: cython.float = 0
     all: cython.double = 0
+    none: cython.float = 0
     down: cython.float = cython.cast(cython.float, moved[1])
     last_column: cython.float = cython.cast(cython.float, then.view.shape[1] - 1.001)
     last_row: cython.float = cython.cast(cython.float, then.view.shape[0] - 1.001)
@@ -510,8 +512,8 @@ def misfit(
         by_x: cython.double = 0
         by_y: cython.double = 0
         for n in range(count):
-            u: cython.float = min(max(work.column[side, n] + right, zero), last_column)
-            v: cython.float = min(max(work.row[n] + down, zero), last_row)
+            u: cython.float = min(max(work.column[side, n] + right, none), last_column)
+            v: cython.float = min(max(work.row[n] + down, none), last_row)
             row: cython.int = cython.cast(cython.int, v)
             first: cython.int = cython.cast(cython.int, u)
             upper: cython.float = between(view, row, first, u - first)
@@ -546,15 +548,13 @@ def equations(camera: Camera, count: cython.int, work: Workspace) -> cython.void
         for n in range(count):
             mean_x += work.slope_x[side, n]
             mean_y += work.slope_y[side, n]
-        mean_x /= count
-        mean_y /= count
         xx: cython.double = 0
         xy: cython.double = 0
         yy: cython.double = 0
         for n in range(count):
             # A brighter view says nothing.
-            x: cython.float = work.slope_x[side, n] - mean_x
-            y: cython.float = work.slope_y[side, n] - mean_y
+            x: cython.float = work.slope_x[side, n] - mean_x / count
+            y: cython.float = work.slope_y[side, n] - mean_y / count
             work.slope_x[side, n] = x
             work.slope_y[side, n] = y
             xx += x * x

@@ -194,23 +194,25 @@ def differences(
 ) -> cython.void:
     """Fill in the squared differences of a patch at each of some shifts along the row, from first.
 
-    Innermost are the shifts, which compilers make vectors of.
+    Innermost are the shifts, which compilers make vectors of, as their numbers cannot wrap.
     """
-    d: cython.int
+    d: cython.Py_ssize_t
+    shifts: cython.Py_ssize_t = count
     row: cython.int
     column: cython.int
     cells: cython.float = 45
-    for d in range(count):
+    for d in range(shifts):
         work[0, d] = 0
         work[1, d] = 0
     for row in range(y - 2, y + 3):
         for column in range(x - 4, x + 5):
             grey: cython.float = view[row, column]
-            for d in range(count):
-                off: cython.float = other[row, column + first + d] - grey
+            begin: cython.Py_ssize_t = column + first
+            for d in range(shifts):
+                off: cython.float = other[row, begin + d] - grey
                 work[0, d] += off
                 work[1, d] += off * off
-    for d in range(count):
+    for d in range(shifts):
         work[1, d] -= work[0, d] * work[0, d] / cells
 
 

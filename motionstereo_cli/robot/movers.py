@@ -29,13 +29,15 @@ Reals = NDArray[np.float64]
 #: of the image's width and, where it moved by less than the second, with one three times as far
 #: back, which reveals far and slow movers; at most so many frames back.
 _WAY, _SHORT_WAY = 0.02, 0.02
+#: No farther back than turns move it by this share, if there is a nearer one.
+_TURN = 0.15
 _FARTHER, GAPS = 3, 6
 #: Where disparity is unknown it is measured at the steepest pixel of each square of so many px.
 _EDGE_PX, _MIN_SLOPE = 8, 2.5
 #: Minimum ratio of the second best cost to the best, and maximum standard deviation.
 _SECOND_BEST, _MAX_SIGMA_PX = 1.5, 0.3
 #: Levels of the pyramid, each half as large; differences are searched at the second one.
-LEVELS = 3
+LEVELS = 4
 #: Smoothing before, standard deviation in px.
 _BLUR_PX = 0.8
 #: Distance of patches, and how far they reach from their middle, in px of each level.
@@ -43,7 +45,7 @@ CELL_PX, _REACH_PX = 4, 4
 
 #: Standard deviation of grey at each level, and what its slope adds to its variance; differences of
 #: so many times that are unexplained, in a cell and in a patch.
-_NOISE = 1.5, 0.9, 0.6
+_NOISE = 1.5, 0.9, 0.6, 0.4
 _PER_SLOPE, _UNEXPLAINED_CELL, _UNEXPLAINED_PATCH = 0.03, 12.0, 12.0
 #: Maximum difference of nearness within a patch, so that it is one surface: the larger of these.
 _JUMP_PX, _JUMP_SHARE = 0.5, 0.06
@@ -63,7 +65,7 @@ _MAX_NEARER = 0.3
 #: Maximum difference of the shifts of neighbouring patches of a mover: the larger of these.
 _ALIKE_PX, _ALIKE_SHARE = 0.7, 0.2
 #: Minimum number of patches of a mover, and the share of them that also moved in the last frame.
-_MIN_PATCHES, _LASTING = 3, 0.3
+_MIN_PATCHES, _LASTING = 3, 0.45
 #: That is, by a shift that differs by at most the larger of these.
 _LASTING_PX, _LASTING_SHARE = 2.0, 0.5
 
@@ -194,11 +196,19 @@ def _gap(movers: Movers, now: Moment, eye: Eye) -> int:
     near = now.disparity_px[::8, ::8] + np.float32(eye.doffs_px)
     near = near[near > 0]
     typical = float(np.median(near)) if near.size else 1.0
+    max_turn_rad = _TURN * now.disparity_px.shape[1] / eye.focal_px[0]
     wanted_m = _WAY * now.disparity_px.shape[1] / typical * eye.focal_baseline / eye.focal_px[0]
     for gap in range(1, len(movers.moments)):
         if np.linalg.norm(_motion(movers, now, gap)[:3, 3]) >= wanted_m:
             return gap
+        if _turn_rad(_motion(movers, now, gap + 1)) > max_turn_rad:
+            return gap
     return len(movers.moments)
+
+
+def _turn_rad(motion: Reals) -> float:
+    """Return the angle of the turn of a motion (4, 4)."""
+    return math.acos(min(max((float(np.trace(motion[:3, :3])) - 1) / 2, -1.0), 1.0))
 
 
 def _motion(movers: Movers, now: Moment, gap: int) -> Reals:
@@ -249,12 +259,16 @@ def _shifts(now: list[Any], motion: Reals, then: Moment, eye: Eye, way_px: float
     wanted = np.zeros((height // CELL_PX // 2, width // CELL_PX // 2), np.uint8)
     work: Any = reused(loops.Workspace, (2 * _REACH_PX + 1) ** 2)
     loops.find(*moments[1], eye.at(1), motion, search, CELL_PX, way_px / 2, work, wanted)
+    asked_at = {1: wanted}
+    for level in range(2, LEVELS):
+        shape = tuple(side // 2**level // CELL_PX for side in (height, width))
+        asked_at[level] = _any_of_four(asked_at[level - 1], shape)
     found = np.empty((0, 0, loops.FIELDS), np.float32)
     for level in range(LEVELS - 1, -1, -1):
         shape = tuple(side // 2**level // CELL_PX for side in (height, width))
-        asked = cv2.resize(wanted, shape[::-1], interpolation=cv2.INTER_NEAREST)
-        if level == LEVELS - 1:
-            asked = _any_of_four(wanted, shape)
+        asked = asked_at.get(level)
+        if asked is None:
+            asked = cv2.resize(wanted, shape[::-1], interpolation=cv2.INTER_NEAREST)
         coarse, found = found, np.empty((*shape, loops.FIELDS), np.float32)
         loops.align(
             *(*moments[level], eye.at(level), motion, limits[level], CELL_PX, _REACH_PX),

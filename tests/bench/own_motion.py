@@ -31,11 +31,11 @@ if TYPE_CHECKING:
 
 #: Scenes, by the name in the table; those that are held out had no part in the choice of values.
 SCENES: dict[str, dict[str, Any]] = {
-    "held-out street 11": {"scene": "street", "seed": 11, "street_winding_deg": 25.0},
-    "held-out street 12": {"scene": "street", "seed": 12},
-    "held-out street 13": {"scene": "street", "seed": 13, "street_winding_deg": 15.0},
-    "held-out street 14": {"scene": "street", "seed": 14, "street_winding_deg": 35.0},
-    "held-out corridor": {"scene": "corridor", "seed": 5, "frames": "200:255"},
+    "held-out street 41": {"scene": "street", "seed": 41, "street_winding_deg": 25.0},
+    "held-out street 42": {"scene": "street", "seed": 42},
+    "held-out street 43": {"scene": "street", "seed": 43, "street_winding_deg": 15.0},
+    "held-out street 44": {"scene": "street", "seed": 44, "street_winding_deg": 35.0},
+    "held-out corridor": {"scene": "corridor", "seed": 45, "frames": "200:255"},
     "street": {"scene": "street", "seed": 8, "street_winding_deg": 25.0},
     "straight street": {"scene": "street", "seed": 3},
     "corridor": {"scene": "corridor", "seed": 1, "frames": "70:125"},
