@@ -219,7 +219,9 @@ class _Batch:
         except KeyboardInterrupt:
             client.run(_stop, str(self._ledger.out), time.time(), on_error="ignore")
             for future in ended:  # running tasks write their checkpoints
-                self._note(under_way[future.key].name, future)
+                self._note(under_way.pop(future.key).name, future)
+            for item in under_way.values():  # they had ended, and the interrupt came before them
+                known[item.name] = read_status(self._ledger.out, item.name)
             raise
         finally:
             with contextlib.suppress(OutputError):
