@@ -169,13 +169,17 @@ def ranked_by_bearing(
         share: share of a bearing's values that are as high or higher.
         least: as many are, at least.
     """
-    order = np.lexsort((-values, bearing))
+    # By bearing, then from the highest down, as whole numbers: their sort is several times faster.
+    bits = values.view(np.int32)
+    rising = (bits ^ (bits >> 31 & 0x7FFFFFFF)).astype(np.int64)
+    keys = np.sort(bearing.astype(np.int64) << 32 | (0x7FFFFFFF - rising))
     count = np.bincount(bearing, minlength=bearings)
     first = np.cumsum(count) - count
     rank = np.maximum(least, np.ceil(share * count).astype(np.int64)) - 1
     enough = rank < count
     result = np.full(bearings, np.nan, np.float32)
-    result[enough] = values[order][(first + rank)[enough]]
+    found = (0x7FFFFFFF - (keys[(first + rank)[enough]] & 0xFFFFFFFF)).astype(np.int32)
+    result[enough] = (found ^ (found >> 31 & 0x7FFFFFFF)).view(np.float32)
     return result
 
 
