@@ -63,7 +63,7 @@ def frame_result(
     charged: float = 0.0,
     matched: float = 0.0,
 ) -> FrameResult:
-    grey = np.zeros((4, 6), np.uint8)
+    grey = np.zeros((4, 6) if disparity_px is None else disparity_px.shape, np.uint8)
     return FrameResult(
         frame=StereoFrame(index, index if pts is None else pts, time_s, grey, grey),
         bands=grey if bands is None else bands,

@@ -67,6 +67,9 @@ class Found(NamedTuple):
 #: Disparities so close to the limit of the range, in px, may be beyond it.
 _LIMIT_PX = 0.5
 
+#: Texture is fine where more than this share of the pixels begin a trail.
+_FINE = 0.4
+
 
 def _trails(right: Memory, left: Memory, settings: Settings) -> Found:
     s, wanted = settings, keys_of(right, settings)
@@ -89,14 +92,7 @@ def _trails(right: Memory, left: Memory, settings: Settings) -> Found:
 def _dense(right: Memory, left: Memory, settings: Settings) -> Found:
     s, wanted = settings, keys_of(right, settings)
     charged = wanted > 0 if s.depth_of == "moved" else np.ones(wanted.shape, np.bool_)
-    proposed, _ = match_trails(
-        wanted[::ROWS],
-        keys_of(left, s)[::ROWS],
-        s.max_disparity,
-        block_px=(max(s.vote_rows // ROWS, 1), s.vote_columns),
-        max_ratio=s.max_ratio,
-        min_votes=max(s.min_votes // ROWS, 1),
-    )
+    proposed = _proposed(wanted[::ROWS], keys_of(left, s)[::ROWS], s)
     right_grey, left_smoothed = smoothed(right.grey), smoothed(left.grey)
     left_grey = balanced(right_grey, left_smoothed, s.max_disparity)
     age = age_of(right, s)[::ROWS]
@@ -127,6 +123,35 @@ def _dense(right: Memory, left: Memory, settings: Settings) -> Found:
         return confidence_by_margin(disparity, matched, margins)
 
     return Found(disparity, sure, at_limit)
+
+
+def _proposed(keys: NDArray[np.uint16], left_keys: NDArray[np.uint16], settings: Settings) -> Real:
+    """Return the disparity of trails, (rows, width) float32, NaN = none.
+
+    On fine texture they are matched in every second row; in the next one they propose where they
+    go on.
+
+    Args:
+        keys, left_keys: match keys of every :data:`ROWS`-th row, (rows, width) uint16.
+        settings: how trails are matched.
+    """
+    ends = np.count_nonzero(keys[:, 1:] != keys[:, :-1])
+    every = 2 if ends > _FINE * keys.size else 1
+    s, step = settings, every * ROWS
+    found, _ = match_trails(
+        keys[::every],
+        left_keys[::every],
+        s.max_disparity,
+        block_px=(max(s.vote_rows // step, 1), s.vote_columns),
+        max_ratio=s.max_ratio,
+        min_votes=max(s.min_votes // step, 1),
+    )
+    if every == 1:
+        return found
+    proposed = np.repeat(found, every, axis=0)[: len(keys)]
+    following = proposed[1::2]
+    following[keys[1::2] != keys[::2][: len(following)]] = np.nan
+    return proposed
 
 
 def _regions(right: Memory, left: Memory, settings: Settings) -> Found:

@@ -73,7 +73,7 @@ def depth_levels(
         view = np.full(disparity_px.shape, 128, np.uint8)
     per_px, table = _level_table(scale)
     levels = np.empty(disparity_px.shape, np.uint8)
-    view = checked_array(view, np.uint8)
+    view = checked_array(view, np.uint8, disparity_px.shape)
     levels_of(disparity_px, scale.doffs, per_px, table, view, FARTHEST, levels)
     return levels
 
