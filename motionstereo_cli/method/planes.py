@@ -46,7 +46,7 @@ _DEPENDENT = 11.0
 #: Largest error in px of the planes through textured pixels: where things move; far away, and there
 #: up to which disparity in px; and beyond the left view's border, of smooth and of other pixels.
 _MAX_ERROR_PX, _MAX_FAR_ERROR_PX, _FAR_PX = 0.5, 0.17, 6.0
-_MAX_SMOOTH_ERROR_PX, _MAX_UNSEEN_ERROR_PX = 0.15, 0.9
+_MAX_SMOOTH_ERROR_PX, _MAX_UNSEEN_ERROR_PX = 0.15, 1.1
 
 #: A match of this margin is sure enough to tell of what lies beyond the left view's border.
 _SURE = 500.0
@@ -65,7 +65,7 @@ _NEARBY, _AFAR, _FAR, _BESIDE = (
         (32, 16, 4, 4, 1, 8, 4, 6.0, 2.0, 3, 0.6, 0.6),
         (240, 60, 12, 6, 5, 16, 8, 255.0, 1.0, 5, 0.8, 1.0),
         (24, 12, 3, 3, 1, 8, 4, 12.0, 1.0, 5, 0.8, 1.0),
-        (60, 12, 6, 3, 2, 8, 4, 32.0, 1.0, 5, 0.7, 0.8),
+        (90, 16, 6, 4, 2, 8, 4, 64.0, 1.0, 5, 0.8, 0.9),
     )
 )
 _ALL = np.inf
