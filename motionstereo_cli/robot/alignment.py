@@ -39,7 +39,7 @@ _CELLS = 8, 12
 _MIN_SLOPE = 2.5
 _BORDER_PX = 8
 #: Minimum number of points, and maximum standard deviation of their nearness in px.
-MIN_POINTS = 60
+MIN_POINTS = 40
 _MAX_SIGMA_PX = 1.0
 _MIN_NEARNESS_PX = 0.1
 
