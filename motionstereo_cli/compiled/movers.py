@@ -596,5 +596,5 @@ def between(
     view: cython.const[cython.uchar][:, ::1], row: cython.int, column: cython.int, a: cython.float
 ) -> cython.float:
     """Return the grey a share ``a`` from a pixel to the next one in its row."""
-    here: cython.float = view[row, column]
+    here: cython.float = cython.cast(cython.float, view[row, column])
     return here + a * (view[row, column + 1] - here)
