@@ -19,6 +19,7 @@ from motionstereo_cli.commands import cli
 from motionstereo_cli.commands.messages import Tolerant, say
 from motionstereo_cli.commands.progress import end_lines
 from motionstereo_cli.errors import INTERRUPTED_EXIT_CODE, MotionStereoError, shortage
+from motionstereo_cli.runs.cores import prepare
 
 #: How much alike an unknown option and the one that is suggested are at least, 0..1.
 _LIKE = 0.8
@@ -37,6 +38,7 @@ def main(args: Sequence[str] | None = None) -> int:
         args: arguments after the program's name; the process's own if None.
     """
     signal.signal(signal.SIGTERM, _interrupt)
+    prepare()
     _fill_standard_descriptors()
     with contextlib.ExitStack() as redirected:
         if sys.stderr is not None:

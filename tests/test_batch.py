@@ -207,7 +207,11 @@ def test_good_recordings_are_done_as_run_does_them_and_bad_ones_named(archive, t
     before = {path: path.stat().st_mtime_ns for path in (out / ".batch/status").rglob("*.json")}
     assert batched(archive / "all.csv", "-o", out) == 1
     assert before == {path: path.stat().st_mtime_ns for path in before}
+    assert "--retry-failed tries what failed" in capsys.readouterr().err
+    assert batched(archive / "all.csv", "-o", out, "--overwrite") == 2
+    assert "remove its folder in OUT" in capsys.readouterr().err
     assert batched(archive / "all.csv", "-o", out, "--retry-failed") == 1
+    assert "--retry-failed tries" not in capsys.readouterr().err
     changed = [path.name for path in before if before[path] != path.stat().st_mtime_ns]
     assert changed == ["bad.json"]
 

@@ -376,6 +376,9 @@ def test_two_views_are_warned_of(sides, tmp_path):
     write_rig(sides[1] / "rig.yaml", RIG)
     done = called(*sides, cwd=tmp_path)
     assert "warning: OUT is in the left view, but TRUTH in the right one\n" in done.stderr
+    # The name of a folder says more than what lies beside it.
+    named = (sides[1] / "disparity").rename(sides[1] / "disparity_left")
+    assert "warning" not in called(sides[0], named, cwd=tmp_path).stderr
 
 
 def test_dash_puts_csv_on_standard_output_alone(sides, tmp_path):

@@ -101,7 +101,7 @@ def test_settings_and_troubles_are_in_words(copy):
     record["shares"] = {"charged": 0.5, "matched": 0.01}
     (copy / "run.json").write_text(json.dumps(record))
     page = page_of(copy)
-    assert "<li>Left.mp4: 3 images lost.</li>" in page
+    assert "<li>left.mp4: 3 images lost.</li>" in page
     assert "50.0% of the image moved, and 1.0% was matched" in page
     assert re.search(r"--max-disparity</code></td><td>24 px</td><td>64 px", page)
 

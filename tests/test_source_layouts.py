@@ -864,6 +864,7 @@ def test_info(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> N
         "right      64x48 px, 12 images, 15 per second, png, grey 8 bit, full range, right",
         "delivered  32x24 px, 6 images, 7.5 per second",
         "rig        width 32, height 24, focal_px 25, baseline_m 0.1, cx 15.5, cy 11.5, doffs 0",
+        "rig from   rig.yaml",
     ]
     assert main([*args, "--json"]) == 0
     facts = json.loads(capsys.readouterr().out)

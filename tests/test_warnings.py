@@ -270,7 +270,7 @@ def test_warnings_of_earlier_versions_are_read(clips, tmp_path):
     assert main(["run", *pair(clips / "a"), "--save", "steering", "-o", str(out)]) == 0
     record = json.loads((out / "run.json").read_text())
     (out / "run.json").write_text(json.dumps({**record, "warnings": ["left.mp4 is dark"]}))
-    assert "<li>Left.mp4 is dark.</li>" in run_page(out, out / "report.html")
+    assert "<li>left.mp4 is dark.</li>" in run_page(out, out / "report.html")
 
 
 @pytest.mark.parametrize(

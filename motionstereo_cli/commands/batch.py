@@ -192,6 +192,11 @@ def batch(
     from motionstereo_cli.batch.stored import kept
 
     shared, inputs = _apart(given)
+    if "--overwrite" in shared:
+        raise click.UsageError(
+            "a batch goes on with what it has begun: to start a recording again, remove its folder "
+            "in OUT, or give another OUT"
+        )
     entries = _entries(inputs, shared)
     if dry_run:
         return _tried_out(plans(entries, out, plan_of))
@@ -218,7 +223,7 @@ def batch(
     if detach:
         say("note", f"the scheduler has the work; --status shows it; see {out / 'batch.csv'}")
         return 0
-    return _summarise(statuses, address or out)
+    return _summarise(statuses, address or out, retried=retry_failed)
 
 
 def _processed(
@@ -255,7 +260,7 @@ def _tried_out(found: Mapping[str, RunPlan]) -> int:
         except MotionStereoError as error:
             named("error", str(error))
             failed += 1
-    say("note", f"a dry run: {failed} of {len(found)} recordings would fail")
+    say("note", f"a dry run: {failed} of {len(found)} recordings would fail at once")
     return 1 if failed else 0
 
 
@@ -381,8 +386,10 @@ def _say_ended(status: Status, *, as_json: bool, quiet: bool) -> None:
         say("note", f"{status.name}: {status.status}, {status.frames} frames")
 
 
-def _summarise(statuses: Sequence[Status], out: Path | str) -> int:
+def _summarise(statuses: Sequence[Status], out: Path | str, *, retried: bool) -> int:
     """Print a summary and return the exit code."""
+    from motionstereo_cli.batch.status import FAILED
+
     counts = {
         name: sum(status.status == name for status in statuses)
         for name in dict.fromkeys(status.status for status in statuses)
@@ -390,6 +397,8 @@ def _summarise(statuses: Sequence[Status], out: Path | str) -> int:
     said = ", ".join(f"{count} {name}" for name, count in counts.items())
     number = "1 recording" if len(statuses) == 1 else f"{len(statuses)} recordings"
     say("note", f"{number}: {said}; see {out}/batch.csv")
+    if counts.keys() & set(FAILED) and not retried:
+        say("note", "the same command with --retry-failed tries what failed or was lost once more")
     if counts.keys() - {"done", "damaged"}:
         return 1
     return DAMAGED_EXIT_CODE if "damaged" in counts else 0

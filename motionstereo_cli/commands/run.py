@@ -139,9 +139,6 @@ def run(*, dry_run: bool, **given: Any) -> int:
     """
     plan = RunPlan(**given, reads=config_files())
 
-    from motionstereo_cli.runs.cores import prepare
-
-    prepare()
     from motionstereo_cli.runs.run import Watcher, try_out
     from motionstereo_cli.runs.run import run as library
 

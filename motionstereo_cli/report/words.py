@@ -95,4 +95,8 @@ def troubles(record: RunRecord, shares: Mapping[str, float]) -> Sequence[str]:
 
 def _sentence(line: str) -> str:
     text = line.strip()
-    return text[:1].upper() + text[1:] + ("" if text.endswith((".", "?", "!")) else ".")
+    first = text.partition(" ")[0]
+    is_path = "/" in first or "." in first
+    return (text if is_path else text[:1].upper() + text[1:]) + (
+        "" if text.endswith((".", "?", "!")) else "."
+    )

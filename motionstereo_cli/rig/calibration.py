@@ -296,7 +296,9 @@ def rectify_source(
     if calibration.maps is not None:
         source.rectify(*calibration.rectifiers())
     names = " and ".join(str(path) for path in paths or found)
-    origin = f"{names} ({calibration.kind}{', found beside the recording' if found else ''})"
+    said = [calibration.kind] if calibration.kind not in names else []
+    said += ["found beside the recording"] if found else []
+    origin = f"{names} ({', '.join(said)})" if said else names
     return dataclasses.replace(calibration, found=found, origin=origin)
 
 

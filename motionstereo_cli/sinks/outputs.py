@@ -272,7 +272,7 @@ OUTPUTS = {
     ),
     "view-video": Output(
         "view.mp4",
-        "the reference view as it was processed, in colour",
+        "the reference view as it was processed, in colour where it has any",
         "videos.view",
         shows_colours=True,
         max_view_px=MAX_VIDEO_PX,

@@ -8,6 +8,7 @@ from __future__ import annotations
 import csv
 import itertools
 import math
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -67,7 +68,8 @@ class Maps:
         kind: ``disparity`` or ``depth``.
         files: the images by frame number, in order.
         rig: the rig in a rig.yaml or run.json beside them, None if there is none.
-        reference: the camera whose view they are in, ``right`` or ``left``; None if unknown.
+        reference: the camera whose view they are in, ``right`` or ``left``, by the folder's name
+            (such as disparity_left) or what lies beside it; None if unknown.
 
     Raises:
         InputError: there is no such folder or no image in it, or its kind or the frame numbers
@@ -93,7 +95,8 @@ class Maps:
                 "give --out-kind or --truth-kind"
             )
         self.kind = kind
-        self.rig, self.reference, per_m = _said_in(home)
+        self.rig, reference, per_m = _said_in(home)
+        self.reference = _view_by_name(images) or reference
         self._png_per_unit = DISPARITY_PER_PX if kind == "disparity" else per_m
 
     def read(self, number: int) -> Real:
@@ -122,6 +125,11 @@ class Maps:
 def _kind_by_name(folder: Path) -> str | None:
     name = real(folder).name.lower()
     return next((kind for start, kind in _NAMED.items() if name.startswith(start)), None)
+
+
+def _view_by_name(folder: Path) -> str | None:
+    words = re.split(r"[^a-z]+", real(folder).name.lower())
+    return next((view for view in ("left", "right") if view in words), None)
 
 
 def _said_in(folder: Path) -> tuple[Rig | None, str | None, int]:
