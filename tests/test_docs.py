@@ -126,6 +126,20 @@ def test_the_commands_of_a_page_work_in_order(yours, tmp_path, path, monkeypatch
     assert_they_work(commands(path), capfd)
 
 
+def test_a_bag_is_made_of_two_videos_and_read(yours, tmp_path, monkeypatch, capsys):
+    (made,) = re.findall(
+        r"^```python\n(.*?)^```",
+        (ROOT / "motionstereo_cli/docs/input.md").read_text(),
+        re.MULTILINE | re.DOTALL,
+    )
+    monkeypatch.chdir(
+        shutil.copytree(yours, tmp_path / "sample_data", ignore=shutil.ignore_patterns("drive_bag"))
+    )
+    exec(made, {})
+    assert main(["run", "drive_bag", "--rig", "rig.yaml", "--end", "20", "-o", "out"]) == 0
+    assert "20 frames in" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("name", [name for name in cli.commands if name != "help"])
 def test_the_examples_of_a_commands_help_work(yours, tmp_path, name, monkeypatch, capfd):
     examples = cli.commands[name].examples
