@@ -183,7 +183,7 @@ def assert_they_work(lines, capfd):
                 words += ["--frames", "20"]
             code = main([*words[1:], *SHORTER.get(words[1], [])])
         if code:
-            failed.append(f"{line}\n{capfd.readouterr().err}")
+            failed.append("\n".join([line, *capfd.readouterr()]))
     assert not failed, "\n".join(failed)
 
 

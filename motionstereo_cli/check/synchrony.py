@@ -240,7 +240,6 @@ def step_or_drift(
     # Lost frames stay lost, so drift goes one way; a single window is mistaken.
     if steps and wholes[0] != wholes[-1] and wholes in (sorted(wholes), sorted(wholes)[::-1]):
         (first, first_at), (last, last_at) = steps[0], steps[-1]
-        sigma = math.hypot(first.sigma, last.sigma)
-        if abs(last.frames - first.frames) > _CERTAIN_SIGMAS * sigma:
+        if first.is_certain and last.is_certain:
             return None, Drift(first.frames, first_at, last.frames, last_at)
     return _walk(windows, joined(matches)), None
