@@ -94,7 +94,9 @@
       $("play").textContent = playing() ? "❚❚" : "▶";
       $("play").setAttribute("aria-label", playing() ? "Pause" : "Play");
     };
-    video.onplay = video.onpause = video.onended = label;
+    video.onplay = video.onpause = label;
+    // A busy browser may leave the last frame out.
+    video.onended = () => { if (video === leader()) show(indexAt(video.currentTime)); label(); };
   };
   for (const video of videos) {
     video.addEventListener("error", () => {
