@@ -12,7 +12,7 @@ import pytest
 from recordings import COUNT, encode, number_in, remux, scene
 
 from motionstereo_cli.sources import open_stereo
-from motionstereo_cli.sources.names import stamps_in
+from motionstereo_cli.sources.names import side_of, stamps_in
 from motionstereo_cli.sources.pairing import _Step, pair
 from motionstereo_cli.sources.settings import InputSettings
 from motionstereo_cli.sources.sides import Loss, SideImage
@@ -309,3 +309,14 @@ def test_stamps_in_an_unlikely_unit_are_named(tmp_path: Path, period_ns: int, wa
         (tmp_path / camera / "data.csv").write_text(rows)
     with open_stereo(tmp_path) as source:
         assert len([line for line in source.warnings if "images per second" in line]) == warned
+
+
+@pytest.mark.parametrize(
+    ("name", "side"),
+    [
+        *[("disparity_left", "left"), ("disp-right", "right"), ("left", "left")],
+        *[("depth_cam1", "right"), ("infra1", "left"), ("cleft", None), ("disparity", None)],
+    ],
+)
+def test_names_tell_the_camera(name, side):
+    assert side_of(name) == side

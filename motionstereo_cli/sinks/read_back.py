@@ -8,7 +8,6 @@ from __future__ import annotations
 import csv
 import itertools
 import math
-import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -26,6 +25,7 @@ from motionstereo_cli.sinks.images import DISPARITY_PER_PX
 from motionstereo_cli.sinks.outputs import OUTPUTS, RECORD
 from motionstereo_cli.sinks.records import RunRecord
 from motionstereo_cli.sinks.settings import OutputSettings
+from motionstereo_cli.sources.names import side_of
 from motionstereo_cli.types import Rig
 
 if TYPE_CHECKING:
@@ -96,7 +96,7 @@ class Maps:
             )
         self.kind = kind
         self.rig, reference, per_m = _said_in(home)
-        self.reference = _view_by_name(images) or reference
+        self.reference = side_of(real(images).name.lower()) or reference
         self._png_per_unit = DISPARITY_PER_PX if kind == "disparity" else per_m
 
     def read(self, number: int) -> Real:
@@ -125,11 +125,6 @@ class Maps:
 def _kind_by_name(folder: Path) -> str | None:
     name = real(folder).name.lower()
     return next((kind for start, kind in _NAMED.items() if name.startswith(start)), None)
-
-
-def _view_by_name(folder: Path) -> str | None:
-    words = re.split(r"[^a-z]+", real(folder).name.lower())
-    return next((view for view in ("left", "right") if view in words), None)
 
 
 def _said_in(folder: Path) -> tuple[Rig | None, str | None, int]:

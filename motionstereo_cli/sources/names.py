@@ -33,10 +33,22 @@ _SIDES = (("left", "right"), ("infra1", "infra2"), ("cam0", "cam1"), ("camera0",
 def right_of(name: str) -> str | None:
     """Return the name of the right camera for that of the left one, None if it is not of one."""
     for left, right in _SIDES:
-        whole = rf"(?<![a-z]){left}(?![a-z0-9])"
-        if re.search(whole, name):
-            return re.sub(whole, right, name)
+        if re.search(_word(left), name):
+            return re.sub(_word(left), right, name)
     return None
+
+
+def side_of(name: str) -> str | None:
+    """Return the camera that a name is of, ``left`` or ``right``, None if it tells neither."""
+    for sides in _SIDES:
+        for side, called in zip(("left", "right"), sides, strict=True):
+            if re.search(_word(called), name):
+                return side
+    return None
+
+
+def _word(called: str) -> str:
+    return rf"(?<![a-z]){called}(?![a-z0-9])"
 
 
 def natural_key(name: str) -> list[tuple[int, str]]:
