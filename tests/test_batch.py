@@ -80,22 +80,37 @@ def manifest(tmp_path, text):
 @pytest.mark.parametrize(
     ("text", "lines"),
     [
-        ("left,right\na,b\n", ["line 1: there is no column out"]),
+        ("left,right\na,b\na,\n", ["line 1: there is no column out"]),
         ("left,out,speed\na,b,1\n", ["line 1: run has no option 'speed'"]),
         ("left,out\na\n,x\n", ["line 2: 1 cells and not 2", "line 3: left cannot be empty"]),
-        ("left,out\n", ["names no recording"]),
         ("left;out\na;b\n", ["line 1: columns are separated by commas only"]),
         ("left,out,max-disparty\na,b,1\n", ["(did you mean 'max-disparity'?)"]),
         ("left,out,check\na,b,maybe\n", ["line 2: check cannot be 'maybe': give yes or no"]),
         ("", ["there is no column left", "there is no column out"]),
+        (
+            "left,out,speed,check,max-disparity\na,a,1,perhaps,many\na,b,1,no,many\nb,a,,,\n",
+            [
+                *("line 1: run has no option 'speed'", "line 2: check cannot be 'perhaps'"),
+                "line 2 and 1 more: --max-disparity cannot be 'many'",
+                "line 4: out a is that of",
+            ],
+        ),
     ],
 )
-def test_all_that_is_wrong_with_a_manifest_is_said_with_its_line(tmp_path, text, lines):
+def test_all_that_is_wrong_with_a_manifest_is_said_at_once_with_its_line(tmp_path, text, lines):
+    (tmp_path / "a").touch()
     with pytest.raises(InputError) as refused:
-        read_manifest(manifest(tmp_path, text), OPTIONS, {"rig"})
-    said = "\n".join([str(refused.value), *getattr(refused.value, "__notes__", [])])
-    for line in lines:
-        assert line in said
+        plans(read_manifest(manifest(tmp_path, text), OPTIONS, {"rig"}), tmp_path / "out", plan_of)
+    first, *more = [str(refused.value), *getattr(refused.value, "__notes__", [])]
+    said = [first.partition("nothing was started: ")[2], *more]
+    assert len(said) == len(lines)
+    for line, found in zip(lines, said, strict=True):
+        assert line in found
+
+
+def test_a_manifest_without_recordings_is_refused(tmp_path):
+    with pytest.raises(InputError, match="names no recording"):
+        read_manifest(manifest(tmp_path, "left,out\n"), OPTIONS, set())
 
 
 def test_paths_are_relative_to_the_manifest_and_cells_are_options(tmp_path):

@@ -218,11 +218,11 @@ DIFFERENCES = {
     ),
     "setting": (
         lambda folder: record(folder, settings={**RECORD["settings"], "bands": 9}),
-        ("run.json", "settings.bands", 1, None, None, "9, golden 8"),
+        ("run.json", "--bands", 1, None, None, "9, golden 8"),
     ),
     "setting missing": (
         lambda folder: record(folder, settings={"bands": 8, "blur_px": 1.0}),
-        ("run.json", "settings.matcher", 1, None, None, "missing, golden 'trails'"),
+        ("run.json", "--matcher", 1, None, None, "missing, golden 'trails'"),
     ),
     "rig": (
         lambda folder: record(folder, rig={**RIG, "focal_px": 278.5}),
@@ -542,6 +542,41 @@ def test_the_command_exits_with_0_where_nothing_differs(sides, tmp_path):
     assert json.loads(done.stdout)["differs"] is False
     assert "note: no picture: no images differ\n" in done.stderr
     assert not (tmp_path / "d.png").exists()
+
+
+def test_a_picture_of_an_earlier_comparison_is_removed_and_no_other_file(sides, tmp_path):
+    picture = tmp_path / "d.png"
+    painted("depth/000001.png", 3000, 20)(sides[0])
+    assert called("actual", "golden", "--picture", "d.png", cwd=tmp_path).returncode == 4
+    ours = picture.read_bytes()
+    painted("depth/000001.png", 2000, 20)(sides[0])
+    done = called("actual", "golden", "--picture", "d.png", cwd=tmp_path)
+    assert done.returncode == 0
+    assert "no images differ; d.png of an earlier comparison was removed" in done.stderr
+    assert not picture.exists()
+
+    (tmp_path / "ours.png").write_bytes(ours)
+    for foreign in (b"", b"text", ours[:33] + ours[-12:], sides[0].joinpath("run.json")):
+        if isinstance(foreign, bytes):
+            picture.write_bytes(foreign)
+        else:
+            picture.unlink()
+            picture.symlink_to(tmp_path / "ours.png")
+        done = called("actual", "golden", "--picture", "d.png", cwd=tmp_path)
+        assert "note: no picture: no images differ\n" in done.stderr
+        assert picture.exists()
+
+
+def test_what_was_measured_in_both_runs_is_no_chosen_setting(sides):
+    ends = {"near_m": 1.0, "far_m": 10.0}
+    for folder, near_m, far_m in ((sides[0], 1.2, 10.0), (sides[1], 1.0, 10.0)):
+        ends = {"near_m": near_m, "far_m": far_m}
+        record(folder, output_settings=ends, measured=["far_m", "near_m"])
+    report = compare(*sides)
+    assert found(report) == set()
+    assert "--near-m was measured: 1.2, golden 1.0" in report.notes
+    record(sides[0], output_settings={**ends, "near_m": 1.2}, measured=["far_m"])
+    assert found(compare(*sides)) == {("run.json", "--near-m")}
 
 
 def test_tolerances_come_from_the_command_line_and_the_configuration(sides, tmp_path):

@@ -98,12 +98,12 @@ def test_the_command_gives_the_same_again(copy, tmp_path):
 def test_settings_and_troubles_are_in_words(copy):
     record = json.loads((copy / "run.json").read_text())
     record["damage"] = ["left.mp4: 3 images lost"]
-    record["shares"] = {"charged": 0.5, "matched": 0.01}
+    record["measured"] = ["near_m", "max_disparity"]
     (copy / "run.json").write_text(json.dumps(record))
     page = page_of(copy)
     assert "<li>left.mp4: 3 images lost.</li>" in page
-    assert "50.0% of the image moved, and 1.0% was matched" in page
-    assert re.search(r"--max-disparity</code></td><td>24 px</td><td>64 px", page)
+    assert re.search(r"--max-disparity</code></td><td>24 px \(measured\)</td><td>64 px", page)
+    assert "--near-m" not in page
 
 
 def test_an_interrupted_run_is_shown_as_far_as_it_came(copy):

@@ -21,11 +21,11 @@ from motionstereo_cli.batch.status import format_statuses
 from motionstereo_cli.batch.task import _ended
 from motionstereo_cli.check.findings import RULES, CheckReport, Drift
 from motionstereo_cli.check.mounting import Mounting
+from motionstereo_cli.check.shortfall import without_heading
 from motionstereo_cli.commands.batch import plan_of
 from motionstereo_cli.method.settings import Settings
 from motionstereo_cli.report.batch_page import batch_page
 from motionstereo_cli.report.run_page import run_page
-from motionstereo_cli.report.words import troubles
 from motionstereo_cli.runs import disparity_offset
 from motionstereo_cli.runs import run as runs
 from motionstereo_cli.runs.disparity_range import RANGE
@@ -33,7 +33,7 @@ from motionstereo_cli.runs.plan import RunPlan
 from motionstereo_cli.runs.run import Watcher, run
 from motionstereo_cli.simulate.settings import SimulateSettings
 from motionstereo_cli.simulate.write import simulate
-from motionstereo_cli.sinks.records import RunRecord, Shares, Status
+from motionstereo_cli.sinks.records import Status
 from motionstereo_cli.sinks.settings import OutputSettings
 
 FRAMES = 23
@@ -79,12 +79,14 @@ def given(clips, code):
         "swapped": pair(clips / "a", ("right", "left")),
         "unmatched": pair(clips / "b"),
         "at-limit": [*a, "--max-disparity", "4"],
+        "unmoved": [*blank, "--no-check"],  # which says the same, as far as it sees
+        "no-heading": pair(clips / "b"),
     }[code]
 
 
 CODES = (
     *("recording", "calibration", "poses", "range", "sync-offset", "disparity-offset"),
-    *("disparity", "swapped", "unmatched", "at-limit"),
+    *("disparity", "swapped", "unmatched", "at-limit", "unmoved", "no-heading"),
 )
 #: What a check found, so that nearly all of its rules apply; the others do not apply beside these.
 FOUND = CheckReport(
@@ -210,7 +212,7 @@ def record_of(out):
     return {**json.loads((out / "run.json").read_text()), "timing": None, "options": None}
 
 
-@pytest.mark.parametrize("code", ["range", "swapped", "unmatched", "at-limit"])
+@pytest.mark.parametrize("code", ["range", "swapped", "unmatched", "at-limit", "no-heading"])
 def test_the_record_is_the_same_however_the_run_is_done(clips, tmp_path, code):
     words = given(clips, code)
     auto = "auto" in words
@@ -259,8 +261,11 @@ def test_a_batch_has_the_warnings_in_its_table_and_on_its_page(clips, tmp_path):
     assert main([*batch, "--workers", "1"]) == 0
     table = {row["name"]: row for row in csv.DictReader((out / "batch.csv").open())}
     assert (table["good"]["warnings"], table["good"]["said"]) == ("0", "")
-    assert table["swapped"]["warnings"] == "1"
-    assert table["swapped"]["said"].startswith("left and right are swapped")
+    said = json.loads((out / "swapped/run.json").read_text())["warnings"]
+    assert table["swapped"]["warnings"] == str(len(said))
+    assert table["swapped"]["said"] == "; ".join(each["text"] for each in said)
+    know = run_page(out / "swapped", out / "swapped/report.html").partition("What to know")[2]
+    assert know.partition("</ul>")[0].count("<li>") == len(said)
     page = batch_page(out, out / "report.html")
     assert page.index("left and right are swapped") < page.index('data-sort="good"')
 
@@ -278,9 +283,8 @@ def test_warnings_of_earlier_versions_are_read(clips, tmp_path):
     [(0.9, "one level surface fills the view"), (0.01, "too little was matched")],
 )
 def test_a_view_without_a_heading_is_explained(matched, why):
-    record = RunRecord(shares=Shares(charged=0.9 if matched > 0.5 else 0.05, matched=matched))
-    said = [line for line in troubles(record, {"blind": 0.98, "ok": 0.02}) if "No heading" in line]
-    assert len(said) == 1
-    assert "in 98% of the frames" in said[0]
-    assert why in said[0]
-    assert not any("No heading" in line for line in troubles(record, {"blind": 0.4}))
+    said = without_heading(0.98, matched)
+    assert said is not None
+    assert "in 98% of the frames" in said
+    assert why in said
+    assert without_heading(0.4, matched) is None

@@ -120,7 +120,8 @@ class Item:
         name: the recording.
         piece: which piece.
         pieces: all pieces of the recording; empty where it is not cut.
-        measured: the settings, and those of the output, with what was measured for all pieces.
+        measured: the settings, and those of the output, with what was measured for all pieces,
+            and the names of that.
         seek: whether the piece may begin by seeking.
     """
 
@@ -141,7 +142,8 @@ def _items(name: str, plan: RunPlan, count: int, say: Say, *, asked: bool) -> li
             pieces = tuple(pieces_of(plan, count))
             if len(pieces) > 1:
                 whole = settled(plan, lambda kind, text: say(kind, f"{name}: {text}")).as_json()
-                measured = {group: whole[group] for group in ("settings", "output_settings")}
+                found = ("settings", "output_settings", "measured")
+                measured = {name: whole[name] for name in found}
                 return [Item(name, piece, pieces, measured) for piece in pieces]
         except MotionStereoError:
             if asked:

@@ -8,7 +8,7 @@ import functools
 import glob
 import io
 import os
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
@@ -46,12 +46,14 @@ class ManifestRow:
         options: those of ``run``, without the folder.
         inputs: LEFT, and RIGHT if there is one.
         place: where it is in the manifest, for messages.
+        wrong: its mistakes; a row without a name has nothing else.
     """
 
     name: str
     options: tuple[str, ...]
     inputs: tuple[str, ...]
     place: str
+    wrong: tuple[str, ...] = ()
 
 
 def _text_of(path: str | Path) -> str:
@@ -84,8 +86,11 @@ def read_manifest(
         options: the options of ``run`` by name, without dashes, and whether they are flags.
         files: those of them that are paths.
 
+    Returns:
+        The recordings, and rows without a name for those that cannot be understood.
+
     Raises:
-        InputError: the table cannot be used; its notes list all that is wrong.
+        InputError: the table cannot be read.
     """
     text = _text_of(path)
     lines = csv.reader(io.StringIO(text, newline=""))
@@ -94,37 +99,38 @@ def read_manifest(
     except csv.Error as error:
         raise InputError(f"{path} line {lines.line_num}: {error}: check the table") from None
     header = [name.strip().replace("_", "-") for name in rows[0]] if rows else []
-    head = f"{path} line 1"
-    twice = {name for name in header if header.count(name) > 1}
-    wrong = [f"{head}: there is no column {name}" for name in _NEEDED if name not in header]
-    unknown = [name for name in header if name not in (*_OWN, *options)]
-    known = [*_OWN, *options]
-    wrong += [f"{head}: run has no option {name!r}{near_match(name, known)}" for name in unknown]
-    if len(header) == 1 and ({";", "\t"} & set(header[0])):
-        wrong = [f"{head}: columns are separated by commas only"]
-    wrong += [f"{head}: column {name!r} comes twice" for name in sorted(twice)]
-    entries = []
+    entries = [ManifestRow("", (), (), f"{path} line 1", tuple(_wrong_columns(header, options)))]
     for number, cells in enumerate(rows[1:], 2):
         if not any(cell.strip() for cell in cells):
             continue
         place = f"{path} line {number}"
         if any("\0" in cell for cell in cells):
-            wrong.append(f"{place}: a cell has a NUL")
+            entries.append(ManifestRow("", (), (), place, ("a cell has a NUL",)))
             continue
         if len(cells) != len(header):
-            wrong.append(f"{place}: {len(cells)} cells and not {len(header)}")
+            wrong = f"{len(cells)} cells and not {len(header)}"
+            entries.append(ManifestRow("", (), (), place, (wrong,)))
             continue
-        row = {name: cell.strip() for name, cell in zip(header, cells, strict=True) if cell.strip()}
-        if missing := [name for name in _NEEDED if name not in row]:
-            wrong.append(f"{place}: {' and '.join(missing)} cannot be empty")
-        flags = [name for name in row if options.get(name) and row[name].lower() not in _FLAGS]
-        wrong += [f"{place}: {name} cannot be {row[name]!r}: give yes or no" for name in flags]
-        if not wrong:
-            entries.append(_entry(row, place, path, options, files))
-    if not entries and not wrong:
-        wrong = [f"{path} names no recording: give a row for each"]
-    _refuse(path, wrong)
-    return entries
+        row = {name: cell.strip() for name, cell in zip(header, cells, strict=True)}
+        entries.append(_entry(row, place, path, options, files))
+    if len(entries) == 1 and not entries[0].wrong:
+        raise InputError(f"{path} names no recording: give a row for each")
+    return entries if entries[0].wrong else entries[1:]
+
+
+def _wrong_columns(header: Sequence[str], options: Collection[str]) -> Iterator[str]:
+    if len(header) == 1 and ({";", "\t"} & set(header[0])):
+        yield "columns are separated by commas only"
+        return
+    known = [*_OWN, *options]
+    for name in _NEEDED:
+        if name not in header:
+            yield f"there is no column {name}"
+    for name in dict.fromkeys(header):
+        if name not in known:
+            yield f"run has no option {name!r}{near_match(name, known)}"
+        if header.count(name) > 1:
+            yield f"column {name!r} comes twice"
 
 
 def _entry(
@@ -135,10 +141,15 @@ def _entry(
     files: Collection[str],
 ) -> ManifestRow:
     arguments: list[str] = []
+    empty = [name for name in _NEEDED if row.get(name) == ""]
+    wrong = [f"{' and '.join(empty)} cannot be empty"] if empty else []
     for name, cell in row.items():
-        if name in _OWN:
+        if name not in options or not cell:
             continue
         if options[name]:
+            if cell.lower() not in _FLAGS:
+                wrong.append(f"{name} cannot be {cell!r}: give yes or no")
+                continue
             arguments.append(f"--{name}" if _FLAGS[cell.lower()] else f"--no-{name}")
             continue
         values = cell.split(_BETWEEN) if name == "rig" else [cell]
@@ -146,8 +157,11 @@ def _entry(
             shown = value.strip()
             is_file = name in files and Path(shown) != NO_RIG
             arguments += [f"--{name}", _beside(manifest, shown) if is_file else shown]
-    inputs = [_beside(manifest, row[name]) for name in ("left", "right") if name in row]
-    return ManifestRow(str(PurePosixPath(row["out"])), tuple(arguments), tuple(inputs), place)
+    inputs = [_beside(manifest, row[name]) for name in ("left", "right") if row.get(name)]
+    # Where a column is missing, that is said of the header.
+    whole = all(row.get(name) for name in _NEEDED)
+    name = str(PurePosixPath(row["out"])) if whole else ""
+    return ManifestRow(name, tuple(arguments), tuple(inputs), place, tuple(wrong))
 
 
 def matched(left: str, right: str | None) -> list[ManifestRow]:
@@ -167,7 +181,7 @@ def matched(left: str, right: str | None) -> list[ManifestRow]:
         if name not in other
     ]
     if not sides[0]:
-        wrong = [f"nothing matches {left}"]
+        raise InputError(f"nothing matches {left}")
     _refuse(left, list(dict.fromkeys(wrong)))
     return [
         ManifestRow(name, (), tuple(side[name] for side in sides), sides[0][name])
@@ -201,17 +215,20 @@ def plans(
         plan_of: makes a plan from arguments of ``run``.
 
     Raises:
-        InputError: names are used twice or are nested, an option cannot be used, or a path
-            does not exist; its notes list all that is wrong.
+        InputError: rows have mistakes, names are used twice or are nested, an option cannot be
+            used, or a path does not exist; its notes list all that is wrong.
     """
     found: dict[str, RunPlan] = {}
     names = _Names()
-    wrong = []
+    wrong: list[tuple[str, str]] = []
     # Most rows have the same options, and parsing them is slow.
     with_options = functools.cache(lambda options: plan_of(("--resume", *options, "--", "left")))
     for entry in entries:
+        wrong += [(entry.place, text) for text in entry.wrong]
+        if not entry.name:
+            continue
         if problem := names.add(entry.name, entry.place):
-            wrong.append(f"{entry.place}: {problem}")
+            wrong.append((entry.place, problem))
             continue
         left, *rest = entry.inputs
         try:
@@ -222,13 +239,24 @@ def plans(
                 out=out / entry.name,
             )
         except MotionStereoError as error:
-            wrong.append(f"{entry.place}: {error}")
+            wrong.append((entry.place, str(error)))
             continue
         missing = [path for path in plan.inputs if not _there(path)]
-        wrong += [f"{entry.place}: there is no {path}" for path in missing]
+        wrong += [(entry.place, f"there is no {path}") for path in missing]
         found[entry.name] = plan
-    _refuse("the batch", wrong)
+    _refuse("the batch", _once(wrong))
     return found
+
+
+def _once(wrong: Iterable[tuple[str, str]]) -> list[str]:
+    """Return mistakes as lines, each once, from their places and texts."""
+    places: dict[str, list[str]] = {}
+    for place, text in wrong:
+        places.setdefault(text, []).append(place)
+    return [
+        f"{first}{f' and {len(more)} more' if more else ''}: {text}"
+        for text, (first, *more) in places.items()
+    ]
 
 
 def _there(path: str) -> bool:

@@ -242,6 +242,18 @@ def _perhaps_step(report: CheckReport) -> str:
     )
 
 
+def _misaligned(report: CheckReport) -> str:
+    """Return how far the rows are apart, by the figure that exceeds its limit."""
+    median, image = report.misaligned_px or 0.0, report.misaligned_image_px or 0.0
+    where, also = f"{median:.1f} px", f"90th percentile {report.misaligned_p90_px:.1f}"
+    if median <= MAX_MISALIGNED_PX:
+        where, also = f"in a tenth of the image {image:.1f} px or more", f"median {median:.1f}"
+    return (
+        f"rows do not agree: objects are {where} higher or lower on the right ({also}; shifted by "
+        f"{report.shifted_px:+.1f} px, turned by {report.turned_deg:+.2f} degrees): "
+    )
+
+
 def _same_view(report: CheckReport) -> bool:
     if report.alike is not None and report.alike < SAME_VIEW_SHARE:
         return True
@@ -360,13 +372,14 @@ RULES = (
         ),
         _always,
         lambda r: (
-            f"rows do not agree: objects are {r.misaligned_px:.1f} px higher or lower on the "
-            f"right (90th percentile {r.misaligned_p90_px:.1f}; shifted by {r.shifted_px:+.1f} px, "
-            f"turned by {r.turned_deg:+.2f} degrees): "
+            _misaligned(r)
             + _perhaps_step(r)
             + (_MISFIT if r.calibrated else "rectify, by giving the calibration to --rig")
         ),
-        ("misaligned_px", "misaligned_p90_px", "shifted_px", "turned_deg"),
+        (
+            *("misaligned_px", "misaligned_p90_px", "misaligned_image_px"),
+            *("shifted_px", "turned_deg"),
+        ),
     ),
     Rule(
         "swapped",

@@ -1,4 +1,4 @@
-"""Why a run matches little of what is charged: measured on its images, not guessed."""
+"""What a run falls short of, and why: measured on its images, not guessed."""
 
 from __future__ import annotations
 
@@ -28,6 +28,10 @@ _TIMES_MORE, _MIN_SURE_SHARE = 1.5, 0.03
 
 #: Share of the matches at the limit of the range that is worth a word.
 MIN_AT_LIMIT_SHARE = 0.02
+
+#: Share of the frames without a heading that is worth a word, and the share of the image with a
+#: disparity from which on this is not for want of matches.
+_MAX_BLIND_SHARE, _SEEN_SHARE = 0.5, 0.05
 
 #: Difference of brightness in grey levels that is worth a word.
 _MIN_BRIGHTNESS = 5.0
@@ -80,6 +84,38 @@ def shortfall(charged: float, matched: float, right: Grey, left: Grey, max_dispa
         which = "brighter" if brighter > 0 else "darker"
         return f"{said}; the left view is {abs(brighter):.0f} grey levels {which}"
     return f"{said}; rows, range, order and brightness of the views look right"
+
+
+def unmoved(charged: float) -> str | None:
+    """Return that next to nothing moved; None where something did.
+
+    Args:
+        charged: mean share of the image with charge, 0..1.
+    """
+    if charged >= _MIN_CHARGED_SHARE:
+        return None
+    return (
+        f"next to nothing moved ({charged:.1%} of the image): this method sees what moves, or what "
+        "a moving camera passes"
+    )
+
+
+def without_heading(blind: float, matched: float) -> str | None:
+    """Return why most frames have no heading; None where they have one.
+
+    Args:
+        blind: share of the frames without a heading, 0..1.
+        matched: mean share of the image with a disparity, 0..1.
+    """
+    if blind <= _MAX_BLIND_SHARE:
+        return None
+    why = (
+        "one level surface fills the view, as a floor does from above, or a wall, so that there is "
+        "nowhere to steer to; depth and objects are found all the same"
+        if matched > _SEEN_SHARE
+        else "too little was matched to see a way"
+    )
+    return f"no heading is given in {blind:.0%} of the frames (status blind): {why}"
 
 
 def beyond_range(matched: float, at_limit: float, max_disparity: int) -> str | None:

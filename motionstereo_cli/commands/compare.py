@@ -55,7 +55,12 @@ def _tolerances(
     "be equal.  "
     f"[default: {', '.join(f'{name}={value:g}' for name, value in COLUMN_TOLERANCE.items())}]",
 )
-@click.option("--picture", type=_FILE, help="PNG file for the images that differ most.")
+@click.option(
+    "--picture",
+    type=_FILE,
+    help="PNG file for the images that differ most. Where none differs, that of an earlier "
+    "comparison is removed.",
+)
 @click.option(
     "--json",
     "json_path",
@@ -86,9 +91,8 @@ def compare(
 
     from motionstereo_cli.evaluation import compare_report
     from motionstereo_cli.evaluation.compare import compare as compare_library
-    from motionstereo_cli.evaluation.compare_picture import draw_worst
-    from motionstereo_cli.files.encode import encode_png
-    from motionstereo_cli.files.targets import check_targets, write_output
+    from motionstereo_cli.evaluation.compare_picture import put_picture
+    from motionstereo_cli.files.targets import check_targets
 
     inputs = (actual, golden, *config_files())
     check_targets((picture, junit, json_path), inputs)
@@ -96,9 +100,7 @@ def compare(
         report = compare_library(
             actual, golden, settings, tolerances=tolerance, progress=bar.update
         )
-    if picture and report.worst_image:
-        drawn = encode_png(draw_worst(report.worst_image, golden)[..., ::-1])
-        write_output(picture, drawn, inputs)
+    drawn = put_picture(picture, report.worst_image, golden, inputs) if picture else None
     forms = (
         (junit, compare_report.format_junit),
         (json_path, compare_report.format_json),
@@ -107,9 +109,7 @@ def compare(
 
     for line in report.notes:
         say("note", line)
-    if picture:
-        image = report.worst_image
-        found = f"{image.name} differs most: {picture}" if image else "no picture: no images differ"
-        say("note", found)
+    if drawn:
+        say("note", drawn)
     print_form(report, forms, compare_report.format_table)
     return DIFFERENT_EXIT_CODE if report.differs else 0

@@ -22,9 +22,10 @@ from motionstereo_cli.errors import InputError, SettingsError
 from motionstereo_cli.evaluation.settings import COLUMN_TOLERANCE, CompareSettings
 from motionstereo_cli.files.reading import check_regular, real
 from motionstereo_cli.files.records import read_json, typed
+from motionstereo_cli.params import params
 from motionstereo_cli.sinks.outputs import OUTPUTS, RECORD
 from motionstereo_cli.sinks.read_back import Maps, Table, read_record, shortened
-from motionstereo_cli.sinks.records import RunRecord
+from motionstereo_cli.sinks.records import GROUPS, RunRecord
 from motionstereo_cli.sinks.scale import ENDS
 
 if TYPE_CHECKING:
@@ -38,6 +39,7 @@ if TYPE_CHECKING:
 #: Parts of run.json that may differ between machines, without a word or with a note.
 _IGNORED = frozenset(
     {"program", "outputs", "sums", "table", "options", "shares", "warnings", "damage", "timing"}
+    | {"measured"}
 )
 _NOTED = frozenset({"versions", "inputs", "files"})
 _ENDS = frozenset(f"output_settings.{name}" for name in ENDS)
@@ -323,14 +325,14 @@ class _Comparison:
     def _record(self) -> Compared:
         output = Compared(RECORD, "values")
         try:
-            actual, golden = (
-                dict(_leaves(_said(folder / RECORD))) for folder in (self._actual, self._golden)
-            )
+            both = [_said(folder / RECORD) for folder in (self._actual, self._golden)]
         except InputError as error:
             output.differ("files", str(error))
             return output
+        actual, golden = (dict(_leaves(said)) for said in both)
+        measured = set.intersection(*(set(said.get("measured", ())) for said in both))
         for name, theirs in golden.items():
-            section = name.partition(".")[0]
+            section, _, field_name = name.partition(".")
             if section in _IGNORED or (section in _NOTED and name.endswith(".path")):
                 continue
             output.compared += section not in _NOTED
@@ -343,16 +345,18 @@ class _Comparison:
             else:
                 mine = "given" if any(key.startswith(f"{name}.") for key in actual) else "missing"
             found = f"{mine}, golden {_shown(theirs)}"
-            if section in _NOTED:
+            if section in GROUPS and field_name in measured:
+                self._notes.append(f"{_option(name)} was measured: {found}")
+            elif section in _NOTED:
                 self._notes.append(f"{name} is {found}")
             else:
-                output.differ(name, found)
+                output.differ(_option(name), found)
         for name in actual.keys() - golden.keys():
             section = name.partition(".")[0]
             # The golden record, too, may be incomplete, but each section that it has is whole.
             there = any(key.startswith(f"{section}.") for key in golden)
             if there and section not in _IGNORED | _NOTED:
-                output.differ(name, f"{_shown(actual[name])}, not in golden")
+                output.differ(_option(name), f"{_shown(actual[name])}, not in golden")
         return output
 
     def _presence(self, name: str, files: list[Path]) -> Compared:
@@ -426,6 +430,13 @@ def _leaves(record: dict[str, Any]) -> Iterator[tuple[str, Any]]:
             waiting += [(f"{name}.{key}", inner) for key, inner in reversed(value.items())]
         else:
             yield name, value
+
+
+def _option(name: str) -> str:
+    """Return a setting of a record as the option that sets it, and other values as they are."""
+    group, _, field_name = name.partition(".")
+    known = params(GROUPS[group]) if group in GROUPS else ()
+    return next((item.flag for item in known if item.name == field_name), name)
 
 
 def _same(one: object, other: object) -> bool:

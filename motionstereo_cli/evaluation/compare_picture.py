@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -10,7 +11,9 @@ import numpy as np
 
 from motionstereo_cli.errors import InputError, SettingsError
 from motionstereo_cli.evaluation.compare import WorstImage, differing
+from motionstereo_cli.files.encode import encode_png, remove_signed, signed
 from motionstereo_cli.files.lettering import DARK, colour_key, titled
+from motionstereo_cli.files.targets import write_output
 from motionstereo_cli.sinks.drawing import depth_colours
 from motionstereo_cli.sinks.legend import strip
 from motionstereo_cli.sinks.outputs import RECORD
@@ -32,6 +35,35 @@ _SAME, _OFF, _ACTUAL_ONLY, _GOLDEN_ONLY = (
     (250, 220, 60),
     (60, 190, 230),
 )
+
+
+#: What a picture of a comparison says of itself, so that a later one may remove it.
+_PROGRAM = b"motionstereo compare"
+
+
+def put_picture(
+    path: Path, worst: WorstImage | None, golden: Path, inputs: Iterable[Path] = ()
+) -> str:
+    """Write the picture of a comparison; without a worst image remove that of an earlier one.
+
+    Args:
+        path: its PNG file.
+        worst, golden: see :func:`draw_worst`.
+        inputs: files and folders that are read.
+
+    Returns:
+        What was done, in words.
+
+    Raises:
+        OutputError: the file is an input, or cannot be written or removed.
+    """
+    if worst is not None:
+        content = encode_png(draw_worst(worst, golden)[..., ::-1])
+        write_output(path, signed(content, _PROGRAM), inputs)
+        return f"{worst.name} differs most: {path}"
+    removed = remove_signed(path, _PROGRAM)
+    more = f"; {path} of an earlier comparison was removed" if removed else ""
+    return f"no picture: no images differ{more}"
 
 
 def draw_worst(worst: WorstImage, golden: Path | None = None) -> NDArray[np.uint8]:

@@ -11,8 +11,12 @@ from zlib_ng import zlib_ng
 
 from motionstereo_cli.compiled.pictures import up_filtered_8, up_filtered_16
 from motionstereo_cli.errors import OutputError
+from motionstereo_cli.files.atomic import reported
+from motionstereo_cli.files.reading import open_regular
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from numpy.typing import NDArray
 
     from motionstereo_cli.types import Real
@@ -24,6 +28,10 @@ _SUB = cv2.IMWRITE_PNG_FILTER, cv2.IMWRITE_PNG_FILTER_SUB
 #: bytes are looked for: every second row of depth is nearly like the one above, and the rest of it
 #: is noise. ISA-L (isal) is faster, but without SSE4 it gives other bytes.
 _PACKED = 1, zlib_ng.DEFLATED, zlib_ng.MAX_WBITS, zlib_ng.DEF_MEM_LEVEL, zlib_ng.Z_RLE
+
+
+#: Bytes of a PNG file up to the end of its header.
+_HEAD_BYTES = 33
 
 
 def encode_png(image: NDArray[np.uint8] | NDArray[np.uint16]) -> bytes:
@@ -46,6 +54,28 @@ def encode_png(image: NDArray[np.uint8] | NDArray[np.uint16]) -> bytes:
     content = packer.compress(rows.data) + packer.flush()
     chunks = (b"IHDR", header), (b"IDAT", content), (b"IEND", b"")
     return b"\x89PNG\r\n\x1a\n" + b"".join(_chunk(kind, each) for kind, each in chunks)
+
+
+def signed(png: bytes, program: bytes) -> bytes:
+    """Return a PNG file with a text that says which program wrote it."""
+    return png[:_HEAD_BYTES] + _chunk(b"tEXt", b"Software\0" + program) + png[_HEAD_BYTES:]
+
+
+def remove_signed(path: Path, program: bytes) -> bool:
+    """Remove a file if it is a PNG that :func:`signed` made, and return whether it was.
+
+    Raises:
+        OutputError: it cannot be read or removed.
+    """
+    if path.is_symlink() or not path.is_file():
+        return False
+    text = signed(b"\0" * _HEAD_BYTES, program)[_HEAD_BYTES:]
+    with reported(path):
+        with open_regular(path) as file:
+            ours = file.read(_HEAD_BYTES + len(text))[_HEAD_BYTES:] == text
+        if ours:
+            path.unlink()
+    return ours
 
 
 def _chunk(kind: bytes, content: bytes) -> bytes:

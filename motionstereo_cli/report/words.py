@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 from msgspec import UNSET
@@ -14,10 +14,11 @@ from motionstereo_cli.sinks.records import GROUPS, RunRecord
 
 
 class Changed(NamedTuple):
-    """A setting that differs from its default."""
+    """A setting that differs from its default; ``measured``: by what was measured for it."""
 
     item: Param
     value: Any
+    measured: bool
 
     @property
     def usual(self) -> str:
@@ -35,12 +36,15 @@ class Changed(NamedTuple):
 
 
 def changed(record: RunRecord) -> Iterator[Changed]:
-    """Yield the settings of a run that differ from the defaults."""
+    """Yield the settings that differ from the defaults, except what is measured by default."""
     for group, settings in GROUPS.items():
         values = record.values(group)
         for item in params(settings):
+            measured = item.name in (record.measured or ())
+            if measured and item.default in item.words.values():
+                continue
             if item.name in values and values[item.name] != item.default:
-                yield Changed(item, values[item.name])
+                yield Changed(item, values[item.name], measured)
 
 
 def command(record: RunRecord) -> str | None:
@@ -62,35 +66,10 @@ def command(record: RunRecord) -> str | None:
     return shlex.join(words)
 
 
-def troubles(record: RunRecord, shares: Mapping[str, float]) -> Sequence[str]:
-    """Return what was warned of, what was lost, and what stands out, one sentence each.
-
-    Args:
-        record: of the run.
-        shares: of the frames that have each status.
-    """
+def troubles(record: RunRecord) -> Sequence[str]:
+    """Return what a run warned of, and what was lost of its input, one sentence each."""
     said = (*(each.text for each in record.warned), *(record.damage or ()))
-    lines = [_sentence(line) for line in said]
-    found = record.shares
-    if found and found.charged > 0.05 and found.matched < 0.1 * found.charged:
-        lines.append(
-            f"{found.charged:.1%} of the image moved, and {found.matched:.1%} was matched: "
-            "motionstereo check tells whether the two views fit together."
-        )
-    elif found and found.charged < 0.01:
-        lines.append(
-            f"Next to nothing moved ({found.charged:.1%} of the image): this method sees what "
-            "moves, or what a moving camera passes."
-        )
-    if (blind := shares.get("blind", 0)) > 0.5:
-        why = (
-            "one level surface fills the view, as a floor does from above, or a wall, so that "
-            "there is nowhere to steer to. Depth and objects are found all the same."
-            if found and found.matched > 0.05
-            else "too little was matched to see a way."
-        )
-        lines.append(f"No heading is given in {blind:.0%} of the frames (status blind): {why}")
-    return lines
+    return [_sentence(line) for line in said]
 
 
 def _sentence(line: str) -> str:

@@ -22,7 +22,7 @@ from motionstereo_cli.runs.open_outputs import Totals
 from motionstereo_cli.sinks.records import FolderRecord
 from motionstereo_cli.sinks.sink import Sink
 
-_HEAD = b"motionstereo checkpoint 6"
+_HEAD = b"motionstereo checkpoint 7"
 
 #: The classes of a guide's state.
 _GUIDED = {kind.__name__: kind for kind in (ImageHeading, MapCourse)}

@@ -77,12 +77,9 @@ def with_colour_range(job: Job) -> Job:
 
 
 def _settled(job: Job, ends: dict[str, Any]) -> Job:
-    output = dataclasses.replace(job.context.output, **ends)
-    return dataclasses.replace(
-        job,
-        plan=dataclasses.replace(job.plan, output_settings=output),
-        context=dataclasses.replace(job.context, output=output),
-    )
+    plan = job.plan.with_measured("output_settings", ends)
+    context = dataclasses.replace(job.context, output=plan.output_settings)
+    return dataclasses.replace(job, plan=plan, context=context)
 
 
 def _nearness_px(sample: Iterable[StereoFrame], job: Job) -> Real:

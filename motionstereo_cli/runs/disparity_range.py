@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import itertools
 from collections.abc import Callable, Iterable, Iterator
 
@@ -134,8 +133,7 @@ def _measured(plan: RunPlan, sample: Iterable[StereoFrame], say: Say) -> RunPlan
 
 
 def _settled(plan: RunPlan, max_disparity: int) -> RunPlan:
-    settings = dataclasses.replace(plan.settings, max_disparity=max_disparity)
-    return dataclasses.replace(plan, settings=settings)
+    return plan.with_measured("settings", {"max_disparity": max_disparity})
 
 
 def begun_with(plan: RunPlan) -> RunRecord | None:

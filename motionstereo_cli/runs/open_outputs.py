@@ -28,12 +28,14 @@ class Totals:
         frames: how many there were.
         charged, matched, at_limit: sums of the shares of the image with charge, with a disparity,
             and at the limit of the range.
+        blind: how many of them have no heading.
     """
 
     frames: int = 0
     charged: float = 0.0
     matched: float = 0.0
     at_limit: float = 0.0
+    blind: int = 0
 
     @property
     def means(self) -> tuple[float, float, float]:
@@ -41,13 +43,14 @@ class Totals:
         count = max(self.frames, 1)
         return self.charged / count, self.matched / count, self.at_limit / count
 
-    def plus(self, shares: Step | FrameSummary) -> Totals:
-        """Return the sums with a further frame."""
+    def plus(self, shares: Step | FrameSummary, *, blind: bool = False) -> Totals:
+        """Return the sums with a further frame, which may be without a heading."""
         return Totals(
             self.frames + 1,
             self.charged + shares.charged,
             self.matched + shares.matched,
             self.at_limit + shares.at_limit,
+            self.blind + blind,
         )
 
 
@@ -140,7 +143,8 @@ class Sinks:
         if step.images is not None:
             self.show(step.images)
         self._hand("step", step)
-        self.state, self.totals = state, self.totals.plus(step)
+        blind = step.steering.status == "blind"
+        self.state, self.totals = state, self.totals.plus(step, blind=blind)
 
     def show(self, images: FrameImages) -> None:
         """Hand a frame to the outputs that take images.

@@ -57,6 +57,7 @@ class RunPlan:
         with_check: check the first frames for mistakes.
         settings, input_settings, output_settings: parameters of processing, input and output.
         reads: further files that the plan was made from, which must not be written to.
+        measured: names of the parameters that were measured before the first frame.
 
     Raises:
         SettingsError: two of the options contradict each other, or an output has no such name.
@@ -80,6 +81,7 @@ class RunPlan:
     input_settings: InputSettings = field(default_factory=InputSettings)
     output_settings: OutputSettings = field(default_factory=OutputSettings)
     reads: tuple[Path, ...] = ()
+    measured: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "out", Path(self.out))
@@ -134,10 +136,20 @@ class RunPlan:
             SettingsError: a value is out of range, or two contradict each other.
         """
         paths = {key: None if values[key] is None else Path(values[key]) for key in _PATHS}
-        lists = {key: tuple(values[key]) for key in ("rig", "save", "reads")}
+        lists = {key: tuple(values[key]) for key in ("rig", "save", "reads", "measured")}
         parameters = {key: kind(**values[key]) for key, kind in _PARAMETERS.items()}
         rig, reads = (tuple(map(Path, lists[key])) for key in ("rig", "reads"))
         return cls(**{**values, **paths, **lists, **parameters, "rig": rig, "reads": reads})
+
+    def with_measured(self, group: str, values: Mapping[str, Any]) -> RunPlan:
+        """Return the plan with measured values of the parameters of a group."""
+        before = getattr(self, group)
+        new = {name for name, value in values.items() if getattr(before, name) != value}
+        return dataclasses.replace(
+            self,
+            **{group: dataclasses.replace(before, **values)},
+            measured=tuple(sorted({*self.measured, *new})),
+        )
 
     @property
     def folder(self) -> Path | None:

@@ -217,6 +217,7 @@ def identity_of(job: Job, inputs: Iterable[Path]) -> RunRecord:
         pose_settings=dataclasses.asdict(job.poses.settings) if job.poses else UNSET,
         poses=AUTO_POSES if plan.poses and own_motion else UNSET,
         motion_offset_px=job.motion_offset_px if own_motion else UNSET,
+        measured=list(plan.measured) or UNSET,
         warnings=list(job.warned.found),
     )
 

@@ -14,7 +14,13 @@ from typing import Any, BinaryIO
 
 from motionstereo_cli.check.measure import watched
 from motionstereo_cli.check.offset import with_offset
-from motionstereo_cli.check.shortfall import beyond_range, falls_short, shortfall
+from motionstereo_cli.check.shortfall import (
+    beyond_range,
+    falls_short,
+    shortfall,
+    unmoved,
+    without_heading,
+)
 from motionstereo_cli.errors import (
     NO_FRAMES,
     InputError,
@@ -161,7 +167,7 @@ def _with_offset(plan: RunPlan, warned: Warned) -> RunPlan:
     say = partial(warned.say, "sync-offset")
     prepare = partial(rectify_source, paths=plan.rig, settings=plan.rig_settings)
     measured = with_offset(plan.left, plan.right, plan.input_settings, say, prepare)
-    return dataclasses.replace(plan, input_settings=measured)
+    return plan.with_measured("input_settings", dataclasses.asdict(measured))
 
 
 def try_out(plan: RunPlan, watcher: Watcher | None = None) -> tuple[int | None, tuple[str, ...]]:
@@ -272,8 +278,8 @@ def settled(plan: RunPlan, say: Callable[[str, str], object]) -> RunPlan:
     """
     with open_stereo(plan.left, plan.right, plan.input_settings) as source:
         job = job_of(plan, source, Warned(say))
-    settings, output = job.plan.settings, job.plan.output_settings
-    return dataclasses.replace(plan, settings=settings, output_settings=output)
+    found = ("settings", "output_settings", "measured")
+    return dataclasses.replace(plan, **{name: getattr(job.plan, name) for name in found})
 
 
 def _poses(
@@ -442,7 +448,9 @@ def _write(sinks: Sinks, job: Job, watcher: Watcher) -> None:
 def warn_of_what_is_missing(
     job: Job, totals: Totals, last: Callable[[], StereoFrame | None]
 ) -> None:
-    """Warn if little of the charge was matched, with the reason found in the last frame.
+    """Warn if little moved, little of the charge was matched, or most frames have no heading.
+
+    Why little was matched is found in the last frame.
 
     Args:
         job: the run.
@@ -450,11 +458,17 @@ def warn_of_what_is_missing(
         last: returns the last frame; called if little was matched.
     """
     s = job.plan.settings
+    charged, matched, at_limit = totals.means
+    blind = totals.blind / max(totals.frames, 1)
+    numbers = {"charged": charged, "matched": matched, "at_limit": at_limit, "blind": blind}
+    numbers = {name: round(share, 4) for name, share in numbers.items()}
+    if (text := unmoved(charged)) and not any(each.code == "still" for each in job.warned.found):
+        job.warned.warn("unmoved", text, numbers)
+    steers = "steering" in job.save or job.plan.to_stdout or job.plan.table
+    if steers and (text := without_heading(blind, matched)):
+        job.warned.warn("no-heading", text, numbers)
     if s.max_age < FOREVER or s.min_confidence > 0:  # what is missing was asked for
         return
-    charged, matched, at_limit = totals.means
-    numbers = {"charged": charged, "matched": matched, "at_limit": at_limit}
-    numbers = {name: round(share, 4) for name, share in numbers.items()}
     if falls_short(charged, matched) and s.matcher == GIVEN:
         what = f"only {matched / charged:.0%} of what is charged has a disparity: what"
         why = "says elsewhere, if anything, does not agree with the images; see --max-residual"

@@ -175,6 +175,7 @@ class RunRecord(FolderRecord, kw_only=True, frozen=True):
     poses: str | UnsetType = UNSET
     motion_offset_px: float | UnsetType = UNSET
     options: list[str] | UnsetType = UNSET
+    measured: list[str] | UnsetType = UNSET
     shares: Shares | UnsetType = UNSET
     warnings: list[WarningRecord | str] | UnsetType = UNSET
     damage: list[str] | UnsetType = UNSET
