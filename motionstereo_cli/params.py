@@ -33,6 +33,7 @@ class Param:
         old: former name, still accepted on the command line and in the configuration file.
         words: words for values, such as ``auto`` for 0.
         begun: words that begin with one of these, such as ``onnx:``, are choices as well.
+        more: finds further choices, which takes time, for a value that is none of the others.
     """
 
     name: str
@@ -48,6 +49,7 @@ class Param:
     old: str
     words: Mapping[str, Any]
     begun: tuple[str, ...] = ()
+    more: Callable[[], Iterable[str]] = tuple
 
     @property
     def flag(self) -> str:
@@ -86,7 +88,9 @@ class Param:
             raise self._error(value, f"give {wanted[self.kind]}") from None
         begun = self.begun and parsed.startswith(self.begun)
         if self.choices and parsed not in self.choices and not begun:
-            raise self._error(value, f"choose {self.range}")
+            more = [each for each in self.more() if each not in self.choices]
+            if parsed not in more:
+                raise self._error(value, f"choose {' | '.join((self.range, *more))}")
         if self.kind in (int, float) and not (
             (self.kind is int or math.isfinite(parsed))
             and (self.low is None or parsed >= self.low)
@@ -113,6 +117,7 @@ def param(
     old: str = "",
     words: Mapping[str, Any] = MappingProxyType({}),
     begun: tuple[str, ...] = (),
+    more: Callable[[], Iterable[str]] = tuple,
 ) -> Any:
     """Declare a dataclass field that :func:`params` describes and :func:`checked` verifies.
 
@@ -126,6 +131,7 @@ def param(
         "choices": choices,
     }
     meta |= {"group": group, "common": common, "old": old, "words": words, "begun": begun}
+    meta["more"] = more
     return field(default=default, metadata=meta)
 
 

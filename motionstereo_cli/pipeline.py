@@ -282,7 +282,10 @@ def steps(
     for frame, after, found in analysed(frames, context, state, jobs):
         pose = None if pose_of is None else pose_of(frame)
         tracking, step = follow(tracking, found.summary, pose, context, found.images)
-        yield frame, step, replace(after, tracking=tracking)
+        after = replace(after, tracking=tracking)  # noqa: PLW2901
+        del found
+        yield frame, step, after
+        del frame, step, after  # a frame takes much memory: none stays while the next one is made
 
 
 def follow(
@@ -331,6 +334,7 @@ def analysed(
     for frame, after, found in side_by_side(frames, context, state, jobs):
         state, found = with_movers(state, after, found, context)  # noqa: PLW2901
         yield frame, state, found
+        del frame, after, found
 
 
 def side_by_side(
@@ -349,6 +353,7 @@ def side_by_side(
             recent.append(now)
             found = threads.submit(analyse, frame, state, motion, context, now, before)
             waiting.append(_Waiting(frame, state, tuple(recent), found))
+            del frame, found
             if len(waiting) >= jobs:
                 yield waiting.popleft().result()
         for each in waiting:

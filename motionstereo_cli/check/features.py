@@ -106,10 +106,13 @@ class FrameWindow:
     def matches(self, ahead: int) -> Matches:
         """Return the matches at some moments, the right view being this many frames ahead."""
         last = len(self.left) - 1
-        moments = [t for t in self._moments if t <= last] or [last // 2]
-        return joined(
-            [NO_MATCHES, *(self._match(t, t - ahead) for t in moments if 0 <= t - ahead <= last)]
-        )
+        moments = (t for t in self._seen_moments if 0 <= t - ahead <= last)
+        return joined([NO_MATCHES, *(self._match(t, t - ahead) for t in moments)])
+
+    @property
+    def _seen_moments(self) -> list[int]:
+        last = len(self.left) - 1
+        return [t for t in self._moments if t <= last] or [last // 2]
 
     def _match(self, t_left: int, t_right: int) -> Matches:
         left, right = self._seen("left", t_left), self._seen("right", t_right)
@@ -144,8 +147,8 @@ class FrameWindow:
         return down[chosen], followed[chosen]
 
     def middle(self) -> tuple[Keypoints, Keypoints]:
-        """Return the keypoints of both views at its middle."""
-        t = len(self.left) // 2
+        """Return the keypoints of both views at the middle one of its moments."""
+        t = self._seen_moments[len(self._seen_moments) // 2]
         return self._seen("left", t), self._seen("right", t)
 
     def _seen(self, side: str, t: int) -> Keypoints:

@@ -133,6 +133,7 @@ def watched(
                 in_the_dark = _is_dark(frame)
                 if not in_the_dark:
                     tell(_opening(checker, max_disparity, rig))
+                    checker = _new_watch()  # what it saw is no longer needed
         yield frame
     if left_to_see or in_the_dark:
         tell(_opening(checker, max_disparity, rig))

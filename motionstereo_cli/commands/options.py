@@ -203,13 +203,17 @@ def _option(item: Param, group: str) -> Callable[[Callable[..., Any]], Callable[
     if item.kind is bool:
         return option(f"{item.flag}/--no-{item.flag.removeprefix('--')}", item.name, default=None)
     kind = {int: "INTEGER", float: "NUMBER", str: "TEXT"}[item.kind]
-    words = (*item.choices, *item.words)
+
+    def complete(_: click.Context, __: click.Parameter, begun: str) -> list[str]:
+        words = dict.fromkeys((*item.choices, *item.more(), *item.words))
+        return [word for word in words if word.startswith(begun)]
+
     return option(
         item.flag,
         item.name,
         type=item.parse,
         metavar=f"[{'|'.join(item.choices)}]" if item.choices and not _many(item) else kind,
-        shell_complete=lambda _, __, begun: [word for word in words if word.startswith(begun)],
+        shell_complete=complete,
     )
 
 

@@ -603,7 +603,12 @@ static ptrdiff_t words_of_rows(const Matching *m, int first, int end)
 static int rows_of_strip(const Matching *m)
 {
     ptrdiff_t rows = m->view.rows, words = words_of_rows(m, 0, m->view.rows);
-    ptrdiff_t strips = (ptrdiff_t)(2 * sizeof(int16_t)) * words / m->view.strip_bytes + 1;
+    ptrdiff_t bytes = (ptrdiff_t)(2 * sizeof(int16_t)) * words;
+    ptrdiff_t strips = bytes / m->view.strip_bytes + 1;
+    /* What is brought to a strip takes memory, too: more strips than this take more of both. */
+    ptrdiff_t brought = (ptrdiff_t)sizeof(int16_t) * m->view.width * m->path_line;
+    while (strips * (strips - 1) * brought > bytes)
+        strips--;
     strips = strips < rows ? strips : rows;
     return (int)((rows + strips - 1) / strips);
 }

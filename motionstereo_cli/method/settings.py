@@ -94,15 +94,6 @@ def installed_matchers() -> dict[str, EntryPoint]:
     return {point.name: point for point in entry_points(group=ENTRY_POINTS)}
 
 
-def matchers() -> dict[str, Matcher]:
-    """Return all matchers: of the package, registered, and of other packages."""
-    offered = {
-        name: Matcher(f"of {point.value}", knows_confidence=False, knows_rest=True)
-        for name, point in installed_matchers().items()
-    }
-    return {**MATCHERS, **{name: row for name, row in offered.items() if name not in MATCHERS}}
-
-
 @dataclass(frozen=True, slots=True)
 class Settings:
     """All parameters of the processing of a stereo stream.
@@ -166,8 +157,9 @@ class Settings:
         "How the two memories are matched. "
         + "; ".join(f"{name}: {matcher.what}" for name, matcher in MATCHERS.items())
         + f"; {ONNX}MODEL: a stereo network in a file.",
-        choices=matchers,
+        choices=lambda: MATCHERS,
         begun=(ONNX,),
+        more=installed_matchers,
     )
     check_both: bool = param(
         False,
@@ -328,7 +320,9 @@ class Settings:
             )
         if self.max_age < FOREVER and self.charge_mode == "general":
             raise SettingsError("--max-age needs --charge-mode permanency: else age is not known")
-        row = matchers().get(self.matcher) or Matcher("a model", self.check_both, knows_rest=True)
+        # A model, or what another package offers.
+        other = Matcher("another", knows_confidence=self.check_both, knows_rest=True)
+        row = MATCHERS.get(self.matcher) or other
         if self.check_both and not self.matcher.startswith(ONNX):
             raise SettingsError(f"--check-both needs --matcher {ONNX}MODEL")
         if self.depth_of == "all" and not row.knows_rest:

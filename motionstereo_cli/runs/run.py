@@ -439,6 +439,7 @@ def _write(sinks: Sinks, job: Job, watcher: Watcher) -> None:
             if due and job.source.rereadable:
                 sinks.checkpoint()
                 LOG.debug("checkpoint after %d frames", sinks.totals.frames)
+        del _, step, state  # which take much memory
         watcher.progress()
     if not sinks.totals.frames:
         raise InputError(NO_FRAMES)
