@@ -1,6 +1,7 @@
 """Batches: the manifest is checked whole, workers are real processes, the truth is on the disk."""
 
 import csv
+import dataclasses
 import json
 import shutil
 import signal
@@ -18,9 +19,10 @@ from bench.preloads import killer_of
 from motionstereo_cli.__main__ import main
 from motionstereo_cli.batch.manifest import matched, plans, read_manifest
 from motionstereo_cli.batch.own_folder import log_path, read_status, status_path, write_status
-from motionstereo_cli.batch.pieces import behind_damage, join_pieces, pieces_of, run_piece
+from motionstereo_cli.batch.pieces import Piece, behind_damage, join_pieces, pieces_of, run_piece
 from motionstereo_cli.batch.status import COLUMNS, Status, format_statuses
-from motionstereo_cli.batch.task import work
+from motionstereo_cli.batch.task import Task
+from motionstereo_cli.batch.work import work
 from motionstereo_cli.commands.batch import plan_of
 from motionstereo_cli.errors import InputError, SettingsError
 from motionstereo_cli.files.atomic import write_whole
@@ -327,16 +329,13 @@ def test_pieces_of_damaged_recordings_give_the_bytes_of_one_run(long_clip, tmp_p
 
 def test_a_piece_says_what_became_of_it_only_if_it_failed(long_clip, tmp_path):
     plan = plan_of([*options_of(long_clip), "--save", "steering", "-o", str(tmp_path / "a")])
-    task = {
-        **{"plan": plan.as_json(), "out": str(tmp_path), "name": "a", "hash": "h", "seek": True},
-        **{"piece": (0, 10), "pieces": None},
-    }
+    task = Task(plan.as_json(), "h", tmp_path, "a", piece=Piece(0, 10))
     work(task)
     assert read_status(tmp_path, "a").status == "waiting"
-    missing = {**task["plan"], "left": str(tmp_path / "none.mp4")}
-    work({**task, "piece": (10, None), "plan": missing})
+    missing = {**task.plan, "left": str(tmp_path / "none.mp4")}
+    work(dataclasses.replace(task, piece=Piece(10, None), plan=missing))
     assert read_status(tmp_path, "a").status == "failed"
-    work({**task, "piece": (20, None)})  # it began later: the failure stays
+    work(dataclasses.replace(task, piece=Piece(20, None)))  # it began later: the failure stays
     assert read_status(tmp_path, "a").status == "failed"
 
 

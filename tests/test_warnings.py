@@ -18,7 +18,7 @@ from test_resume import KILLED
 from motionstereo_cli.__main__ import main
 from motionstereo_cli.batch.pieces import join_pieces, pieces_of, run_piece
 from motionstereo_cli.batch.status import format_statuses
-from motionstereo_cli.batch.task import _ended
+from motionstereo_cli.batch.work import _ended
 from motionstereo_cli.check.findings import RULES, CheckReport, Drift
 from motionstereo_cli.check.mounting import Mounting
 from motionstereo_cli.check.shortfall import without_heading

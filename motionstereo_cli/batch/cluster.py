@@ -138,7 +138,7 @@ def _started(cluster: Cluster, tasks: int, say: Callable[[str, str], object]) ->
     from distributed import Client, LocalCluster
     from distributed.utils import get_mp_context
 
-    get_mp_context().set_forkserver_preload(["distributed", "motionstereo_cli.batch.task"])
+    get_mp_context().set_forkserver_preload(["distributed", "motionstereo_cli.batch.work"])
     cores = usable_cores()
     workers = min(cluster.workers or cores, tasks)
     if workers > cores:

@@ -16,7 +16,6 @@ from collections import Counter, deque
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from motionstereo_cli.batch.builds import difference, own_builds
@@ -24,6 +23,7 @@ from motionstereo_cli.batch.cluster import Cluster, client_of, threads_of
 from motionstereo_cli.batch.ledger import BatchWatcher, Ledger, inputs_of
 from motionstereo_cli.batch.own_folder import claim, pieces_path, read_status
 from motionstereo_cli.batch.status import FAILED
+from motionstereo_cli.batch.task import LOCAL, Storage, Task
 from motionstereo_cli.errors import InputError, MotionStereoError, OutputError
 from motionstereo_cli.files.lock import locked
 from motionstereo_cli.runs.cores import usable_cores
@@ -52,14 +52,14 @@ _ASK_S = 2.0
 def run_batch(
     plans: Mapping[str, RunPlan],
     out: Path,
-    cluster: Cluster,
     watcher: BatchWatcher,
     *,
+    cluster: Cluster,
     inputs: Iterable[Path] = (),
     retry_failed: bool = False,
     pieces: int | None = None,
     detach: bool = False,
-    more: Mapping[str, Any] = MappingProxyType({}),
+    storage: Storage = LOCAL,
 ) -> list[Status]:
     """Process recordings, and return the status of each, in order.
 
@@ -68,14 +68,14 @@ def run_batch(
     Args:
         plans: the plan of each recording, by the name of its folder under ``out``.
         out: folder of the batch.
-        cluster: where to process.
         watcher: callbacks.
+        cluster: where to process.
         inputs: further files that are read, and must not be written to.
         retry_failed: try failed and lost ones again.
         pieces: into how many pieces each recording is cut; None: as many as keep all workers busy
             if there are fewer recordings than workers and they can be cut.
         detach: leave the tasks to the scheduler and return; recordings are not cut.
-        more: added to each task.
+        storage: what does not lie on this machine's disk.
 
     Raises:
         SettingsError: a recording cannot be done in pieces, and pieces were asked for.
@@ -85,7 +85,7 @@ def run_batch(
     """
     with locked(out):
         claim(out, (*inputs, *inputs_of(plans)))
-        ledger = Ledger(plans, out, watcher, "batch", more)
+        ledger = Ledger(plans, out, watcher, "batch", storage)
         waiting = [name for name in plans if ledger.to_do(name, retry_failed=retry_failed)]
         if waiting:
             pieces = 1 if detach else pieces
@@ -276,29 +276,27 @@ class _Batch:
         # Dask keeps statistics for each prefix of keys. What an earlier client has left on the
         # scheduler has the same key, and is not done twice.
         keys = [
-            ("motionstereo", f"{i.name}-{i.piece}-{i.seek}-{task['hash']}-{self._tries}")
+            ("motionstereo", f"{i.name}-{i.piece}-{i.seek}-{task.plan_hash}-{self._tries}")
             for i, task in zip(items, tasks, strict=True)
         ]
-        futures: list[Future] = self._client.map(_work, tasks, key=keys, pure=False)
+        futures: list[Future] = self._client.map(
+            _work, tasks, key=keys, pure=False, builds=self._builds
+        )
         return futures
 
-    def _task(self, item: Item) -> dict[str, Any]:
-        plan, known_as = self._ledger.task_of(item.name)
+    def _task(self, item: Item) -> Task:
+        task = self._ledger.task_of(item.name, self._jobs)
         # Pieces have what was measured; the joined run warns of what was wrong with it.
         measured = {} if item.piece is None else item.measured
-        return {
-            "plan": {**plan, "jobs": plan["jobs"] or self._jobs, **measured},
-            "out": str(self._ledger.out),
-            "name": item.name,
-            "hash": known_as,
-            "submitted_s": time.time(),
-            "tell_s": max(_TELL_S, self._room.tasks / _TOLD_PER_S),
-            "piece": item.piece,
-            "pieces": item.pieces if item.piece is None else None,
-            "seek": item.seek,
-            "builds": self._builds,
-            **self._ledger.more,
-        }
+        return dataclasses.replace(
+            task,
+            plan={**task.plan, **measured},
+            piece=item.piece,
+            pieces=item.pieces if item.piece is None else None,
+            seek=item.seek,
+            tell_s=max(_TELL_S, self._room.tasks / _TOLD_PER_S),
+            submitted_s=time.time(),
+        )
 
     def _note(self, name: str, future: Future) -> None:
         """Note how the worker of a recording has ended."""
@@ -345,19 +343,23 @@ class OtherBuildsError(Exception):
     """A worker has other builds than its batch: its address, and they."""
 
 
-def _work(task: Mapping[str, Any]) -> None:
+def _work(task: Task, builds: Mapping[str, str]) -> None:
     """Process a task in a Dask worker.
 
+    Args:
+        task: what to do.
+        builds: of the batch.
+
     Raises:
-        OtherBuildsError: its builds differ. A worker may join at any time, so this is checked for
-            each task. Results would have to be fetched by the client, errors come by themselves.
+        OtherBuildsError: its own builds differ. This is checked for each task, as a worker may join
+            at any time. An error reaches the client by itself; a result would have to be fetched.
     """
     from distributed import get_worker
 
-    from motionstereo_cli.batch.task import work
+    from motionstereo_cli.batch.work import work
 
     worker, done = get_worker(), 0
-    if own_builds() != task["builds"]:
+    if own_builds() != builds:
         raise OtherBuildsError(worker.address, own_builds())
 
     def tell(frames: int) -> None:
@@ -366,6 +368,6 @@ def _work(task: Mapping[str, Any]) -> None:
         done = frames
 
     def stops() -> bool:
-        return bool(_stopped.get(task["out"], 0.0) >= task["submitted_s"])
+        return bool(_stopped.get(str(task.out), 0.0) >= task.submitted_s)
 
     work(task, tell, stops)

@@ -15,13 +15,13 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 from msgspec import structs
 
 from motionstereo_cli.batch.own_folder import TABLE, claim, ended_path, read_status, write_status
 from motionstereo_cli.batch.status import DONE, FAILED, format_statuses, row_of
+from motionstereo_cli.batch.task import LOCAL, Storage, Task
 from motionstereo_cli.errors import OutputError, words_of
 from motionstereo_cli.files.atomic import open_log, reported, write_whole
 from motionstereo_cli.files.folders import make_folder
@@ -56,7 +56,7 @@ class Ledger:
         out: folder of the batch.
         watcher: receives the progress.
         log: name of the file of JSON lines.
-        more: added to each task.
+        storage: what does not lie on this machine's disk.
     """
 
     def __init__(
@@ -65,9 +65,9 @@ class Ledger:
         out: Path,
         watcher: BatchWatcher,
         log: str,
-        more: Mapping[str, Any] = MappingProxyType({}),
+        storage: Storage = LOCAL,
     ) -> None:
-        self.more = more
+        self.storage = storage
         self.out, self.watcher, self.plans = out, watcher, plans
         self.known = {name: read_status(out, name, watcher.say) for name in plans}
         self._log = log
@@ -78,19 +78,28 @@ class Ledger:
         """The statuses, in the order of the plans."""
         return list(self.known.values())
 
-    def task_of(self, name: str) -> tuple[dict[str, Any], str]:
-        """Return a plan as JSON-able values, and the hash by which statuses refer to it."""
+    def task_of(self, name: str, jobs: int) -> Task:
+        """Return the task of a whole recording.
+
+        Args:
+            name: the recording.
+            jobs: frames that are matched at a time, if its plan does not say.
+        """
         plan = self.plans[name].as_json()
-        return plan, _hash(plan)
+        said = {**plan, "jobs": plan["jobs"] or jobs}
+        return Task(said, _hash(plan), self.out, name, self.storage)
+
+    def _hash_of(self, name: str) -> str:
+        return _hash(self.plans[name].as_json())
 
     def to_do(self, name: str, *, retry_failed: bool) -> bool:
         """Return whether a recording is to be processed."""
         known = self.known[name]
         if known.status == "waiting":
             return True
-        same = known.plan == self.task_of(name)[1]
+        same = known.plan == self._hash_of(name)
         # To a store, the status goes after the results.
-        kept = self.more.get("store") or (self.out / name / RECORD).is_file()
+        kept = self.storage.address is not None or (self.out / name / RECORD).is_file()
         if same and known.status in DONE and kept:
             return False
         return retry_failed or not (same and known.status in FAILED)
@@ -98,7 +107,7 @@ class Ledger:
     def begin(self, name: str) -> None:
         """Note once that a recording in pieces is running: its pieces do not."""
         if self.known[name].status != "running":
-            self.write(Status(name, "running", plan=self.task_of(name)[1]))
+            self.write(Status(name, "running", plan=self._hash_of(name)))
 
     def write(self, status: Status) -> None:
         """Write a status; where that fails, only the table has it."""
@@ -124,7 +133,7 @@ class Ledger:
         """
         reason = "it ended the process that worked on it, twice" if died else words_of(error)
         status = read_status(self.out, name)
-        how, plan = "lost" if died else "failed", self.task_of(name)[1]
+        how, plan = "lost" if died else "failed", self._hash_of(name)
         status = structs.replace(status, status=how, reason=reason, plan=plan)
         self.write(status)
         self.ended(status)

@@ -19,12 +19,12 @@ from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wai
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from pathlib import Path
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from motionstereo_cli.batch.builds import check_builds, own_builds
 from motionstereo_cli.batch.ledger import BatchWatcher, Ledger, inputs_of
 from motionstereo_cli.batch.own_folder import claim, read_status, shard_path
+from motionstereo_cli.batch.task import LOCAL, Storage, Task
 from motionstereo_cli.errors import SettingsError
 from motionstereo_cli.files.lock import locked
 from motionstereo_cli.runs.cores import usable_cores
@@ -83,25 +83,25 @@ class Shard:
 def run_shard(
     plans: Mapping[str, RunPlan],
     out: Path,
-    shard: Shard,
     watcher: BatchWatcher,
     *,
+    shard: Shard,
     inputs: Iterable[Path] = (),
     retry_failed: bool = False,
     workers: int | None = None,
-    more: Mapping[str, Any] = MappingProxyType({}),
+    storage: Storage = LOCAL,
 ) -> list[Status]:
     """Process the recordings of a shard, return their statuses, and write the table of all.
 
     Args:
         plans: what to do for each recording of the whole batch, by name.
         out: folder of the batch.
-        shard: which share.
         watcher: receives the progress.
+        shard: which share.
         inputs: further files that are read, and must not be written to.
         retry_failed: also process recordings that failed or were lost.
         workers: processes; None: as many as cores.
-        more: added to each task.
+        storage: what does not lie on this machine's disk.
 
     Raises:
         InputError: another shard ran with other versions.
@@ -111,7 +111,7 @@ def run_shard(
     with locked(out, shared=True):
         claim(out, (*inputs, *inputs_of(plans)))
         with locked(shard_path(out, shard.name)):
-            ledger = Ledger(plans, out, watcher, f"shard-{shard.name}", more)
+            ledger = Ledger(plans, out, watcher, f"shard-{shard.name}", storage)
             waiting = [
                 name
                 for name in plans
@@ -134,22 +134,14 @@ def _process(ledger: Ledger, names: Iterable[str], workers: int) -> None:
         context: Any = multiprocessing.get_context()
         if "forkserver" in multiprocessing.get_all_start_methods():
             context = multiprocessing.get_context("forkserver")
-            context.set_forkserver_preload(["motionstereo_cli.batch.task"])
+            context.set_forkserver_preload(["motionstereo_cli.batch.work"])
         stop = context.Event()
         idle = [stack.enter_context(_Worker(context, stop)) for _ in range(workers)]
         check_builds(ledger.out, idle[0].submit(own_builds).result())
         under_way: dict[Future[Any], tuple[_Worker, str, int]] = {}
 
         def start(worker: _Worker, name: str, trial: int) -> None:
-            plan, known_as = ledger.task_of(name)
-            task = {
-                "plan": {**plan, "jobs": plan["jobs"] or jobs},
-                "out": str(ledger.out),
-                "name": name,
-                "hash": known_as,
-                **{"piece": None, "pieces": None, "seek": True},
-                **ledger.more,
-            }
+            task = ledger.task_of(name, jobs)
             under_way[worker.submit(_work, task)] = worker, name, trial
 
         try:
@@ -234,8 +226,8 @@ def _end_with_parent() -> None:
         os._exit(1)
 
 
-def _work(task: Mapping[str, Any]) -> None:
-    from motionstereo_cli.batch.task import work
+def _work(task: Task) -> None:
+    from motionstereo_cli.batch.work import work
 
     assert _stop is not None
     with _busy:

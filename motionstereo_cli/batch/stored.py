@@ -14,7 +14,7 @@ import json
 import tempfile
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from motionstereo_cli.batch.own_folder import OWN, TABLE, claim, log_path, status_path
 from motionstereo_cli.errors import OutputError
@@ -25,6 +25,7 @@ from motionstereo_cli.files.store import Store, address_of
 from motionstereo_cli.sinks.outputs import RECORD
 
 if TYPE_CHECKING:
+    from motionstereo_cli.batch.task import Task
     from motionstereo_cli.runs.plan import RunPlan
 
 #: What all shards have in common, the mark of a batch first.
@@ -93,19 +94,18 @@ def _finish(address: str, out: Path) -> None:
 
 
 @contextlib.contextmanager
-def at_hand(plan: RunPlan, task: Mapping[str, Any]) -> Iterator[RunPlan]:
+def at_hand(plan: RunPlan, task: Task) -> Iterator[RunPlan]:
     """Yield a plan whose inputs are on this machine's disk; what was fetched is removed after it.
 
     Args:
         plan: its inputs may be addresses.
-        task: as of :func:`~motionstereo_cli.batch.task.work`.
+        task: whose plan it is.
 
     Raises:
         InputError: an input cannot be fetched.
     """
-    out = Path(task["out"])
-    home = out / OWN / "fetched" / task["name"]
-    left = int(task.get("fetch_bytes", 0))
+    home = task.out / OWN / "fetched" / task.name
+    left = task.storage.fetch_bytes
     known: dict[str, str] = {}
 
     def local(name: str | Path) -> str:
@@ -113,7 +113,7 @@ def at_hand(plan: RunPlan, task: Mapping[str, Any]) -> Iterator[RunPlan]:
         address = address_of(name)
         if address is None:
             return str(name)
-        path = Store(address).fetch(home / str(len(known)), out, left)
+        path = Store(address).fetch(home / str(len(known)), task.out, left)
         left -= sum(each.stat().st_size for each in (path, *path.rglob("*")) if each.is_file())
         known[str(path)] = address
         return str(path)
@@ -131,7 +131,7 @@ def at_hand(plan: RunPlan, task: Mapping[str, Any]) -> Iterator[RunPlan]:
         if known and plan.folder is not None:
             _with_addresses(plan.folder / RECORD, known)
     finally:
-        remove_tree(home, out)
+        remove_tree(home, task.out)
 
 
 def _with_addresses(path: Path, known: Mapping[str, str]) -> None:
@@ -143,7 +143,7 @@ def _with_addresses(path: Path, known: Mapping[str, str]) -> None:
         write_whole(path, text.encode())
 
 
-def put_back(task: Mapping[str, Any]) -> None:
+def put_back(task: Task) -> None:
     """Put the results of a recording that is done into its store, and remove them here.
 
     What lies there of an earlier run is complete until its ``run.json`` is removed, and the new one
@@ -152,11 +152,9 @@ def put_back(task: Mapping[str, Any]) -> None:
     Raises:
         OutputError: the store does not take them.
     """
-    address = task.get("store")
-    if not address:
+    if task.storage.address is None:
         return
-    name, folder = task["name"], Path(task["out"], task["name"])
-    store = Store(address)
+    name, folder, store = task.name, task.folder, Store(task.storage.address)
     files = sorted(path for path in folder.rglob("*") if path.is_file())
     files.sort(key=lambda path: path == folder / RECORD)
     new = [(path, f"{name}/{path.relative_to(folder).as_posix()}") for path in files]
@@ -164,16 +162,16 @@ def put_back(task: Mapping[str, Any]) -> None:
     store.remove([each for each in before if each == f"{name}/{RECORD}"])
     store.remove([each for each in before if each not in {at for _, at in new}])
     store.put(new)
-    remove_tree(folder, Path(task["out"]))
+    remove_tree(folder, task.out)
 
 
-def put_status(task: Mapping[str, Any]) -> None:
+def put_status(task: Task) -> None:
     """Put the status and the log of a recording into its store.
 
     Raises:
         OutputError: the store does not take them.
     """
-    if address := task.get("store"):
-        out, name = Path(task["out"]), task["name"]
-        paths = [log_path(out, name), status_path(out, name)]
-        Store(address).put([(path, path.relative_to(out).as_posix()) for path in paths])
+    if task.storage.address is not None:
+        paths = [log_path(task.out, task.name), status_path(task.out, task.name)]
+        named = [(path, path.relative_to(task.out).as_posix()) for path in paths]
+        Store(task.storage.address).put(named)

@@ -1,163 +1,62 @@
-"""One task of a batch, in the process that works on it."""
+"""What a worker is given: one recording, a piece of one, or pieces to be joined."""
 
 from __future__ import annotations
 
-import os
-import random
-import socket
-import time
-import traceback
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from msgspec import structs
-
-from motionstereo_cli.batch.own_folder import open_log_of, pieces_path, write_status
-from motionstereo_cli.batch.pieces import Piece, join_pieces, run_piece
-from motionstereo_cli.batch.stored import at_hand, put_back, put_status
-from motionstereo_cli.errors import BusyError, MotionStereoError, shortage
-from motionstereo_cli.files.folders import check_no_links
-from motionstereo_cli.runs.cores import prepare
-from motionstereo_cli.runs.plan import RunPlan
-from motionstereo_cli.runs.record import RunReport
-from motionstereo_cli.runs.run import Watcher, run
-from motionstereo_cli.sinks.records import Status
-
-#: Time between two checks whether to stop, and minimum time between two reports of progress, in s.
-LOOK_S = 0.5
-#: How long a killed process may keep its lock on a folder, in s, until its children end.
-_BUSY_S = 60.0
+if TYPE_CHECKING:
+    from motionstereo_cli.batch.pieces import Piece
 
 
-def work(
-    task: Mapping[str, Any],
-    tell: Callable[[int], object] = lambda frames: None,
-    stops: Callable[[], bool] = lambda: False,
-) -> None:
-    """Process a recording as ``run --resume`` does, or a piece of it.
+@dataclass(frozen=True, slots=True)
+class Storage:
+    """What of a batch does not lie on this machine's disk.
 
-    The status file tells its outcome. A piece writes it only if it failed: the coordinator has
-    written that its recording is running.
-
-    Args:
-        task: ``plan`` as :meth:`~motionstereo_cli.runs.plan.RunPlan.as_json` gives it, ``out``,
-            ``name``, and ``hash`` of the plan. ``piece``: the first frame of a piece and the one
-            after its last; ``pieces``: all of them, to be joined; None for a whole recording.
-            ``seek``: whether a piece may begin at a seek. ``tell_s``: minimum time between two
-            reports of progress. ``store``: address where the results go, and ``fetch_bytes``: the
-            most that is fetched of inputs that are addresses.
-        tell: called at intervals with the number of frames done.
-        stops: called at intervals; whether to leave a checkpoint and end.
-    """
-    out = Path(task["out"])
-    worker = f"{socket.gethostname()}:{os.getpid()}"
-    status = Status(task["name"], "running", worker=worker, plan=task["hash"])
-    if stops():
-        return
-    prepare()
-    piece, pieces = task["piece"], task["pieces"]
-    if piece is None:
-        write_status(out, status)
-    with open_log_of(out, task["name"]) as lines:
-
-        def say(kind: str, text: str) -> None:
-            print(f"{kind}: {text}", file=lines, flush=True)
-
-        started_s = time.monotonic()
-        try:
-            whole = RunPlan.of_json(task["plan"])
-            home = pieces_path(out, task["name"])
-            for path in (out / task["name"], home):
-                check_no_links(path, out)
-            # The frames were counted when the pieces were made.
-            tells = tell if pieces is None else lambda _: None
-            pulse = Pulse(stops, tells, task.get("tell_s", LOOK_S))
-            watcher = Watcher(say, progress=pulse)
-            with at_hand(whole, task) as plan:
-                if piece is not None:
-                    run_piece(plan, Piece(*piece), home, watcher, seek=task["seek"])
-                    return
-                joined = None if pieces is None else [Piece(*each) for each in pieces]
-                report = _run(plan, joined, home, watcher)
-            if not report.interrupted:
-                put_back(task)
-            status = _ended(status, report)
-            for line in report.damage:
-                say("warning", line)
-        except KeyboardInterrupt:  # within a piece, which then starts again
-            status = structs.replace(status, status="interrupted")
-        except MotionStereoError as error:
-            status = structs.replace(status, status="failed", reason=str(error))
-        except Exception as error:
-            say("error", traceback.format_exc())
-            reason = shortage(error) or f"internal: {type(error).__name__}: {error}"
-            status = structs.replace(status, status="failed", reason=reason)
-        seconds = status.seconds or time.monotonic() - started_s
-        status = structs.replace(status, seconds=seconds)
-        say("note" if not status.reason else "error", f"{status.status} {status.reason}".strip())
-    write_status(out, status)
-    put_status(task)
-
-
-def _run(plan: RunPlan, pieces: Sequence[Piece] | None, home: Path, watcher: Watcher) -> RunReport:
-    until_s = time.monotonic() + _BUSY_S
-    while True:
-        try:
-            if pieces is None:
-                return run(plan, watcher)
-            return join_pieces(plan, pieces, home, watcher)
-        except BusyError:
-            if time.monotonic() > until_s:
-                raise
-            time.sleep(LOOK_S)
-
-
-def _ended(status: Status, report: RunReport) -> Status:
-    how = "interrupted" if report.interrupted else "damaged" if report.damage else "done"
-    return structs.replace(
-        status,
-        status=how,
-        frames=report.frames,
-        seconds=report.wall_s,
-        charged=report.charged,
-        matched=report.matched,
-        damage=len(report.damage),
-        warnings=len(report.warnings),
-        said="; ".join((*report.damage, *(each.text for each in report.warnings))),
-    )
-
-
-class Pulse:
-    """Called after each frame: reports progress, and ends the run when asked to.
-
-    Args:
-        stops: whether to end.
-        tell: called with the number of frames done.
-        tell_s: minimum time between two calls of it, in s.
+    Attributes:
+        address: where the results go; None = they stay in the folder of the batch.
+        fetch_bytes: maximum size of what is fetched of one recording's inputs.
     """
 
-    def __init__(
-        self, stops: Callable[[], bool], tell: Callable[[int], object], tell_s: float
-    ) -> None:
-        self._stops, self._tell, self._tell_s = stops, tell, tell_s
-        self._frames, self._look_at_s = 0, 0.0
-        # Workers that begin together do not report together.
-        self._tell_at_s = time.monotonic() + random.uniform(0, tell_s)
+    address: str | None = None
+    fetch_bytes: int = 0
 
-    def __call__(self) -> None:
-        """Count a frame.
 
-        Raises:
-            KeyboardInterrupt: the run is to end.
-        """
-        self._frames += 1
-        now_s = time.monotonic()
-        if now_s < self._look_at_s:
-            return
-        self._look_at_s = now_s + LOOK_S
-        if now_s >= self._tell_at_s:
-            self._tell_at_s = now_s + self._tell_s
-            self._tell(self._frames)
-        if self._stops():
-            raise KeyboardInterrupt
+#: All lies on this machine's disk.
+LOCAL = Storage()
+
+
+@dataclass(frozen=True, slots=True)
+class Task:
+    """A task of a batch.
+
+    Attributes:
+        plan: as :meth:`~motionstereo_cli.runs.plan.RunPlan.as_json` gives it.
+        plan_hash: hash by which statuses refer to the plan of the whole recording.
+        out: folder of the batch.
+        name: name of the recording.
+        storage: what does not lie on this machine's disk.
+        piece: the piece to process; None = the whole recording.
+        pieces: all pieces, to be joined; None = not in pieces.
+        seek: whether a piece may begin by seeking.
+        tell_s: minimum time between two reports of progress, in s.
+        submitted_s: when it was given out, in s since 1970.
+    """
+
+    plan: Mapping[str, Any]
+    plan_hash: str
+    out: Path
+    name: str
+    storage: Storage = LOCAL
+    piece: Piece | None = None
+    pieces: tuple[Piece, ...] | None = None
+    seek: bool = True
+    tell_s: float = 0.5
+    submitted_s: float = 0.0
+
+    @property
+    def folder(self) -> Path:
+        """Folder of the recording's results."""
+        return self.out / self.name

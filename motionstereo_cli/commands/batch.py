@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -25,9 +26,10 @@ from motionstereo_cli.errors import (
 from motionstereo_cli.runs.plan import RunPlan
 
 if TYPE_CHECKING:
-    from motionstereo_cli.batch.ledger import BatchWatcher
     from motionstereo_cli.batch.manifest import ManifestRow
     from motionstereo_cli.sinks.records import Status
+
+    _Process = Callable[..., list[Status]]
 
 
 @click.command("run")
@@ -187,9 +189,10 @@ def batch(
     the command line apply to all recordings, those in a row to its recording. Run the same command
     again to process what is not done yet.
     """
-    from motionstereo_cli.batch.ledger import BatchWatcher
+    from motionstereo_cli.batch.ledger import BatchWatcher, statuses_of
     from motionstereo_cli.batch.manifest import plans
     from motionstereo_cli.batch.stored import kept
+    from motionstereo_cli.batch.task import Storage
 
     shared, inputs = _apart(given)
     if "--overwrite" in shared:
@@ -208,14 +211,21 @@ def batch(
             _say_ended(status, as_json=as_json, quiet=not bar.disable)
 
         watcher = BatchWatcher(say, lambda frames: bar.set_postfix_str(bar.more(frames)), ended)
-        more = {
-            "inputs": [Path(name) for name in inputs if Path(name).is_file()],
-            "retry_failed": retry_failed,
-            "more": {"store": address, "fetch_bytes": 1_000_000 * fetch_mb},
-        }
-        asked = {"shard": shard, "detach": detach, "pieces": pieces, "status": only_status}
+        process: _Process
+        if only_status:
+            process = statuses_of
+        else:
+            how = {"detach": detach, "pieces": pieces}
+            process = partial(
+                _whole_on(cluster, address, how)
+                if shard is None
+                else _share_of(shard, cluster, how),
+                inputs=[Path(name) for name in inputs if Path(name).is_file()],
+                retry_failed=retry_failed,
+                storage=Storage(address, 1_000_000 * fetch_mb),
+            )
         try:
-            statuses = _processed(found, place, watcher, cluster, asked, more)
+            statuses = process(found, place, watcher)
         except KeyboardInterrupt:
             again = "run the same command again to continue"
             say("error", f"interrupted: {again}; see {out / 'batch.csv'}")
@@ -224,25 +234,6 @@ def batch(
         say("note", f"the scheduler has the work; --status shows it; see {out / 'batch.csv'}")
         return 0
     return _summarise(statuses, address or out, retried=retry_failed)
-
-
-def _processed(
-    found: Mapping[str, RunPlan],
-    out: Path,
-    watcher: BatchWatcher,
-    cluster: dict[str, Any],
-    asked: Mapping[str, Any],
-    more: dict[str, Any],
-) -> list[Status]:
-    """Process a share, or all, or only look."""
-    from motionstereo_cli.batch.ledger import statuses_of
-
-    if asked["status"]:
-        return statuses_of(found, out, watcher)
-    if asked["shard"] is not None:
-        return _share(asked, found, out, watcher, cluster, more)
-    more |= {"pieces": asked["pieces"], "detach": asked["detach"]}
-    return _whole(found, out, watcher, cluster, more)
 
 
 def _tried_out(found: Mapping[str, RunPlan]) -> int:
@@ -264,42 +255,35 @@ def _tried_out(found: Mapping[str, RunPlan]) -> int:
     return 1 if failed else 0
 
 
-def _whole(
-    found: Mapping[str, RunPlan],
-    out: Path,
-    watcher: BatchWatcher,
-    given: dict[str, Any],
-    more: Mapping[str, Any],
-) -> list[Status]:
+def _whole_on(given: Mapping[str, Any], address: str | None, how: Mapping[str, Any]) -> _Process:
+    """Return what processes all recordings on a cluster.
+
+    Args:
+        given: the options of the cluster.
+        address: of the store where the results go, if any.
+        how: ``detach`` and ``pieces``.
+    """
     from motionstereo_cli.batch.cluster import Cluster
     from motionstereo_cli.batch.coordinator import run_batch
 
-    tls = {key: given.pop(f"tls_{key}") for key in ("ca", "cert", "key")}
-    cluster = Cluster(**given, tls={key: value for key, value in tls.items() if value})
-    if more["more"]["store"] and not cluster.local:
+    tls = {key: given[f"tls_{key}"] for key in ("ca", "cert", "key") if given[f"tls_{key}"]}
+    cluster = Cluster(given["workers"], given["scheduler"], given["scheduler_file"], tls)
+    if address and not cluster.local:
         raise click.UsageError("OUT in a store needs --shard, or workers of this machine")
-    if more["detach"] and cluster.local:
+    if how["detach"] and cluster.local:
         raise click.UsageError("--detach needs --scheduler: workers of this command end with it")
-    return run_batch(found, out, cluster, watcher, **more)
+    return partial(run_batch, cluster=cluster, **how)
 
 
-def _share(
-    asked: Mapping[str, Any],
-    found: Mapping[str, RunPlan],
-    out: Path,
-    watcher: BatchWatcher,
-    given: Mapping[str, Any],
-    more: Mapping[str, Any],
-) -> list[Status]:
+def _share_of(shard: str, given: Mapping[str, Any], how: Mapping[str, Any]) -> _Process:
+    """Return what processes a share of the recordings."""
     from motionstereo_cli.batch.shard import Shard, run_shard
 
-    scheduled = [name for name, value in given.items() if value and name != "workers"]
-    scheduled += [name for name in ("detach", "pieces") if asked[name]]
-    if scheduled:
-        flag = scheduled[0].replace("_", "-")
-        raise click.UsageError(f"--shard works without a scheduler: leave --{flag} out")
-    workers = given["workers"]
-    return run_shard(found, out, Shard.parse(asked["shard"]), watcher, workers=workers, **more)
+    for name, value in {**given, **how}.items():
+        if value and name != "workers":
+            flag = name.replace("_", "-")
+            raise click.UsageError(f"--shard works without a scheduler: leave --{flag} out")
+    return partial(run_shard, shard=Shard.parse(shard), workers=given["workers"])
 
 
 def _apart(given: Sequence[str]) -> tuple[list[str], list[str]]:

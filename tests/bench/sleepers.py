@@ -15,13 +15,16 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from motionstereo_cli.batch import task
+from msgspec import structs
+
+from motionstereo_cli.batch import work as worker_side
 from motionstereo_cli.batch.own_folder import write_status
-from motionstereo_cli.batch.task import Pulse
+from motionstereo_cli.batch.task import Task
+from motionstereo_cli.batch.work import Pulse
 from motionstereo_cli.sinks.records import Status
 
 _FRAME_S, _LOOK_S = 0.1, 0.2
@@ -29,17 +32,15 @@ _PER_PROCESS = 25
 
 
 def _sleeper(seconds: float) -> Callable[..., None]:
-    def work(
-        given: Mapping[str, Any], tell: Callable[[int], object], stops: Callable[[], bool]
-    ) -> None:
-        out, name = Path(given["out"]), given["name"]
-        write_status(out, Status(name, "running", plan=given["hash"]))
-        pulse = Pulse(stops, tell, given["tell_s"])
+    def work(task: Task, tell: Callable[[int], object], stops: Callable[[], bool]) -> None:
+        status = Status(task.name, "running", plan=task.plan_hash)
+        write_status(task.out, status)
+        pulse = Pulse(stops, tell, task.tell_s)
         begin_s = time.monotonic()
         while time.monotonic() < begin_s + seconds:
             time.sleep(min(_FRAME_S, seconds))
             pulse()
-        write_status(out, Status(name, "done", frames=5, seconds=seconds, plan=given["hash"]))
+        write_status(task.out, structs.replace(status, status="done", frames=5, seconds=seconds))
 
     return work
 
@@ -111,7 +112,7 @@ def main() -> None:
     quiet = {"logging.distributed": "error", "distributed.worker.profile.enabled": False}
     with dask.config.set(quiet):
         if given.join:
-            vars(task)["work"] = _sleeper(given.seconds)
+            vars(worker_side)["work"] = _sleeper(given.seconds)
             asyncio.run(_workers(given.join, given.workers))
         else:
             asyncio.run(_scheduler(given.file, given.workers, given.seconds))
