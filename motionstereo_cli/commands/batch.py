@@ -29,8 +29,6 @@ if TYPE_CHECKING:
     from motionstereo_cli.batch.manifest import ManifestRow
     from motionstereo_cli.sinks.records import Status
 
-    _Process = Callable[..., list[Status]]
-
 
 @click.command("run")
 @run_options
@@ -211,21 +209,14 @@ def batch(
             _say_ended(status, as_json=as_json, quiet=not bar.disable)
 
         watcher = BatchWatcher(say, lambda frames: bar.set_postfix_str(bar.more(frames)), ended)
-        process: _Process
-        if only_status:
-            process = statuses_of
-        else:
-            how = {"detach": detach, "pieces": pieces}
-            process = partial(
-                _whole_on(cluster, address, how)
-                if shard is None
-                else _share_of(shard, cluster, how),
-                inputs=[Path(name) for name in inputs if Path(name).is_file()],
-                retry_failed=retry_failed,
-                storage=Storage(address, 1_000_000 * fetch_mb),
-            )
+        process = partial(
+            _process_of(shard, cluster, address, {"detach": detach, "pieces": pieces}),
+            inputs=[Path(name) for name in inputs if Path(name).is_file()],
+            retry_failed=retry_failed,
+            storage=Storage(address, 1_000_000 * fetch_mb),
+        )
         try:
-            statuses = process(found, place, watcher)
+            statuses = (statuses_of if only_status else process)(found, place, watcher)
         except KeyboardInterrupt:
             again = "run the same command again to continue"
             say("error", f"interrupted: {again}; see {out / 'batch.csv'}")
@@ -255,14 +246,25 @@ def _tried_out(found: Mapping[str, RunPlan]) -> int:
     return 1 if failed else 0
 
 
-def _whole_on(given: Mapping[str, Any], address: str | None, how: Mapping[str, Any]) -> _Process:
-    """Return what processes all recordings on a cluster.
+def _process_of(
+    shard: str | None, given: Mapping[str, Any], address: str | None, how: Mapping[str, Any]
+) -> Callable[..., list[Status]]:
+    """Return what processes the recordings: a share of them, or all on a cluster.
 
     Args:
+        shard: which share; None = all.
         given: the options of the cluster.
         address: of the store where the results go, if any.
         how: ``detach`` and ``pieces``.
     """
+    if shard is not None:
+        from motionstereo_cli.batch.shard import Shard, run_shard
+
+        for name, value in {**given, **how}.items():
+            if value and name != "workers":
+                flag = name.replace("_", "-")
+                raise click.UsageError(f"--shard works without a scheduler: leave --{flag} out")
+        return partial(run_shard, shard=Shard.parse(shard), workers=given["workers"])
     from motionstereo_cli.batch.cluster import Cluster
     from motionstereo_cli.batch.coordinator import run_batch
 
@@ -273,17 +275,6 @@ def _whole_on(given: Mapping[str, Any], address: str | None, how: Mapping[str, A
     if how["detach"] and cluster.local:
         raise click.UsageError("--detach needs --scheduler: workers of this command end with it")
     return partial(run_batch, cluster=cluster, **how)
-
-
-def _share_of(shard: str, given: Mapping[str, Any], how: Mapping[str, Any]) -> _Process:
-    """Return what processes a share of the recordings."""
-    from motionstereo_cli.batch.shard import Shard, run_shard
-
-    for name, value in {**given, **how}.items():
-        if value and name != "workers":
-            flag = name.replace("_", "-")
-            raise click.UsageError(f"--shard works without a scheduler: leave --{flag} out")
-    return partial(run_shard, shard=Shard.parse(shard), workers=given["workers"])
 
 
 def _apart(given: Sequence[str]) -> tuple[list[str], list[str]]:

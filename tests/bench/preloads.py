@@ -9,7 +9,7 @@ def killer_of(part: str) -> str:
     """
     return f"""
 import os, signal
-from motionstereo_cli.batch import task as worker
+from motionstereo_cli.batch import work as worker
 def killing(plan, watcher, run=worker.run):
     if {part!r} in plan.left:
         os.kill(os.getpid(), signal.SIGKILL)
