@@ -798,3 +798,23 @@ def test_the_summary_says_how_much_of_the_image_has_depth(run_args, tmp_path, ca
     assert main([*run_args, "-o", str(tmp_path / "o")]) == 0
     said = capsys.readouterr().err
     assert re.search(r"disparity for \d+% of the image \(\d+% moved\)", said)
+
+
+@pytest.mark.parametrize(
+    ("words", "prints"),
+    [
+        ("check left.mp4 right.mp4 --end 20", True),
+        ("info left.mp4 right.mp4", True),
+        ("rig rig.yaml -o OUT/rig.yaml", False),
+        ("figure left.mp4 right.mp4 --frames 1 -o OUT/sheet.png", False),
+        ("compare golden OUT/golden", True),
+        ("evaluate golden OUT/golden", True),
+        ("report golden -o OUT/page.html", False),
+    ],
+)
+def test_quiet_commands_print_only_what_is_asked_for(tmp_path, capsys, monkeypatch, words, prints):
+    monkeypatch.chdir(Path(__file__).parent.parent / "sample_data")
+    shutil.copytree("golden", tmp_path / "golden")
+    assert main([*words.replace("OUT", str(tmp_path)).split(), "--quiet"]) == 0
+    said = capsys.readouterr()
+    assert (bool(said.out), said.err) == (prints, "")

@@ -194,8 +194,10 @@ def test_objects_are_bars_by_their_time_to_contact():
          "closing_mps": ""}
         for frame, text in contacts.items()
     ]  # fmt: skip
-    shown, count = tracks(rows, {frame: frame / 10 for frame in range(5)}, 0.1)
-    assert count == 1
+    shown, total, brief = tracks(
+        [*rows, {**rows[0], "id": "8"}], {frame: frame / 10 for frame in range(5)}, 0.1
+    )
+    assert (total, brief) == (1, 1)
     assert [span[2] for span in shown[0]["spans"]] == [2, 1, 0, 2]
     assert shown[0]["spans"][2][:2] == pytest.approx([0.2, 0.3])
     assert (shown[0]["contact"], shown[0]["nearest"], shown[0]["closing"]) == (1.5, 2.0, None)
@@ -430,12 +432,16 @@ def test_what_moves_by_itself_is_said_of_each_object():
             "closing_mps": "",
             "by_itself": own,
             "over_ground_mps": speed,
+            "confidence": sure,
         }
-        for n, (own, speed) in enumerate([("", ""), ("0", "0.2"), ("1", "1.4")])
+        for n, (own, speed, sure) in enumerate(
+            [("", "", "0.2"), ("0", "0.2", "0.4"), ("1", "1.4", "0.6"), ("1", "1.2", "0.8")]
+        )
     ]
-    [[track], count] = tracks(rows, {0: 0.0, 1: 0.1, 2: 0.2}, 0.1)
-    assert (count, track["frame"], track["own"], track["speed"]) == (1, 0, 1, 1.4)
-    assert track["spans"] == [pytest.approx([0, 0.2, 2, 0]), pytest.approx([0.2, 0.3, 2, 1])]
+    [track] = tracks(rows, {n: n / 10 for n in range(4)}, 0.1).shown
+    assert (track["own"], track["known"], track["frames"], track["speed"]) == (2, 3, 4, 1.4)
+    assert track["confidence"] == pytest.approx(0.5)
+    assert track["spans"] == [pytest.approx([0, 0.2, 2, 0]), pytest.approx([0.2, 0.4, 2, 1])]
 
 
 @given(near=st.floats(0.01, 50), ratio=st.floats(2, 1e4), px_m=st.sampled_from([None, 40.0]))

@@ -96,7 +96,7 @@ def unmoved(charged: float) -> str | None:
         return None
     return (
         f"next to nothing moved ({charged:.1%} of the image): this method sees what moves, or what "
-        "a moving camera passes"
+        "a moving camera passes; --depth-of all gives what stands still a depth, too"
     )
 
 

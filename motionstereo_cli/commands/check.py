@@ -17,6 +17,7 @@ from motionstereo_cli.commands.options import (
     input_options,
     rig_options,
 )
+from motionstereo_cli.commands.progress import no_bar, quiet_option
 from motionstereo_cli.method.settings import MAX_DISPARITY, Settings
 from motionstereo_cli.params import params
 from motionstereo_cli.rig.settings import RigSettings
@@ -52,6 +53,7 @@ if TYPE_CHECKING:
     help="Write the advised options to a file for run --config. Replaces an older file.",
 )
 @config_option
+@quiet_option
 def check(
     *,
     left: str,
@@ -83,7 +85,7 @@ def check(
     input_settings = with_offset(left, right, input_settings, say, prepare)
     with (
         open_stereo(left, right, input_settings) as source,
-        tqdm(total=source.expected_frames, unit="frame", disable=None) as bar,
+        tqdm(total=source.expected_frames, unit="frame", disable=no_bar()) as bar,
     ):
         calibration = rectify_source(source, rig, rig_settings)
         report = check_library(
@@ -151,7 +153,8 @@ def _table(report: CheckReport) -> str:
         else f"right {report.ahead_frames:+.2f} frames ahead of left",
     }
     if report.disparity_offset_px is not None:
-        facts["offset"] = f"disparities {report.disparity_offset_px:.2f} px too small, all alike"
+        how = "small" if report.disparity_offset_px >= 0 else "large"
+        facts["offset"] = f"disparities {abs(report.disparity_offset_px):.2f} px too {how}"
     lines = [f"{name + ':':<11}{fact}" for name, fact in facts.items()]
     for finding in report.findings:
         lines.append(f"{'problem' if finding.ruins else 'warning'}: {finding.text}")

@@ -12,6 +12,7 @@ from motionstereo_cli.commands.forms import print_form, write_files
 from motionstereo_cli.commands.grouped import GroupedCommand
 from motionstereo_cli.commands.messages import say
 from motionstereo_cli.commands.options import config_files, settings_options
+from motionstereo_cli.commands.progress import no_bar, quiet_option
 from motionstereo_cli.errors import DIFFERENT_EXIT_CODE
 from motionstereo_cli.evaluation.settings import COLUMN_TOLERANCE, CompareSettings
 
@@ -69,6 +70,7 @@ def _tolerances(
 )
 @click.option("--junit", type=_FILE, help="Write a JUnit report with a test case for each output.")
 @settings_options(CompareSettings)
+@quiet_option
 def compare(
     *,
     actual: Path,
@@ -96,7 +98,7 @@ def compare(
 
     inputs = (actual, golden, *config_files())
     check_targets((picture, junit, json_path), inputs)
-    with tqdm(unit="image", disable=None) as bar:
+    with tqdm(unit="image", disable=no_bar()) as bar:
         report = compare_library(
             actual, golden, settings, tolerances=tolerance, progress=bar.update
         )

@@ -11,6 +11,7 @@ from motionstereo_cli.commands.forms import STDOUT, print_form, write_files
 from motionstereo_cli.commands.grouped import GroupedCommand
 from motionstereo_cli.commands.messages import say
 from motionstereo_cli.commands.options import config_files, settings_options
+from motionstereo_cli.commands.progress import no_bar, quiet_option
 from motionstereo_cli.evaluation.settings import ObjectSettings
 
 if TYPE_CHECKING:
@@ -62,6 +63,7 @@ _TABLE = click.Path(dir_okay=False, allow_dash=True, path_type=Path)
     help="PNG file for --picture; replaces an older one.",
 )
 @settings_options(ObjectSettings)
+@quiet_option
 def evaluate(
     *,
     result: Path,
@@ -118,7 +120,7 @@ def evaluate(
     if picture is not None:
         drawn = encode_png(evaluate_report.draw_errors(comparison.pair(picture)))
         write_output(picture_path, drawn, inputs)
-    with tqdm(total=len(comparison.numbers), unit="frame", disable=None) as bar:
+    with tqdm(total=len(comparison.numbers), unit="frame", disable=no_bar()) as bar:
         report = evaluate_library(comparison, bar.update)
 
     _say_what_is_not_scored(comparison, report)

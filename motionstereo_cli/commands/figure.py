@@ -9,6 +9,7 @@ import click
 from motionstereo_cli.commands.grouped import GroupedCommand
 from motionstereo_cli.commands.messages import say
 from motionstereo_cli.commands.options import config_files, input_options, processing_options
+from motionstereo_cli.commands.progress import quiet_option
 from motionstereo_cli.errors import DAMAGED_EXIT_CODE
 from motionstereo_cli.method.settings import Settings
 from motionstereo_cli.sources.settings import InputSettings
@@ -45,6 +46,7 @@ def _numbers(ctx: click.Context, _: click.Parameter, text: str) -> list[int]:
 )
 @input_options
 @processing_options
+@quiet_option
 def figure(
     *,
     left: str,

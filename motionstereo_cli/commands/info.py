@@ -12,6 +12,7 @@ import click
 from motionstereo_cli.commands.grouped import GroupedCommand
 from motionstereo_cli.commands.messages import printable, say
 from motionstereo_cli.commands.options import config_option, input_options, rig_options
+from motionstereo_cli.commands.progress import quiet_option
 from motionstereo_cli.rig.settings import RigSettings
 from motionstereo_cli.sources.settings import InputSettings, adapted_rig
 
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
 @rig_options
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 @config_option
+@quiet_option
 def info(
     *,
     left: str,

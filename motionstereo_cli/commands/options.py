@@ -137,8 +137,8 @@ def pose_options(command: Callable[..., Any]) -> Callable[..., Any]:
     return click.option(
         "--poses",
         type=click.Path(path_type=Path),
-        help="Poses of the rig; enables map-based guidance. auto: found from the recording itself. "
-        "Or a file in TUM format, lines t x y z qx qy qz qw "
+        help="Poses of the rig or auto, for map-based guidance. auto: they are found from the "
+        "recording itself. Otherwise a file in TUM format, lines t x y z qx qy qz qw "
         "of the point halfway between the cameras, in s and m; x forward, y left, z up; t as in "
         "the recordings; or EuRoC's or KITTI's format. Needs --rig, or a bag with camera_info.",
     )(collected)

@@ -183,6 +183,8 @@ def end_lines(exit_code: int) -> None:
         told.end(exit_code)
 
 
+_QUIET = "Print only warnings, errors and what is asked for; no bar."
+
 _option = functools.partial(click.option, cls=GroupedOption, group="Output")
 _OPTIONS = (
     _option(
@@ -190,7 +192,7 @@ _OPTIONS = (
         is_flag=True,
         help="Also print what is found before the first frame, and checkpoints.",
     ),
-    _option("--quiet", is_flag=True, help="Print only warnings and errors; no bar."),
+    _option("--quiet", is_flag=True, help=_QUIET),
     _option(
         "--progress-file",
         type=click.Path(dir_okay=False, path_type=Path),
@@ -236,6 +238,22 @@ def progress_options(command: Callable[..., Any]) -> Callable[..., Any]:
     for option in _OPTIONS:
         wrapped = option(wrapped)
     return wrapped
+
+
+def quiet_option(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Give a command ``--quiet``, which it does not receive."""
+
+    def quieted(*, quiet: bool, **values: Any) -> Any:
+        with loudness(quiet=quiet, verbose=False):
+            return command(**values)
+
+    wrapped: Callable[..., Any] = functools.update_wrapper(quieted, command)
+    return click.option("--quiet", is_flag=True, help=_QUIET)(wrapped)
+
+
+def no_bar() -> bool | None:
+    """Return whether a bar of tqdm is off: True with ``--quiet``, None: without a terminal."""
+    return level.get() > logging.INFO or None
 
 
 def _opened(path: Path | None) -> JsonLines:

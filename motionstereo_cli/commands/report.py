@@ -8,6 +8,7 @@ import click
 
 from motionstereo_cli.commands.grouped import GroupedCommand
 from motionstereo_cli.commands.messages import say
+from motionstereo_cli.commands.progress import quiet_option
 
 
 @click.command(
@@ -26,6 +27,7 @@ from motionstereo_cli.commands.messages import say
     help="HTML file to write; replaces an older report. - is standard output.  "
     "[default: report.html in OUT]",
 )
+@quiet_option
 def report(*, out: Path, page: Path | None) -> int:
     """Make a web page of a run or of a batch.
 

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import logging
 import re
 from pathlib import Path
 
 import click
 
 from motionstereo_cli.commands.grouped import GroupedCommand
-from motionstereo_cli.commands.messages import say
+from motionstereo_cli.commands.messages import level, say
 from motionstereo_cli.commands.options import calibration_options
+from motionstereo_cli.commands.progress import quiet_option
 from motionstereo_cli.rig.settings import RigSettings
 
 _STDOUT = Path("-")
@@ -57,6 +59,7 @@ def _two_numbers(
     help="Numbers of KITTI's cameras.  [default: 0,1, or 2,3 if only these are there]",
 )
 @calibration_options
+@quiet_option
 def rig(
     *,
     files: tuple[Path, ...],
@@ -78,7 +81,8 @@ def rig(
     from motionstereo_cli.rig.calibration import read_calibration
 
     calibration = read_calibration(files, size, rig_settings, pair=cameras)
-    click.echo(calibration.describe(), nl=False, err=True)
+    if level.get() <= logging.INFO:
+        click.echo(calibration.describe(), nl=False, err=True)
     for line in calibration.warnings:
         say("warning", line)
     if out == _STDOUT:

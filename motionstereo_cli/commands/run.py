@@ -28,9 +28,6 @@ from motionstereo_cli.sinks.outputs import DEFAULT_OUTPUTS, OUTPUTS
 if TYPE_CHECKING:
     from motionstereo_cli.runs.record import RunReport
 
-#: Where less of the image moves, what stands still is most of it.
-_LITTLE = 0.01
-
 
 def _names(_: click.Context, __: click.Parameter, lists: tuple[str, ...]) -> tuple[str, ...]:
     return tuple(name.strip() for text in lists for name in text.split(","))
@@ -67,8 +64,8 @@ _OPTIONS = (
         metavar="NAMES",
         callback=_names,
         shell_complete=_complete_names,
-        help="Outputs, separated by commas. May be repeated. Names are "
-        f"{', '.join(OUTPUTS)}; motionstereo help outputs describes them.  "
+        help="Outputs, such as report,objects,map: see motionstereo help outputs. May be repeated. "
+        f"Names are {', '.join(OUTPUTS)}.  "
         f"[default: {','.join(DEFAULT_OUTPUTS)}]",
     ),
     click.option(
@@ -154,8 +151,9 @@ def run(*, dry_run: bool, **given: Any) -> int:
 def would_write(plan: RunPlan, frames: int | None, outputs: Sequence[str]) -> str:
     """Return in words what a run would do that was tried out."""
     count = "an unknown number of frames" if frames is None else f"{frames} frames"
-    files = f"{plan.folder}: {', '.join((*outputs, 'run.json'))}" if plan.folder else "no folder"
-    return f"a dry run: {count} would be processed, and written into {files}"
+    files = f"into {plan.folder}: {', '.join((*outputs, 'run.json'))}"
+    place = files if plan.folder else "as a steering table to standard output"
+    return f"a dry run: {count} would be processed, and the results written {place}"
 
 
 def _summarise(plan: RunPlan, report: RunReport) -> int:
@@ -174,8 +172,6 @@ def _summarise(plan: RunPlan, report: RunReport) -> int:
             f"{'depth' if report.in_metres else 'disparity'} for {report.matched:.0%} of the image "
             f"({report.charged:.0%} moved)",
         )
-        if report.charged < _LITTLE and plan.settings.depth_of == "moved":
-            say("note", "next to nothing moved: --depth-of all gives what stands still a depth too")
     if report.interrupted:
         kept = f": what was done is in {plan.folder}, --resume goes on from there"
         say("error", f"interrupted after {frames}{kept if plan.folder else ''}")

@@ -173,8 +173,8 @@ class Settings:
     )
     max_disparity: int = param(
         64,
-        "Maximum disparity. A larger one finds nearer objects and takes longer. auto (or 0): "
-        "measured in a sample of the recording, as check does.",
+        "Maximum disparity or auto. A larger one finds nearer objects and takes longer; auto (or "
+        "0) measures it in a sample of the recording, as check does.",
         unit="px",
         low=AUTO,
         high=MAX_DISPARITY,

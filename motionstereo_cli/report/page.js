@@ -236,7 +236,7 @@
     scales: { y: { range: (u, low, high) => [0, Math.min(100, 1.15 * (high || 1)) ] } },
   }, [shown.charged, shown.matched], `Over time: charged ${span("charged", "%")}, matched ${span("matched", "%")} of the image`);
 
-  if (objects && objects.count) {
+  if (objects && objects.total) {
     const rows = objects.shown.length;
     const names = ["soon", "later", "hardly"];
     const bars = (u) => {
@@ -275,7 +275,7 @@
       space: 10,
       scales: { y: { range: [0, rows] } },
       hooks: { draw: [bars] },
-    }, [x.map(() => null)], `Moving objects as bars over time: ${objects.count} in all; the table below has their figures`);
+    }, [x.map(() => null)], `Moving objects as bars over time: ${objects.total} in all; the table below has their figures`);
     const plot = plots[plots.length - 1];
     plot.axes[1].splits = () => objects.shown.map((_, row) => rows - row - 0.5).reverse();
     plot.axes[1].grid.show = false;

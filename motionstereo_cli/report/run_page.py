@@ -261,10 +261,9 @@ def _objects(run: Results, steering: SteeringTable) -> dict[str, Any] | None:
     step = float(np.median(np.diff(places))) if len(steering) > 1 else FRAME_S
     x_of = dict(zip(steering.frames.tolist(), places.tolist(), strict=True))
     try:
-        shown, count = tracks(rows, x_of, step)
+        return tracks(rows, x_of, step)._asdict()
     except (KeyError, ValueError) as error:
         raise InputError(f"cannot show {run.path / 'objects.csv'}: {error}") from error
-    return {"shown": shown, "count": count}
 
 
 def _histogram(run: Results, scale: DepthScale) -> dict[str, Any] | None:

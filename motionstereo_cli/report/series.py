@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterable, Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -21,6 +21,9 @@ SOON_S, LATER_S = 2.0, 5.0
 
 #: Maximum number of objects on a page: those with the least time to contact.
 MAX_OBJECTS = 24
+
+#: An object with fewer rows was seen for too short a time to know how it moves: not on the page.
+_MIN_ROWS = 4
 
 #: Times that objects are there, from a frame to another, that a page counts at most.
 MAX_SPANS = 500_000
@@ -82,9 +85,21 @@ def _known(values: NDArray[np.float64]) -> list[float | None]:
     return [None if np.isnan(value) else value for value in values.tolist()]
 
 
-def tracks(
-    rows: Iterable[Mapping[str, str]], x_of: Mapping[int, float], frame_x: float
-) -> tuple[list[dict[str, Any]], int]:
+class Tracks(NamedTuple):
+    """The objects of a page.
+
+    Attributes:
+        shown: those to show, see :func:`tracks`.
+        total: how many were seen long enough to know how they move.
+        brief: how many were not.
+    """
+
+    shown: list[dict[str, Any]]
+    total: int
+    brief: int
+
+
+def tracks(rows: Iterable[Mapping[str, str]], x_of: Mapping[int, float], frame_x: float) -> Tracks:
     """Return the objects to show, and how many there are.
 
     Args:
@@ -96,8 +111,10 @@ def tracks(
         For each object, in the order of their first frames: ``id``; its first ``frame``; ``spans``,
         each with its begin, its end, its urgency (0 contact soon, 1 later, 2 hardly or unknown) and
         whether it moved by itself then (1 or 0); the least ``contact`` in s, ``nearest`` in m, each
-        with its ``contact_frame`` or ``nearest_frame``, and most ``closing`` in m/s; ``own``, 1 if
-        it ever moved by itself, and its greatest ``speed`` over ground in m/s; None if unknown.
+        with its ``contact_frame`` or ``nearest_frame``, and most ``closing`` in m/s; in how many
+        ``frames`` it was, in how many of these it is ``known`` whether it moved by itself, and in
+        how many it did (``own``); its mean ``confidence``, and its greatest ``speed`` over ground
+        in m/s; None if unknown.
 
     Raises:
         KeyError, ValueError: a row is damaged, or there are too many.
@@ -118,7 +135,8 @@ def tracks(
         track = found.setdefault(
             number,
             {"id": number, "frame": frame, "spans": []}
-            | dict.fromkeys(("contact", "nearest", "closing", "own", "speed"))
+            | dict.fromkeys(("frames", "known", "own"), 0)
+            | dict.fromkeys(("contact", "nearest", "closing", "speed", "confidence"))
             | dict.fromkeys(("contact_frame", "nearest_frame")),
         )
         spans = track["spans"]
@@ -136,10 +154,17 @@ def tracks(
             if value is not None and (track[name] is None or value < track[name]):
                 track[name], track[f"{name}_frame"] = value, frame
         track["closing"] = _most(track["closing"], closing)
-        track["own"] = _most(track["own"], _number(row, "by_itself"))
+        track["frames"] += 1
+        track["known"] += bool(row.get("by_itself"))
+        track["own"] += kind[1]
         track["speed"] = _most(track["speed"], _number(row, "over_ground_mps"))
-    shown = sorted(found.values(), key=_urgency)[:MAX_OBJECTS]
-    return sorted(shown, key=lambda track: (track["spans"][0][0], track["id"])), len(found)
+        if (sure := _number(row, "confidence")) is not None:
+            mean = track["confidence"] or 0.0
+            track["confidence"] = mean + (sure - mean) / track["frames"]
+    lasting = [track for track in found.values() if track["frames"] >= _MIN_ROWS]
+    shown = sorted(lasting, key=_urgency)[:MAX_OBJECTS]
+    shown = sorted(shown, key=lambda track: (track["spans"][0][0], track["id"]))
+    return Tracks(shown, len(lasting), len(found) - len(lasting))
 
 
 def _number(row: Mapping[str, str], name: str) -> float | None:

@@ -463,10 +463,12 @@ def warn_of_what_is_missing(
     blind = totals.blind / max(totals.frames, 1)
     numbers = {"charged": charged, "matched": matched, "at_limit": at_limit, "blind": blind}
     numbers = {name: round(share, 4) for name, share in numbers.items()}
-    if (text := unmoved(charged)) and not any(each.code == "still" for each in job.warned.found):
+    several = totals.frames > 1  # one frame shows no motion
+    still = s.depth_of == "all" or any(each.code == "still" for each in job.warned.found)
+    if several and not still and (text := unmoved(charged)):
         job.warned.warn("unmoved", text, numbers)
     steers = "steering" in job.save or job.plan.to_stdout or job.plan.table
-    if steers and (text := without_heading(blind, matched)):
+    if several and steers and (text := without_heading(blind, matched)):
         job.warned.warn("no-heading", text, numbers)
     if s.max_age < FOREVER or s.min_confidence > 0:  # what is missing was asked for
         return
