@@ -733,7 +733,10 @@ def test_a_dry_run_checks_all_and_writes_nothing(run_args, tmp_path, monkeypatch
     assert main([*run_args, "--dry-run", "-o", "out"]) == 0
     said = capsys.readouterr().err
     assert "a dry run: " in said
-    assert "frames would be processed, and written into out: steering.csv, disparity/" in said
+    assert (
+        "frames would be processed, and the results written into out: steering.csv, disparity/"
+        in said
+    )
     assert main([*run_args, "--dry-run", "--rig", "none.yaml"]) == 1
     assert not list(tmp_path.iterdir())
     assert main([*run_args, "--save", "steering", "-o", "out"]) == 0

@@ -41,15 +41,24 @@ FRAMES = 23
 
 @pytest.fixture(scope="module")
 def clips(tmp_path_factory):
-    """Good recordings, ``a``; of noise, ``b``; of nothing; of few of 16 bits; and files beside."""
+    """Good recordings, ``a``; of noise, ``b``; of a small card before nothing, ``card``.
+
+    And recordings of nothing and of few of 16 bits, and files beside.
+    """
     folder = tmp_path_factory.mktemp("clips")
     simulate(folder / "a", SimulateSettings(frames=f"300:{300 + FRAMES}", width=96, height=64))
     (folder / "b").mkdir()
+    (folder / "card").mkdir()
+    texture = np.random.default_rng(2).integers(60, 200, (20, 20), np.uint8)
     blank = [np.full((48, 64), 90, np.uint8)] * 3
     for seed, side in enumerate(("left", "right")):
         noise = np.random.default_rng(seed).integers(0, 255, (FRAMES, 64, 96), np.uint8)
         encode(folder / f"b/{side}.mp4", list(noise), "libx264", "yuv420p")
         encode(folder / f"blank_{side}.mkv", blank, "ffv1", "gray", 2)
+        card = np.full((FRAMES, 64, 96), 90, np.uint8)
+        for at, image in enumerate(card, 10):
+            image[20:40, at + 8 * (1 - seed) :][:, :20] = texture
+        encode(folder / f"card/{side}.mkv", list(card), "ffv1", "gray")
         images_in(folder / f"dark_{side}", [image.astype(np.uint16) for image in noise], ".png")
     images_in(folder / "maps", [np.full((48, 64), 512, np.uint16)] * 3, ".png")
     poses = "".join(f"{t} 0 0 {0.1 * t} 0 0 0 1\n" for t in range(200))
@@ -61,7 +70,7 @@ def clips(tmp_path_factory):
 
 
 def pair(folder, order=("left", "right")):
-    return [str(folder / f"{side}.mp4") for side in order]
+    return [str(next(folder.glob(f"{side}.m*"))) for side in order]
 
 
 def given(clips, code):
@@ -80,7 +89,7 @@ def given(clips, code):
         "unmatched": pair(clips / "b"),
         "at-limit": [*a, "--max-disparity", "4"],
         "unmoved": [*blank, "--no-check"],  # which says the same, as far as it sees
-        "no-heading": pair(clips / "b"),
+        "no-heading": pair(clips / "card"),
     }[code]
 
 

@@ -42,7 +42,9 @@ def falls_short(charged: float, matched: float) -> bool:
     return charged >= _MIN_CHARGED_SHARE and matched < MIN_MATCHED_SHARE * charged
 
 
-def shortfall(charged: float, matched: float, right: Grey, left: Grey, max_disparity: int) -> str:
+def shortfall(
+    charged: float, matched: float, right: Grey, left: Grey, max_disparity: int, advised: int = 0
+) -> str:
     """Return why little of what is charged was matched, as a sentence.
 
     Other explanations are tried on one pair of images: swapped views, rows that are off, a larger
@@ -53,8 +55,12 @@ def shortfall(charged: float, matched: float, right: Grey, left: Grey, max_dispa
         charged, matched: mean shares of the image with charge and with a disparity, 0..1.
         right, left: a pair of images of the run, (height, width) uint8.
         max_disparity: as the run has it, px.
+        advised: a larger one that a check has advised, px, which is then the reason; 0: none.
     """
     said = f"only {matched / charged:.0%} of what is charged was matched"
+    if advised:
+        near = f"objects are nearer than --max-disparity {max_disparity} reaches"
+        return f"{said}: {near}: try {advised}"
     scale = min(1.0, _WIDTH / right.shape[1])
     if scale < 1:
         right, left = (

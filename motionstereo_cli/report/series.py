@@ -85,7 +85,7 @@ def _known(values: NDArray[np.float64]) -> list[float | None]:
     return [None if np.isnan(value) else value for value in values.tolist()]
 
 
-class Tracks(NamedTuple):
+class PlottedTracks(NamedTuple):
     """The objects of a page.
 
     Attributes:
@@ -99,7 +99,9 @@ class Tracks(NamedTuple):
     brief: int
 
 
-def tracks(rows: Iterable[Mapping[str, str]], x_of: Mapping[int, float], frame_x: float) -> Tracks:
+def tracks(
+    rows: Iterable[Mapping[str, str]], x_of: Mapping[int, float], frame_x: float
+) -> PlottedTracks:
     """Return the objects to show, and how many there are.
 
     Args:
@@ -164,7 +166,7 @@ def tracks(rows: Iterable[Mapping[str, str]], x_of: Mapping[int, float], frame_x
     lasting = [track for track in found.values() if track["frames"] >= _MIN_ROWS]
     shown = sorted(lasting, key=_urgency)[:MAX_OBJECTS]
     shown = sorted(shown, key=lambda track: (track["spans"][0][0], track["id"]))
-    return Tracks(shown, len(lasting), len(found) - len(lasting))
+    return PlottedTracks(shown, len(lasting), len(found) - len(lasting))
 
 
 def _number(row: Mapping[str, str], name: str) -> float | None:

@@ -458,30 +458,31 @@ def warn_of_what_is_missing(
         totals: sums over all its frames.
         last: returns the last frame; called if little was matched.
     """
-    s = job.plan.settings
+    s, said = job.plan.settings, {each.code: each.numbers for each in job.warned.found}
     charged, matched, at_limit = totals.means
     blind = totals.blind / max(totals.frames, 1)
     numbers = {"charged": charged, "matched": matched, "at_limit": at_limit, "blind": blind}
     numbers = {name: round(share, 4) for name, share in numbers.items()}
-    several = totals.frames > 1  # one frame shows no motion
-    still = s.depth_of == "all" or any(each.code == "still" for each in job.warned.found)
-    if several and not still and (text := unmoved(charged)):
-        job.warned.warn("unmoved", text, numbers)
+    short = falls_short(charged, matched)
+    # Old charge and uncertain disparities may be left out on purpose.
+    everything = s.max_age >= FOREVER and not s.min_confidence
+    told = totals.frames == 1 or "still" in said  # nothing moves there
     steers = "steering" in job.save or job.plan.to_stdout or job.plan.table
-    if several and steers and (text := without_heading(blind, matched)):
-        job.warned.warn("no-heading", text, numbers)
-    if s.max_age < FOREVER or s.min_confidence > 0:  # what is missing was asked for
-        return
-    if falls_short(charged, matched) and s.matcher == GIVEN:
+    if short and everything and s.matcher == GIVEN:
         what = f"only {matched / charged:.0%} of what is charged has a disparity: what"
         why = "says elsewhere, if anything, does not agree with the images; see --max-residual"
         job.warned.warn("unmatched", f"{what} {job.plan.disparity} {why}", numbers)
-    elif falls_short(charged, matched):
-        frame = last()
-        if frame is not None:
-            found = shortfall(charged, matched, frame.right, frame.left, s.max_disparity)
+    elif short and everything:
+        if (frame := last()) is not None:
+            advised = int(said.get("beyond-range", {}).get("advised_max_disparity", 0))
+            views = frame.right, frame.left
+            found = shortfall(charged, matched, *views, s.max_disparity, advised)
             job.warned.warn("unmatched", found, numbers)
-    elif text := beyond_range(matched, at_limit, s.max_disparity):
+    elif not told and s.depth_of == "moved" and (text := unmoved(charged)):
+        job.warned.warn("unmoved", text, numbers)
+    elif not told and steers and (text := without_heading(blind, matched)):
+        job.warned.warn("no-heading", text, numbers)
+    if everything and not short and (text := beyond_range(matched, at_limit, s.max_disparity)):
         job.warned.warn("at-limit", text, numbers)
 
 
