@@ -140,6 +140,7 @@ class StreamContext(NamedTuple):
         mover_finder: finds movers; None if not requested.
         extras: which of :data:`EXTRAS` the images have.
         with_points: whether steps have points.
+        poses_are_given: a frame without a pose is one in which the rig is lost.
     """
 
     settings: Settings
@@ -150,6 +151,7 @@ class StreamContext(NamedTuple):
     mover_finder: MoverFinder | None
     extras: frozenset[str]
     with_points: bool
+    poses_are_given: bool
 
     @classmethod
     def of(
@@ -159,6 +161,7 @@ class StreamContext(NamedTuple):
         *,
         with_poses: bool,
         with_objects: bool,
+        poses_are_given: bool = False,
         with_own_motion: bool = False,
         with_movers: bool = False,
         motion_offset_px: float = 0.0,
@@ -186,14 +189,15 @@ class StreamContext(NamedTuple):
             if with_movers:
                 mover_finder = MoverFinder(rig, settings.reference, settings.max_disparity)
         finders = tracker, odometer, mover_finder
-        return cls(settings, rig, guide, *finders, frozenset(extras), with_points)
+        asked = frozenset(extras), with_points, poses_are_given
+        return cls(settings, rig, guide, *finders, *asked)
 
 
 def process(
     frames: Iterable[StereoFrame],
     settings: Settings | None = None,
     rig: Rig | None = None,
-    pose_of: Callable[[StereoFrame], Pose] | Literal["auto"] | None = None,
+    pose_of: Callable[[StereoFrame], Pose | None] | Literal["auto"] | None = None,
     *,
     with_objects: bool = True,
     extras: Collection[str] = EXTRAS,
@@ -206,9 +210,9 @@ def process(
         frames: rectified stereo frames of one size, that of the rig.
         settings: parameters; the defaults if None.
         rig: the camera, for depth in m and steering angles; without one they are None.
-        pose_of: returns the pose of the rig; called once per frame, in order. With it and a rig,
-            the guidance keeps a map of its surroundings. ``auto``: poses are found from the frames,
-            in the robot frame of the first one.
+        pose_of: returns the pose of the rig, None where it is lost; called once per frame, in
+            order. With it and a rig, the guidance keeps a map of its surroundings. ``auto``: poses
+            are found from the frames, in the robot frame of the first one.
         with_objects: find moving objects; with poses, the guidance keeps clear of them.
         extras: which of :data:`EXTRAS` the results have; the others are None, and take no time.
         jobs: frames matched at a time; all but one of them are read before a result is given.
@@ -231,6 +235,7 @@ def process(
         rig,
         with_poses=pose_of is not None,
         with_objects=with_objects,
+        poses_are_given=callable(pose_of),
         with_own_motion=pose_of == "auto",
         with_movers=pose_of == "auto",
         extras=extras,
@@ -300,17 +305,21 @@ def follow(
     Args:
         tracking: the state before.
         summary: the summary of the frame.
-        pose: the pose of the rig; None if unknown, or to be found.
+        pose: the pose of the rig; None if unknown, lost, or to be found.
         context: the constants of the stream.
         images: the images of the step.
     """
     tracks, objects = tracking.tracks, tuple[MovingObject, ...]()
     path, fix = tracking.path, None
+    is_lost = context.poses_are_given and pose is None
     if context.odometer is not None:
-        path, found, fix = context.odometer.follow(path, summary.motion)
-        pose, fix = (found, fix) if pose is None else (pose, None)
+        path, found, quality = context.odometer.follow(path, summary.motion)
+        if not context.poses_are_given:
+            pose, fix = found, quality
     if context.tracker is not None:
-        tracks, objects = context.tracker.follow(tracks, summary.regions, summary.time, pose)
+        # Where the rig is lost, nothing is known of places in the world.
+        regions = () if is_lost else summary.regions
+        tracks, objects = context.tracker.follow(tracks, regions, summary.time, pose)
     seen = summary.profile, pose, objects, summary.time.time_s
     guided, steering = context.guide.steer(tracking.guided, *seen)
     return TrackingState(guided, tracks, path), Step(

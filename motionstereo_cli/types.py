@@ -314,6 +314,11 @@ class Step:
     at_limit: float = 0.0
     fix: Fix | None = None
 
+    @property
+    def place(self) -> Pose | None:
+        """The pose, None where the rig is lost, too."""
+        return None if self.fix is not None and self.fix.lost else self.pose
+
 
 @dataclass(frozen=True, slots=True)
 class FrameResult:

@@ -52,13 +52,13 @@ def test_between_its_times_it_runs_straight_and_turns_the_short_way(tmp_path):
     assert abs(pose.yaw_rad) == pytest.approx(math.pi)
 
 
-@pytest.mark.parametrize("time_s", [0.9, 2.1])
-def test_a_frame_outside_the_trajectory_is_an_error_that_names_both(tmp_path, time_s):
+def test_a_frame_outside_the_trajectory_is_an_error_that_names_both_or_lost(tmp_path):
     lines = [format_pose(t, yawed(0)).strip() for t in (1, 2)]
     trajectory = read_poses(written(tmp_path, *lines))
     assert trajectory.at(2.01) == trajectory.at(2)  # containers round their times
-    with pytest.raises(InputError, match=rf"{time_s}00 s.* 1\.000 to 2\.000 s"):
-        trajectory.at(time_s)
+    assert trajectory.at(2.1) is None
+    with pytest.raises(InputError, match=r"0\.900 s.* 1\.000 to 2\.000 s"):
+        trajectory.at(0.9)
 
 
 def test_a_frame_without_time_has_no_pose(tmp_path):
@@ -258,8 +258,34 @@ def test_gaps_are_said(tmp_path):
     lines = [tum(n / 10, pose) for n, pose in enumerate(drive(60))]
     trajectory = read_poses(written(tmp_path, *lines[:20], *lines[45:]))
     (said,) = trajectory.check_covers(0, 5.9)
-    assert "1 gap, the longest from 1.900 to 4.500 s: a straight line" in said
+    assert "1 gap, the longest from 1.900 to 4.500 s: the rig is lost there" in said
+    assert [trajectory.at(t) is None for t in (1.9, 1.95, 4.4, 4.5)] == [False, True, True, False]
+    short = read_poses(written(tmp_path, *lines[:20], *lines[29:]))
+    assert short.at(2.5).x_m == pytest.approx(7.5)
     assert trajectory.check_covers(0, 1.5) == trajectory.check_covers(4.6, 5.9) == ()
+
+
+@pytest.mark.parametrize("form", ["tum", "kitti", "numbered"])
+def test_frames_after_the_last_pose_are_lost_and_said_so(tmp_path, form):
+    drove = [pose[:3] for pose in drive(60)]
+    if form == "kitti":
+        lost = [words(np.full(12, math.nan))]
+        lines = [*map(words, drove[:20]), *25 * lost, *map(words, drove[45:55]), *5 * lost]
+    else:
+        settings = PoseSettings(pose_time_unit="frames" if form == "numbered" else "auto")
+        each = [tum(n / (1 if form == "numbered" else 10), p) for n, p in enumerate(drive(60))]
+        lines = [*each[:20], *each[45:55]]
+    path = written(tmp_path, *lines)
+    trajectory = read_poses(path, None, RIG) if form == "kitti" else read_poses(path, settings)
+    per_s = 10 if form == "tum" else 1
+    said = trajectory.check_covers(0, 59 / per_s)
+    assert any("goes on to about" in each and "after them the rig is lost" in each for each in said)
+    assert any("1 gap" in each for each in said)
+    where = [trajectory.at(n / per_s) for n in range(60)]
+    known = {*range(20), *range(45, 55)}
+    assert {n for n, pose in enumerate(where) if pose is not None} == known
+    with pytest.raises(InputError, match="--end"):
+        trajectory.check_covers(0, 200 / per_s)
 
 
 def test_a_unit_that_would_cover_the_recording_is_named(tmp_path):
@@ -315,6 +341,38 @@ def test_run_says_before_the_first_frame_what_does_not_fit(tmp_path, capsys):
         assert {"ms": "give --pose-time-unit ms", "half": "--end"}[name] in capsys.readouterr().err
         assert not (tmp_path / "o").exists()
     assert main([*command, "--poses", str(tmp_path / "ms.txt"), "--pose-time-unit", "ms"]) == 0
+
+
+def test_a_run_goes_on_where_the_poses_have_a_gap_or_end(tmp_path, capsys):
+    """Its own poses, of a recording in which it was lost, can be given back to it."""
+    scene, out = tmp_path / "scene", tmp_path / "out"
+    size = ["--width", "64", "--height", "48", "--frames", "250:296", "--lossless"]
+    assert main(["simulate", str(scene), *size]) == 0
+    command = ["run", str(scene / "left.mkv"), str(scene / "right.mkv"), "--rig"]
+    command += [str(scene / "rig.yaml"), "--save", "steering,map,objects,poses,poses-kitti"]
+    lines = [each for each in (scene / "poses.txt").read_text().splitlines() if each[0] != "#"]
+    times = [float(line.split()[0]) for line in lines]
+    # 30 frames a second: a gap is longer than 1 s.
+    kept = [line for n, line in enumerate(lines) if n < 3 or n == 36]
+    poses = tmp_path / "kept.txt"
+    poses.write_text("\n".join(kept))
+    assert main([*command, "-o", str(out), "--poses", str(poses)]) == 0
+    told = capsys.readouterr().err
+    assert "1 gap" in told
+    assert "after them the rig is lost" in told
+    located = [n for n in range(46) if n < 3 or n == 36]
+    written_s = [
+        float(each.split()[0]) for each in (out / "poses.txt").read_text().splitlines()[1:]
+    ]
+    assert written_s == pytest.approx([times[n] for n in located], abs=1e-3)
+    rows = (out / "poses-kitti.txt").read_text().splitlines()
+    assert [n for n, row in enumerate(rows) if "nan" not in row] == located
+    status = [row.split(",")[3] for row in (out / "steering.csv").read_text().splitlines()[1:]]
+    assert {status[n] for n in range(46) if n not in located} <= {"held", "blind"}
+    again = [*command, "-o", str(tmp_path / "again"), "--poses", str(out / "poses.txt")]
+    assert main(again) == 0
+    for name in ("steering.csv", "objects.csv", "map.png"):
+        assert (tmp_path / "again" / name).read_bytes() == (out / name).read_bytes(), name
 
 
 @pytest.mark.parametrize(

@@ -10,8 +10,9 @@ import numpy as np
 
 from motionstereo_cli.errors import InputError
 from motionstereo_cli.rig.pose_forms import rotations
-from motionstereo_cli.rig.poses import Trajectory, read_poses
+from motionstereo_cli.rig.poses import read_poses
 from motionstereo_cli.rig.settings import PoseSettings
+from motionstereo_cli.types import Pose
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -66,20 +67,15 @@ def evaluate_poses(found: str | Path, true: str | Path) -> PoseReport:
         raise InputError(f"{found} and {true}: only one has times: give both in the same form")
     first, last = float(other.time_s[0]), float(other.time_s[-1])
     inside = (one.time_s >= first - 1e-6) & (one.time_s <= last + 1e-6)
+    truth = [other.at(time) for time in one.time_s[inside].tolist()]
+    inside[inside] = [pose is not None for pose in truth]
     if np.count_nonzero(inside) < 2:
         raise InputError(
             f"{found} has fewer than two poses in the time that {true} covers: give the truth of "
             "this recording"
         )
-    return compare(_matrices(one.poses[inside]), _true_matrices(other, one.time_s[inside]))
-
-
-def _true_matrices(true: Trajectory, times: Reals) -> Reals:
-    rows = [
-        [getattr(pose, name) for name in pose.__slots__]
-        for pose in (true.at(time) for time in times.tolist())
-    ]
-    return _matrices(np.array(rows))
+    rows = [[getattr(pose, name) for name in Pose.__slots__] for pose in truth if pose is not None]
+    return compare(_matrices(one.poses[inside]), _matrices(np.array(rows)))
 
 
 def _matrices(poses: Reals) -> Reals:

@@ -109,7 +109,7 @@ def read_pose_table(path: str | Path) -> PoseTable:
     rows: list[list[float]] = []
     header: Header | None = None
     form: _Form | None = None
-    repeated = 0
+    repeated = lost = 0
     for number, line in enumerate(text.splitlines(), 1):
         words = _words(line, header)
         if not words:
@@ -121,7 +121,10 @@ def read_pose_table(path: str | Path) -> PoseTable:
             if header is found or line.lstrip()[:1] in "#%":
                 continue
         form = form or _form(path, number, line, words, header)
-        row = _row(words, form, len(rows))
+        if form.matrix is not None and _is_lost(words[form.matrix :]):
+            lost += 1
+            continue
+        row = _row(words, form, len(rows) + lost)
         if row is None:
             raise InputError(
                 f"{path} line {number}: {line.strip()[:60]!r} is not a pose: give {form.wanted}"
@@ -135,7 +138,7 @@ def read_pose_table(path: str | Path) -> PoseTable:
             repeated += 1
             continue
         rows.append(row)
-    if form is None:
+    if not rows or form is None:
         raise InputError(f"{path} has no poses: give lines of t x y z qx qy qz qw")
     return _table(str(path), np.array(rows), form, repeated)
 
@@ -328,6 +331,11 @@ def _row(words: Sequence[str], form: _Form, count: int) -> list[float] | None:
         return None
     time = times[0] + sum(times[1:]) * 1e-9 if times else float(count)
     return [time, *row]
+
+
+def _is_lost(words: Sequence[str]) -> bool:
+    """Return whether a matrix is nothing but NaN: the form of KITTI has no other word for it."""
+    return bool(words) and all(word.lower() == "nan" for word in words)
 
 
 def _is_rigid(numbers: Sequence[float]) -> bool:

@@ -44,8 +44,10 @@ _UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 #: Limits of plausible poses: the time between two in s, and the speed in m/s.
 _MAX_INTERVAL_S, _MAX_SPEED_MPS = 1.0, 100.0
 
-#: A step between poses of this many times the median is a gap.
+#: A step between poses of more than this many times the median is a gap, in which the rig is lost.
 _MAX_GAP = 10
+#: Share of a recording that poses have to cover, or they belong to another one.
+_MIN_COVERED = 0.5
 
 #: A robot is upright: the z component of its own up. It moves ahead: a larger share of its motion
 #: upward is implausible, over at least this distance in m.
@@ -81,23 +83,31 @@ class Trajectory:
     settings: PoseSettings = field(default_factory=PoseSettings)
     notes: tuple[str, ...] = ()
 
-    def at(self, time_s: float) -> Pose:
+    def at(self, time_s: float) -> Pose | None:
         """Return the pose at a time, interpolated between the two around it.
 
+        None where the rig is lost: in a gap, and after the last pose.
+
         Raises:
-            InputError: the time is outside the trajectory.
+            InputError: the time is before the first pose.
         """
         first_s, last_s = float(self.time_s[0]), float(self.time_s[-1])
-        if not first_s - _SLACK_S <= time_s <= last_s + _SLACK_S:
+        if time_s < first_s - _SLACK_S:
             raise InputError(
                 f"{self.name} has no pose for the frame at {self._shown(time_s)}: its poses cover "
                 f"{self._shown(first_s, last_s)}, give those of this recording"
             )
+        if time_s > last_s + _SLACK_S:
+            return None
         after = int(np.searchsorted(self.time_s, time_s))
         if after == len(self.time_s) or after == 0 or self.time_s[after] == time_s:
             return Pose(*self.poses[min(after, len(self.time_s) - 1)].tolist())
         before_s, after_s = self.time_s[after - 1 : after + 1]
         share = (time_s - before_s) / (after_s - before_s)
+        if self._are_gaps(np.array([after_s - before_s])).any():
+            if min(time_s - before_s, after_s - time_s) > (0 if self.by_number else _SLACK_S):
+                return None
+            share = round(share)
         one, other = self.poses[after - 1 : after + 1].copy()
         if one[3:] @ other[3:] < 0:  # q and -q are the same turn: take the short way
             other[3:] *= -1
@@ -105,17 +115,24 @@ class Trajectory:
         mixed[3:] /= np.linalg.norm(mixed[3:])
         return Pose(*mixed.tolist())
 
-    def of(self, frame: StereoFrame | FrameTime) -> Pose:
-        """Return the pose of a frame.
+    def of(self, frame: StereoFrame | FrameTime) -> Pose | None:
+        """Return the pose of a frame, None where the rig is lost.
 
         Raises:
-            InputError: the frame has no time, or one outside the trajectory.
+            InputError: the frame has no time, or one before the first pose.
         """
         if self.by_number:
             return self.at(frame.index if frame.number is None else frame.number)
         if frame.time_s is None:
             raise self._timeless()
         return self.at(frame.time_s)
+
+    def _are_gaps(self, steps: Reals) -> NDArray[np.bool_]:
+        """Return which steps between two poses, (n,) in s or frames, are gaps."""
+        found = steps > (_MAX_GAP if self.by_number else _MAX_INTERVAL_S)
+        if found.any():  # a median for each frame would take long
+            found &= steps > _MAX_GAP * np.median(np.diff(self.time_s))
+        return found
 
     def check_covers(
         self, first: float | None, last: float | None, whole: float | None = None
@@ -132,8 +149,8 @@ class Trajectory:
                 None if unknown. Poses that last longer may belong to another recording.
 
         Raises:
-            InputError: the recording begins before the poses or ends after them, the poses' unit
-                of time is implausible, or they move too fast for a camera.
+            InputError: the recording begins before the poses, they cover less than half of it, the
+                poses' unit of time is implausible, or they move too fast for a camera.
         """
         if first is None:
             raise self._timeless()
@@ -148,13 +165,18 @@ class Trajectory:
                 f"{self._advice(first, last)}"
             )
         ends = max(_END_S, _END_SHARE * ((last or first) - first)) if not self.by_number else 0.0
+        more = () if whole is None else self._more(whole)
         if last is not None and last > end + ends:
+            more += (
+                f"{self.name}: its poses cover {self._shown(start, end)}, but the recording goes "
+                f"on to about {self._shown(last)}: after them the rig is lost",
+            )
+        if last is not None and last > end + ends and end - first < _MIN_COVERED * (last - first):
             kept = f"{int(end - first) + 1}" if self.by_number else f"{max(end - first, 0):.3f}s"
             raise InputError(
                 f"{self.name}: its poses cover {self._shown(start, end)}, but the recording goes "
                 f"on to about {self._shown(last)}: give poses for all of it, or --end {kept}"
             )
-        more = () if whole is None else self._more(whole)
         return self.notes + more + self._gaps(first, end if last is None else last) + self._odd()
 
     def _more(self, whole: float) -> tuple[str, ...]:
@@ -183,17 +205,15 @@ class Trajectory:
         steps = np.diff(self.time_s)
         if not steps.size:
             return ()
-        limit = _MAX_GAP * float(np.median(steps))
-        limit = limit if self.by_number else max(limit, _MAX_INTERVAL_S)
         inside = (self.time_s[:-1] < last) & (self.time_s[1:] > first)
-        found = np.flatnonzero((steps > limit) & inside)
+        found = np.flatnonzero(inside & self._are_gaps(steps))
         if not found.size:
             return ()
         longest = found[np.argmax(steps[found])]
         where = self._shown(*self.time_s[longest : longest + 2].tolist())
         return (
             f"{self.name} has {found.size} gap{'s' if found.size > 1 else ''}, the longest from "
-            f"{where}: a straight line is taken there",
+            f"{where}: the rig is lost there",
         )
 
     def _odd(self) -> tuple[str, ...]:

@@ -114,13 +114,13 @@ class Guide(Protocol, Generic[_Profile, _State]):
         pose: Pose | None = None,
         objects: Iterable[MovingObject] = (),
         time_s: float | None = None,
-    ) -> tuple[_State, Steering]:
+    ) -> tuple[_State | None, Steering]:
         """Return the state after a frame, and its heading.
 
         Args:
             state: the state before; None at the first frame.
             seen: the profile of the frame.
-            pose: the pose of the rig.
+            pose: the pose of the rig; None where it is lost, or nothing is known of poses.
             objects: moving objects; the guide avoids the first to arrive.
             time_s: when it was taken; None where the source has no time.
         """
@@ -347,12 +347,13 @@ class MapGuide:
         pose: Pose | None = None,
         objects: Iterable[MovingObject] = (),
         time_s: float | None = None,
-    ) -> tuple[MapCourse, Steering]:
+    ) -> tuple[MapCourse | None, Steering]:
         """Return the map and the course after a frame, and the steering, see :meth:`Guide.steer`.
 
-        ``pose`` has to be known.
+        Where the rig is lost, the map stays as it is and the heading is held.
         """
-        assert pose is not None
+        if pose is None:
+            return state, self._held(state, seen_now)
         s, yaw, (width, _) = self.settings, pose.yaw_rad, seen_now.size
         view = view_of(self.rig, s.reference, self.rig.camera_on_floor(pose, s.reference), yaw)
         new = bool(np.isfinite(seen_now.bearings.near_px).any())
@@ -398,6 +399,18 @@ class MapGuide:
             depth_m=free_m,
             nearest_m=_depth_m(seen_now.nearest_px, self.rig),
             risk_s=approach.contact_s,
+        )
+
+    def _held(self, state: MapCourse | None, seen_now: MapProfile) -> Steering:
+        """Return the heading of before, on which nothing is known to be free."""
+        if state is None or state.place is None:
+            return _BLIND
+        return Steering(
+            status="held",
+            steer=1 - 2 * state.place,
+            steer_rad=_angle_rad(state.place, seen_now.size[0], self.rig, self.settings.reference),
+            depth_m=None,
+            nearest_m=_depth_m(seen_now.nearest_px, self.rig),
         )
 
     @property

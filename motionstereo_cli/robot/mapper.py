@@ -30,7 +30,7 @@ from motionstereo_cli.robot.points import in_world, points
 
 if TYPE_CHECKING:
     from motionstereo_cli.method.settings import Settings
-    from motionstereo_cli.types import Grey, Pose, Real, Rig
+    from motionstereo_cli.types import Grey, Pose, Real, Rig, Step
 
     Points = NDArray[np.float64]
 
@@ -139,6 +139,11 @@ class Mapper:
         reach_m = math.sqrt(_ERROR_M * rig.focal_baseline / _ERROR_PX)
         self._reach_m = min(reach_m, _MAX_CELLS * cell_m)
         self.known: Surroundings | None = None
+
+    def see(self, step: Step) -> None:
+        """Add a frame, unless the rig is lost there or nothing is known of its points."""
+        if step.points is not None and step.place is not None:
+            self.add(*step.points, step.place)
 
     def add(self, seen: Points, grey: Grey, pose: Pose) -> None:
         """Add the fresh points of a frame.

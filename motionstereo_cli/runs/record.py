@@ -180,6 +180,7 @@ class Job:
             self.context.rig,
             with_poses=with_poses,
             with_objects=with_poses or any(row.needs_objects for row in rows),
+            poses_are_given=self.poses is not None,
             with_own_motion=self.with_own_motion,
             with_movers=self.with_own_motion and any(row.needs_movers for row in rows),
             motion_offset_px=self.motion_offset_px,

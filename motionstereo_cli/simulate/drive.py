@@ -174,6 +174,7 @@ def driven(world: RobotWorld, settings: Settings) -> Iterator[tuple[StereoFrame,
         *(settings, world.settings.rig),
         with_poses=True,
         with_objects=True,
+        poses_are_given=True,
         with_points=True,
         extras=("depth_m",),
     )

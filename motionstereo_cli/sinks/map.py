@@ -150,9 +150,7 @@ class MapFiles:
 
     def write(self, step: Step) -> None:
         """Add a frame to the map."""
-        assert step.points is not None
-        assert step.pose is not None
-        self.mapper.add(*step.points, step.pose)
+        self.mapper.see(step)
 
     def checkpoint(self) -> Surroundings | None:
         """Return the map so far."""

@@ -40,14 +40,14 @@ class TumFile(TableFile):
 
     def write(self, step: Step) -> None:
         """Append the line of a frame."""
-        if step.pose is not None and not (step.fix and step.fix.lost):
+        if step.place is not None:
             time = step.time
             time_s = float(time.index) if time.time_s is None else time.time_s
-            self.add([format_pose(time_s, step.pose).rstrip("\n")])
+            self.add([format_pose(time_s, step.place).rstrip("\n")])
 
 
 class KittiFile(TableFile):
-    """Poses in the format of KITTI: a line for each frame.
+    """Poses in the format of KITTI: a line for each frame, of NaN where no pose is given.
 
     Args:
         path: final name.
@@ -67,7 +67,9 @@ class KittiFile(TableFile):
 
     def write(self, step: Step) -> None:
         """Append the line of a frame."""
-        assert step.pose is not None
+        if step.pose is None:
+            self.add([" ".join(["nan"] * 12)])
+            return
         here = optical_matrix(step.pose, self._to_left_m)
         if self._first is None:
             self._first = here

@@ -51,12 +51,12 @@ class RgbdTables:
 
     def write(self, step: Step) -> None:
         """Append the lines of a frame."""
-        if step.pose is None or (step.fix is not None and step.fix.lost):
+        if step.place is None:
             return
         time = step.time
         time_s = float(time.index) if time.time_s is None else time.time_s
         shown, depth = (f"{time_s:.6f} {name}/{time.index:06d}.png" for name in ("rgb", "depth"))
-        matrix = optical_matrix(step.pose, self._rig.left_of_middle_m(self._camera))
+        matrix = optical_matrix(step.place, self._rig.left_of_middle_m(self._camera))
         turn = quaternions(matrix[None, :3, :3])[0]
         pose = Pose(*matrix[:3, 3].tolist(), *turn.tolist())
         lines = f"{shown} {depth}", shown, depth, format_pose(time_s, pose).rstrip("\n")

@@ -127,8 +127,8 @@ class Preview:
 
     def write(self, step: Step) -> None:
         """Append the picture of a frame."""
-        if self._mapper is not None and step.points is not None and step.pose is not None:
-            self._mapper.add(*step.points, step.pose)
+        if self._mapper is not None:
+            self._mapper.see(step)
         self._video.write(step)
 
     def checkpoint(self) -> tuple[_Mark, Surroundings | None]:
