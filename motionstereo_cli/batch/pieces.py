@@ -343,7 +343,7 @@ def _warn(job: Job, totals: Totals, *, damaged: bool) -> None:
             if told:
                 break
     for findings in told:
-        job.warned.warn_of(findings)
+        job.warn_of(findings)
 
     def last() -> StereoFrame:
         with open_stereo(plan.left, plan.right, plan.input_settings) as source:

@@ -328,7 +328,10 @@ RULES = (
         f"under {STILL_SHARE:.2%}",
         lambda r: r.frames == 1,
         _always,
-        lambda _: "one frame shows no motion, so there will be no depth: give a recording",
+        lambda _: (
+            "one frame shows no motion, so there will be no depth: give a recording, or "
+            "--depth-of all for the depth of what stands still"
+        ),
     ),
     Rule(
         "still",
@@ -338,8 +341,8 @@ RULES = (
         _always,
         lambda r: (
             f"nothing moves: {r.moving:.2%} of the image changes from frame to frame in "
-            f"{r.frames} frames, and what stands still gets no depth: move the camera, or give a "
-            "part with motion"
+            f"{r.frames} frames, and what stands still gets no depth: move the camera, give a part "
+            "with motion, or --depth-of all"
         ),
         ("moving", "frames"),
     ),

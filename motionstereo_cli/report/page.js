@@ -31,7 +31,8 @@
     matched: series.matched.map((v) => (v === null ? null : 100 * v)),
   };
   const digits = { steer: degrees ? 1 : 3, depth_m: 2, nearest_m: 2, charged: 1, matched: 1 };
-  if (!degrees) document.querySelector('[data-live="steer"]').previousSibling.textContent = "share of half the width, + = left ";
+  const heading = document.querySelector('[data-live="steer"]');
+  if (heading && !degrees) heading.previousSibling.textContent = "share of half the width, + = left ";
 
   const indexAt = (value) => {  // the row nearest to a place on the axis
     let low = 0, high = count - 1;

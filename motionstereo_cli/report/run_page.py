@@ -185,12 +185,12 @@ def _facts(steering: SteeringTable, quantity: str) -> list[Fact]:
     ]
     ahead, nearest = steering.series["depth_m"], steering.series["nearest_m"]
     if not np.isnan(ahead).all():
-        spread = f"{np.nanmin(ahead):.1f} to {np.nanmax(ahead):.1f} m"
-        facts.append(Fact("Depth ahead, median", f"{np.nanmedian(ahead):.1f} m", spread))
+        spread = f"{np.nanmin(ahead):.3g} to {np.nanmax(ahead):.3g} m"
+        facts.append(Fact("Depth ahead, median", f"{np.nanmedian(ahead):.3g} m", spread))
     if not np.isnan(nearest).all():
         when = int(np.nanargmin(nearest))
         frame = int(steering.frames[when])
-        facts.append(Fact("Nearest", f"{nearest[when]:.2f} m", f"in frame {frame}", frame))
+        facts.append(Fact("Nearest", f"{nearest[when]:.3g} m", f"in frame {frame}", frame))
     for name, label in (("charged", "Moved"), ("matched", f"{quantity.capitalize()} known")):
         mean = np.nanmean(steering.series[name])
         facts.append(Fact(label, f"{mean:.0%}", "of the image"))
@@ -267,13 +267,13 @@ def _objects(run: Results, steering: SteeringTable) -> dict[str, Any] | None:
 
 
 def _histogram(run: Results, scale: DepthScale) -> dict[str, Any] | None:
-    """Return the histogram of depth for the page, None without images."""
+    """Return the histogram of depth for the page; None without images, empty if none is known."""
     try:
         found = histogram(Maps(run.path, within=run.path), scale)
     except InputError:
         return None
     if found is None:
-        return None
+        return {}
     count, (near, far) = len(found.shares), found.scale.ends
     most = max(found.shares) or 1.0  # all may lie beyond its ends
     bars = []

@@ -127,7 +127,7 @@ def _measured(plan: RunPlan, sample: Iterable[StereoFrame], say: Say) -> RunPlan
         "note",
         f"--max-disparity {report.advised_max_disparity}: disparities of "
         f"{report.disparity_low_px:.1f} to {report.disparity_high_px:.1f} px were measured in "
-        f"{report.frames} frames",
+        f"{report.frames} frame{'s' if report.frames > 1 else ''}",
     )
     return _settled(plan, report.advised_max_disparity)
 

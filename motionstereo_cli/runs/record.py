@@ -162,6 +162,11 @@ class Job:
         """
         return None if self.poses is None else self.poses.of(frame)
 
+    def warn_of(self, findings: Iterable[Finding]) -> None:
+        """Warn of what a check found, but not of stillness where what stands still has depth."""
+        still = "still" if self.plan.settings.depth_of == "all" else ""
+        self.warned.warn_of(each for each in findings if each.name != still)
+
     @property
     def with_own_motion(self) -> bool:
         """Whether the rig's own motion is found: for poses that are not given, or for movers."""

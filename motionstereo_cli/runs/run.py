@@ -493,7 +493,7 @@ def _steps(job: Job, sinks: Sinks, watcher: Watcher) -> Iterator[_Step]:
         frames = watched(
             frames,
             plan.settings.max_disparity,
-            job.warned.warn_of,
+            job.warn_of,
             rig=job.context.rig,
         )
     frames = iter(frames)
