@@ -18,7 +18,13 @@ from click.shell_completion import shell_complete
 from motionstereo_cli.commands import cli
 from motionstereo_cli.commands.messages import Tolerant, say
 from motionstereo_cli.commands.progress import end_lines
-from motionstereo_cli.errors import INTERRUPTED_EXIT_CODE, MotionStereoError, shortage
+from motionstereo_cli.errors import (
+    INTERRUPTED_EXIT_CODE,
+    MotionStereoError,
+    SettingsError,
+    shortage,
+    words_of,
+)
 from motionstereo_cli.runs.cores import prepare
 
 #: How much alike an unknown option and the one that is suggested are at least, 0..1.
@@ -59,13 +65,15 @@ def _fill_standard_descriptors() -> None:
             os.fstat(number)
         except OSError:
             os.open(os.devnull, os.O_RDWR)  # takes the lowest free number
+    if sys.stdout is None:
+        sys.stdout = os.fdopen(1, "w", closefd=False)
 
 
 def _called(args: Sequence[str] | None) -> int:
     given = list(sys.argv[1:] if args is None else args)
-    if instruction := os.environ.get("_MOTIONSTEREO_COMPLETE"):
-        return shell_complete(cli, {}, "motionstereo", "_MOTIONSTEREO_COMPLETE", instruction)
     try:
+        if instruction := os.environ.get("_MOTIONSTEREO_COMPLETE"):
+            return _completed(instruction)
         # Not cli(), which has exit codes of its own for Ctrl-C and closed pipes.
         with cli.make_context("motionstereo", given or ["--help"]) as context:
             return cli.invoke(context) or 0
@@ -77,6 +85,20 @@ def _called(args: Sequence[str] | None) -> int:
         return 0
     except (KeyboardInterrupt, Exception) as error:
         return _fail(error)
+
+
+def _completed(instruction: str) -> int:
+    """Answer a shell that completes a command line.
+
+    Raises:
+        SettingsError: no shell asked in this way.
+    """
+    try:
+        return shell_complete(cli, {}, "motionstereo", "_MOTIONSTEREO_COMPLETE", instruction)
+    except (LookupError, ValueError) as error:
+        raise SettingsError(
+            "_MOTIONSTEREO_COMPLETE is set, but not COMP_WORDS and COMP_CWORD: unset it"
+        ) from error
 
 
 def _fail(error: BaseException) -> int:
@@ -99,7 +121,7 @@ def _fail(error: BaseException) -> int:
         case _ if short_of := shortage(error):
             message, exit_code = short_of, 1
         case OSError():
-            message, exit_code = str(error), 1
+            message, exit_code = str(error) if error.filename else words_of(error), 1
         case _:
             message, exit_code = f"internal: {type(error).__name__}: {error}", 1
     if os.environ.get("MOTIONSTEREO_DEBUG") == "1":

@@ -317,6 +317,15 @@ def test_a_full_disk_behind_stdout_is_one_line(run_args):
     assert done.stderr == b"error: cannot write the steering table: No space left on device\n"
 
 
+@pytest.mark.parametrize(
+    ("to", "said"), [(">/dev/full", "error: No space left on device\n"), (">&-", "")]
+)
+def test_help_that_cannot_be_printed(to, said):
+    args = ["sh", "-c", f'"$@" {to}', "sh", *COMMAND, "help", "run"]
+    done = subprocess.run(args, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (int(bool(said)), said)
+
+
 def test_an_output_that_fails_midway_is_named_and_nothing_is_lost(run_args, monkeypatch, capsys):
     def full(path: Path, content: bytes) -> None:
         if path.name == "000004.png":

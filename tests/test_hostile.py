@@ -375,12 +375,7 @@ LARGE = [
     ),
     (["rig", "big.yaml"], "big.yaml", "rig.formats.MAX_CALIBRATION_BYTES"),
     (["rig", "maps.yml"], "maps.yml", "rig.formats.MAX_MAPS_BYTES"),
-    (
-        ["run", "left", "right", "--rig", "rig.yaml", "--poses", "big.txt"],
-        "big.txt",
-        "rig.pose_forms.MAX_TABLE_BYTES",
-    ),
-    (["run", "kitti"], "kitti/times.txt", "sources.times.MAX_TABLE_BYTES"),
+    (["run", "kitti"], "kitti/times.txt", "sources.times._MAX_BYTES"),
     (
         ["run", "left", "right", "--config", "big.toml"],
         "big.toml",
@@ -418,7 +413,7 @@ def test_files_that_are_too_large_are_named(recording, monkeypatch, capsys, comm
 
 #: What the tables of a run may have at most on a page, and what is said of more.
 LONG = {
-    "sinks.read_back._MAX_LINE_BYTES": "a line of more than 3 bytes",
+    "files.reading.MAX_LINE_BYTES": "a line of more than 3 bytes",
     "report.run_folder.MAX_FRAMES": "out/steering.csv has more than 3 frames",
     "report.series.MAX_SPANS": "out/objects.csv: objects come more than 3 times",
 }

@@ -5,7 +5,9 @@ from __future__ import annotations
 import contextlib
 import io
 import json
+import logging
 import struct
+import tracemalloc
 import zlib
 from collections.abc import Callable
 from fractions import Fraction
@@ -19,9 +21,14 @@ from recordings import COUNT, FULL, cut, encode, folder, remux, scene
 
 from motionstereo_cli.__main__ import main
 from motionstereo_cli.commands.messages import printable
-from motionstereo_cli.errors import InputError, opening, words_of
+from motionstereo_cli.errors import InputError, OutputError, opening, words_of
+from motionstereo_cli.files.maps import read_map
+from motionstereo_cli.files.records import unpack
+from motionstereo_cli.files.stills import DamagedImageError, read_still
+from motionstereo_cli.files.video import VideoWriter
 from motionstereo_cli.rig.calibration import read_calibration
 from motionstereo_cli.rig.poses import read_poses
+from motionstereo_cli.runs.checkpoint import read_checkpoint
 from motionstereo_cli.sources import open_stereo
 from motionstereo_cli.sources.recording import Recording
 from motionstereo_cli.sources.settings import InputSettings
@@ -415,3 +422,83 @@ def test_a_codec_that_nobody_knows(tmp_path: Path) -> None:
     path.write_bytes(path.read_bytes().replace(b"V_FFV1", b"V_FFVX"))
     with pytest.raises(InputError, match="is in a format that cannot be decoded"):
         VideoRecording(path)
+
+
+#: Readers of files, the head of one that is far larger than it can be, and what is said of it.
+SPARSE: dict[str, tuple[Callable[[Path], object], bytes, str]] = {
+    "x.png": (
+        read_still,
+        cv2.imencode(".png", np.zeros((8, 8)))[1].tobytes(),
+        "more than an image",
+    ),
+    "y.png": (read_still, b"", "cannot identify image"),
+    "x.pfm": (read_still, b"Pf\n8 8\n-1\n" + bytes(256), "more than an image of 64 px"),
+    "y.pfm": (read_still, b"", "more than an image of 0 px"),
+    "huge.png": (read_still, b"", "is larger than --max-pixels"),
+    "huge.npy": (read_map, b"", "is larger than --max-pixels"),
+    "poses.txt": (read_poses, b"0 0 0 0 0 0 0 1\n", "a line of more than 65536 bytes"),
+    "rig.yaml": (lambda path: read_calibration([path], (8, 8)), b"", "is larger than"),
+    "huge.checkpoint": (lambda path: read_checkpoint(path, {}), b"", "is larger than"),
+}
+
+
+@pytest.mark.parametrize("name", SPARSE)
+def test_what_is_too_large_is_not_read(tmp_path: Path, name: str) -> None:
+    """A file without content takes no place on the disk, whatever size it has."""
+    read, head, said = SPARSE[name]
+    path = tmp_path / name
+    with path.open("wb") as file:
+        file.write(head)
+        file.truncate(20_000_000_000 if "huge" in name else 300_000_000)
+    tracemalloc.start()
+    try:
+        with pytest.raises((InputError, OutputError, DamagedImageError), match=said):
+            read(path)
+        assert tracemalloc.get_traced_memory()[1] < 1_000_000
+    finally:
+        tracemalloc.stop()
+
+
+def test_large_images_are_read(tmp_path: Path) -> None:
+    """Notes and pages make a file larger than its first image needs."""
+    path, pages = tmp_path / "pages.tif", [np.full((1000, 1000), n, np.uint8) for n in range(20)]
+    assert cv2.imwritemulti(str(path), pages, [cv2.IMWRITE_TIFF_COMPRESSION, 1])
+    assert path.stat().st_size > 16_000_000
+    assert read_still(path).pages == 20
+
+
+def test_there_is_a_number_of_poses(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("motionstereo_cli.rig.pose_forms._MAX_POSES", 3)
+    path = tmp_path / "poses.txt"
+    path.write_text("".join(f"{n} {n} 0 0 0 0 0 1\n" for n in range(3)))
+    assert len(read_poses(path).poses) == 3
+    with path.open("a") as file:
+        file.write("3 3 0 0 0 0 0 1\n")
+    with pytest.raises(InputError, match="has more than 3 poses"):
+        read_poses(path)
+
+
+@pytest.mark.parametrize("suffix", [".mp4", ".mkv"])
+def test_no_name_of_an_output_is_an_address(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, suffix: str
+) -> None:
+    """FFmpeg takes what precedes a colon for a protocol."""
+    monkeypatch.chdir(tmp_path)
+    for name in ("tcp:/127.0.0.1:1", "concat:a|b", "file:x"):
+        path = Path(name, f"depth{suffix}")
+        path.parent.mkdir(parents=True)
+        video = VideoWriter(path, Fraction(1, 25))
+        video.write(np.zeros((16, 16), np.uint8), 0)
+        video.close()
+        assert path.stat().st_size > 500
+
+
+def test_an_archive_that_grows_is_refused() -> None:
+    file = io.BytesIO()
+    np.savez_compressed(file, record=np.zeros(1_000_000, np.uint8))
+    with pytest.raises(ValueError, match="it is compressed"):
+        unpack(file.getvalue(), dict)
+
+
+def test_pillow_prints_nothing() -> None:
+    assert any(type(each) is logging.NullHandler for each in logging.getLogger("PIL").handlers)

@@ -326,6 +326,13 @@ def test_the_shell_completes(line, last, wanted, monkeypatch, capsys):
     assert found == wanted
 
 
+def test_completion_that_no_shell_asked_for(monkeypatch, capsys):
+    monkeypatch.setenv("_MOTIONSTEREO_COMPLETE", "bash_complete")
+    monkeypatch.delenv("COMP_WORDS", raising=False)
+    assert main([]) == 2
+    assert "but not COMP_WORDS and COMP_CWORD: unset it" in capsys.readouterr().err
+
+
 def test_the_help_of_all_says_of_each_command_what_its_own_help_begins_with(capsys):
     assert main(["--help"]) == 0
     shown = " ".join(capsys.readouterr().out.split())

@@ -294,6 +294,17 @@ def test_a_store_is_asked_again_unless_it_refuses(monkeypatch):
         with pytest.raises(InputError, match="cannot be read: no"):
             store.files()
         assert store._system.times == 1
-    monkeypatch.setattr(stores, "_PATIENCE_S", 0.05)
     with pytest.raises(OutputError, match="cannot write http://127"):
-        store.put([("/dev/null", "x")])
+        Store(store.address, patience_s=0.05).put([("/dev/null", "x")])
+
+
+def test_an_address_that_never_answers_is_said_soon(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    for room in ("manifest", "stored"):
+        monkeypatch.setattr(f"motionstereo_cli.batch.{room}.FIRST_PATIENCE_S", 0.05)
+    (tmp_path / "m.csv").write_text("left,right,out\nl.mp4,r.mp4,a\n")
+    with closing(socket.create_server(("127.0.0.1", 0))) as free:
+        address = f"http://127.0.0.1:{free.getsockname()[1]}/x"
+    assert main(["batch", "m.csv", "-o", address, "--shard", "0/1"]) == 1
+    assert main(["batch", f"{address}.csv", "-o", "out", "--shard", "0/1"]) == 1
+    assert capsys.readouterr().err.count(f"{address}") == 2

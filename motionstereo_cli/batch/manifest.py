@@ -15,7 +15,7 @@ from pathlib import Path, PurePosixPath
 from motionstereo_cli.batch.own_folder import OWN, TABLE
 from motionstereo_cli.errors import InputError, MotionStereoError
 from motionstereo_cli.files.reading import MAX_RECORD_BYTES, as_text, read_text
-from motionstereo_cli.files.store import Store, address_of
+from motionstereo_cli.files.store import FIRST_PATIENCE_S, Store, address_of
 from motionstereo_cli.params import near_match
 from motionstereo_cli.report import PAGE
 from motionstereo_cli.rig.settings import NO_RIG
@@ -60,7 +60,7 @@ def _text_of(path: str | Path) -> str:
     address = address_of(path)
     if address is None:
         return read_text(path, "the manifest", MAX_RECORD_BYTES)
-    content = Store(address).read("", MAX_RECORD_BYTES)
+    content = Store(address, FIRST_PATIENCE_S).read("", MAX_RECORD_BYTES)
     if content is None:
         raise InputError(f"there is no manifest {address}")
     return as_text(content)

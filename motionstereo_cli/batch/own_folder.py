@@ -14,7 +14,7 @@ from motionstereo_cli.batch.status import COLUMNS
 from motionstereo_cli.errors import InputError, OutputError
 from motionstereo_cli.files.atomic import is_left_over, open_log, reported, write_whole
 from motionstereo_cli.files.folders import check_no_links, make_folder, spread
-from motionstereo_cli.files.reading import read_bytes, real
+from motionstereo_cli.files.reading import MAX_LINE_BYTES, read_head, real
 from motionstereo_cli.files.records import Record, encode, read_json, typed
 from motionstereo_cli.files.targets import check_targets
 from motionstereo_cli.sinks.records import Status
@@ -25,8 +25,6 @@ TABLE = "batch.csv"
 OWN = ".batch"
 _MARK, _PROGRAM = "batch.json", "motionstereo batch"
 _BUILDS = "builds.json"
-
-_MAX_TABLE_BYTES = 256_000_000
 
 
 class BatchMark(Record, frozen=True):
@@ -148,10 +146,7 @@ def _is_marked(path: Path) -> bool:
 
 
 def _is_table(path: Path) -> bool:
-    try:
-        content = read_bytes(path, "the table of a batch", _MAX_TABLE_BYTES)
-    except InputError:
-        return False
+    content = read_head(path, MAX_LINE_BYTES)
     columns = content.partition(b"\n")[0].decode("utf-8", "replace").split(",")
     return columns[:2] == list(COLUMNS[:2]) and set(columns) <= set(
         COLUMNS

@@ -33,6 +33,7 @@ from motionstereo_cli.check.findings import Finding
 from motionstereo_cli.check.measure import watched
 from motionstereo_cli.errors import NO_FRAMES, InputError, OutputError, SettingsError
 from motionstereo_cli.files.atomic import Temporary, reported
+from motionstereo_cli.files.bounded import MAX_CONTENT_BYTES, decompressed
 from motionstereo_cli.files.folders import make_folder, remove_empty
 from motionstereo_cli.files.reading import open_regular
 from motionstereo_cli.files.records import pack, restored, unpack
@@ -391,8 +392,11 @@ def _kept(folder: Path, rig: Rig | None) -> Iterator[tuple[FrameSummary, FrameIm
     try:
         with open_regular(path) as file:
             while head := file.read(_SIZE.size):
-                content = file.read(*_SIZE.unpack(head))
-                kept = unpack(zlib.decompress(content), _Kept)
+                (size,) = _SIZE.unpack(head)
+                if size > MAX_CONTENT_BYTES:
+                    raise ValueError(f"a frame of {size} bytes")
+                content = decompressed(zlib.decompressobj(), file.read(size))
+                kept = unpack(content, _Kept)
                 profile = restored(kept.summary.profile, _PROFILES[kept.profile])
                 summary = dataclasses.replace(kept.summary, profile=profile)
                 images = None

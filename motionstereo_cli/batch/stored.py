@@ -21,7 +21,7 @@ from motionstereo_cli.errors import OutputError
 from motionstereo_cli.files.atomic import write_whole
 from motionstereo_cli.files.folders import make_folder, remove_tree
 from motionstereo_cli.files.reading import read_bytes
-from motionstereo_cli.files.store import Store, address_of
+from motionstereo_cli.files.store import FIRST_PATIENCE_S, Store, address_of
 from motionstereo_cli.sinks.outputs import RECORD
 
 if TYPE_CHECKING:
@@ -70,8 +70,8 @@ def _begin(address: str, out: Path) -> None:
         InputError: the store cannot be read.
         OutputError: the folder in the store is not that of a batch, or cannot be written.
     """
-    store = Store(address)
-    own = store.files(OWN)
+    first, store = Store(address, FIRST_PATIENCE_S), Store(address)
+    own = first.files(OWN)
     if not own and store.files():
         raise OutputError(f"{address} is not from an earlier batch: give another folder")
     make_folder(out, out)
@@ -80,7 +80,7 @@ def _begin(address: str, out: Path) -> None:
             store.fetch((out / OWN / name).parent, out, _MAX_RECORD_BYTES, f"{OWN}/{name}")
     claim(out, ())
     if _COMMON[0] not in own:  # before anything else is there: another shard may begin as well
-        store.put([(out / OWN / _COMMON[0], f"{OWN}/{_COMMON[0]}")])
+        first.put([(out / OWN / _COMMON[0], f"{OWN}/{_COMMON[0]}")])
 
 
 def _finish(address: str, out: Path) -> None:

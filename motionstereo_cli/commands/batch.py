@@ -198,6 +198,10 @@ def batch(
             "a batch goes on with what it has begun: to start a recording again, remove its folder "
             "in OUT, or give another OUT"
         )
+    if shard is not None:
+        from motionstereo_cli.batch.shard import Shard
+
+        Shard.parse(shard)
     entries = _entries(inputs, shared)
     if dry_run:
         return _tried_out(plans(entries, out, plan_of))

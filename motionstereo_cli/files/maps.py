@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from motionstereo_cli.errors import InputError
-from motionstereo_cli.files.reading import MAX_PIXELS
-from motionstereo_cli.files.stills import DamagedImageError, content_of, read_still, shown
+from motionstereo_cli.errors import InputError, words_of
+from motionstereo_cli.files.reading import MAX_PIXELS, content_up_to, open_regular
+from motionstereo_cli.files.stills import DamagedImageError, read_still, shown
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -54,8 +54,12 @@ def read_map(path: Path, max_pixels: int = MAX_PIXELS, within: Path | None = Non
         still = read_still(path, max_pixels, within)
         return MapFile(still.pixels, still.size_bytes, still.sha256)
     max_bytes = _NPY_ITEM_BYTES * max_pixels + _NPY_HEAD_BYTES
-    content = content_of(path, max_bytes, within)
-    if len(content) > max_bytes:
+    try:
+        with open_regular(path, within) as file:
+            content = content_up_to(file, max_bytes)
+    except OSError as error:
+        raise DamagedImageError(words_of(error)) from error
+    if content is None:
         raise InputError(f"{path} is larger than --max-pixels {max_pixels}: is it one map?")
     return MapFile(_npy(content), len(content), hashlib.sha256(content).digest())
 

@@ -6,6 +6,7 @@ import errno
 import hashlib
 import os
 import stat
+from collections.abc import Iterator
 from io import BufferedReader
 from pathlib import Path
 
@@ -16,9 +17,11 @@ from motionstereo_cli.errors import InputError
 MAX_PIXELS = 64_000_000
 PILLOW_MAX_PIXELS = 178_000_000
 
-#: Larger than any calibration, and any table of poses or time stamps of a day's recording.
+#: Larger than any calibration.
 MAX_CALIBRATION_BYTES = 16_000_000
-MAX_TABLE_BYTES = 256_000_000
+
+#: The longest line of a table that is read line by line.
+MAX_LINE_BYTES = 65_536
 
 #: Tables of objects and of poses that are kept whole; those of runs are read row by row. Records
 #: are far smaller.
@@ -80,12 +83,24 @@ def read_bytes(path: str | Path, what: str, max_bytes: int, within: Path | None 
     """
     try:
         with open_regular(path, within) as file:
-            content = file.read(max_bytes + 1)
+            content = content_up_to(file, max_bytes)
     except OSError as error:
         raise InputError(f"cannot read {what} {path}: {error.strerror}") from error
-    if len(content) > max_bytes:
+    if content is None:
         raise InputError(f"{path} is larger than {max_bytes} bytes: check that it is {what}")
     return content
+
+
+def content_up_to(file: BufferedReader, max_bytes: int) -> bytes | None:
+    """Return the content of an open file, None where it is larger; that is seen before reading.
+
+    Raises:
+        OSError: it cannot be read.
+    """
+    if os.fstat(file.fileno()).st_size > max_bytes:
+        return None
+    content = file.read(max_bytes + 1)  # the size of files in /proc is 0
+    return content if len(content) <= max_bytes else None
 
 
 def read_head(path: str | Path, size: int) -> bytes:
@@ -100,6 +115,32 @@ def read_head(path: str | Path, size: int) -> bytes:
 def read_text(path: str | Path, what: str, max_bytes: int, within: Path | None = None) -> str:
     """Return the text of a file, as :func:`read_bytes` reads it."""
     return as_text(read_bytes(path, what, max_bytes, within))
+
+
+def read_lines(
+    path: str | Path, what: str, within: Path | None = None, *, part: bool = False
+) -> Iterator[str]:
+    """Yield the lines of a table, with their ends: the table may be larger than the memory.
+
+    Args:
+        path, what, within: as of :func:`read_bytes`.
+        part: an incomplete last line is dropped.
+
+    Raises:
+        InputError: the file cannot be read, or has a line that is too long.
+    """
+    try:
+        with open_regular(path, within) as file:
+            while line := file.readline(MAX_LINE_BYTES + 1):
+                if len(line) > MAX_LINE_BYTES:
+                    raise InputError(
+                        f"cannot read {what} {path}: it has a line of more than "
+                        f"{MAX_LINE_BYTES} bytes: write it again"
+                    )
+                if not part or line.endswith(b"\n"):
+                    yield line.decode("utf-8", errors="replace").removeprefix("\ufeff")
+    except OSError as error:
+        raise InputError(f"cannot read {what} {path}: {error.strerror}") from error
 
 
 def open_fifo(path: Path) -> int:

@@ -158,6 +158,8 @@ def unpack(content: bytes, kind: type[_T]) -> _T:
     """
     try:
         with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
+            if sum(each.file_size for each in arrays.zip.infolist()) > len(content):
+                raise ValueError("it is compressed")
 
             def whole(each: dict[str, Any]) -> Any:
                 return arrays[each[_JSON]] if each.keys() == {_JSON} else each

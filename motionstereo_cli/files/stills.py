@@ -8,9 +8,12 @@ import functools
 import hashlib
 import io
 import itertools
+import logging
+import os
 import re
 import warnings
 from collections.abc import Callable, Collection, Iterable, Iterator
+from io import BufferedReader
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -20,7 +23,7 @@ from PIL import Image as Pillow
 from PIL import ImageOps
 
 from motionstereo_cli.errors import InputError, is_damage, words_of
-from motionstereo_cli.files.reading import MAX_PIXELS, open_regular
+from motionstereo_cli.files.reading import MAX_PIXELS, content_up_to, open_regular
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -60,7 +63,9 @@ _JPS_LEFT_FIRST = 4
 _PFM_HEAD = re.compile(rb"(P[fF])\s+(\d{1,9})\s+(\d{1,9})\s+([-+.\deE]{1,32})(\r\n|\s)")
 
 # Pillow warns of large images, which are refused here, and of notes in images that do not matter.
+# It also prints some faults of a file, which it raises as well.
 warnings.filterwarnings("ignore", module=r"PIL\.")
+logging.getLogger("PIL").addHandler(logging.NullHandler())
 
 
 class Stated(NamedTuple):
@@ -112,17 +117,51 @@ def shown(files: Iterable[Path], suffixes: Collection[str]) -> list[Path]:
     ]
 
 
-def content_of(path: Path, max_bytes: int, within: Path | None = None) -> bytes:
-    """Return a file's content, at most one byte more than ``max_bytes``.
+def _content_of(path: Path, max_pixels: int, within: Path | None) -> bytes:
+    """Return the content of an image's file, which is not read if it has too many bytes.
 
     Raises:
-        DamagedImageError: it cannot be read.
+        DamagedImageError: it cannot be read, or is larger than what its head says can be.
+        InputError: it is larger than ``max_pixels`` can be.
     """
     try:
         with open_regular(path, within) as file:
-            return file.read(max_bytes + 1)
+            size, pixels = os.fstat(file.fileno()).st_size, max_pixels
+            if _NOTES_BYTES < size <= _max_bytes(max_pixels):
+                pixels = _pixels_of(file, path)
+            content = content_up_to(file, _max_bytes(min(pixels, max_pixels)))
     except OSError as error:
         raise DamagedImageError(words_of(error)) from error
+    if content is not None:
+        return content
+    if pixels < max_pixels:
+        raise DamagedImageError(f"it has {size} bytes, more than an image of {pixels} px")
+    raise _too_large(path, f" ({size} bytes or more)", max_pixels)
+
+
+def _max_bytes(pixels: int) -> int:
+    return _MAX_BYTES_PER_PIXEL * pixels + _NOTES_BYTES
+
+
+def _pixels_of(file: BufferedReader, path: Path) -> int:
+    """Return how many pixels all images in a file have, by its head.
+
+    Raises:
+        DamagedImageError: that cannot be read, or is of another format.
+        InputError: it has too many images.
+    """
+    try:
+        if path.suffix.lower() == ".pfm":
+            head = _PFM_HEAD.match(file.read(256))
+            return int(head[2]) * int(head[3]) if head else 0
+        with Pillow.open(file, formats=_FORMATS) as image:
+            return image.width * image.height * _pages_of(image, path)
+    except Exception as error:
+        if not is_damage(error):
+            raise
+        raise DamagedImageError(words_of(error)) from error
+    finally:
+        file.seek(0)
 
 
 def read_still(path: Path, max_pixels: int = MAX_PIXELS, within: Path | None = None) -> Still:
@@ -132,10 +171,7 @@ def read_still(path: Path, max_pixels: int = MAX_PIXELS, within: Path | None = N
         DamagedImageError: it cannot be read, or is of another format.
         InputError: it is too large, or has pixels of a kind that says nothing of grey levels.
     """
-    max_bytes = _MAX_BYTES_PER_PIXEL * max_pixels + _NOTES_BYTES
-    content = content_of(path, max_bytes, within)
-    if len(content) > max_bytes:
-        raise _too_large(path, f" ({len(content)} bytes or more)", max_pixels)
+    content = _content_of(path, max_pixels, within)
     stated = None
     if path.suffix.lower() == ".pfm":
         pixels, pages = _pfm(content, path, max_pixels), 1

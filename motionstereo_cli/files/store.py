@@ -19,6 +19,8 @@ _ADDRESS = re.compile(r"(s3|gs|gcs|https|http):/{1,2}(?=[^/])")
 
 #: How long a store that does not answer is asked again, in s, and the pauses between.
 _PATIENCE_S, _FIRST_PAUSE_S, _MAX_PAUSE_S = 600.0, 0.5, 15.0
+#: The same where a command begins: an address that never answers is likely a wrong one.
+FIRST_PATIENCE_S = 10.0
 #: What asking again does not change.
 _FINAL = (FileNotFoundError, PermissionError, IsADirectoryError, NotADirectoryError)
 
@@ -37,12 +39,13 @@ class Store:
 
     Args:
         address: ``s3://bucket/folder`` and the like, or ``https://``, which can only be read.
+        patience_s: another time than ten minutes.
 
     Raises:
         InputError: the package for this kind of store is not installed.
     """
 
-    def __init__(self, address: str) -> None:
+    def __init__(self, address: str, patience_s: float | None = None) -> None:
         try:
             import fsspec
         except ImportError:
@@ -50,6 +53,7 @@ class Store:
         # It prints tracebacks of connections that broke; what matters is raised.
         logging.getLogger("asyncio").setLevel(logging.CRITICAL)
         self.address = address.rstrip("/")
+        self._patience_s = _PATIENCE_S if patience_s is None else patience_s
         try:
             # One connection for all addresses of a kind: to make one takes .3 s.
             self._system, self._root = fsspec.core.url_to_fs(self.address, use_listings_cache=False)
@@ -61,6 +65,20 @@ class Store:
 
     def _at(self, name: str) -> str:
         return f"{self._root.rstrip('/')}/{name}" if name else str(self._root)
+
+    def _patiently(self, action: Callable[[], _T]) -> _T:
+        """Do something that the store may not answer for a while."""
+        until_s, pause_s = time.monotonic() + self._patience_s, _FIRST_PAUSE_S
+        while True:
+            try:
+                return action()
+            except _FINAL:
+                raise
+            except Exception as error:
+                if time.monotonic() + pause_s > until_s or _is_refusal(error):
+                    raise
+                time.sleep(pause_s)
+                pause_s = min(2 * pause_s, _MAX_PAUSE_S)
 
     def files(self, name: str = "") -> dict[str, int]:
         """Return the size of each object in a folder, or of an object, by its name below that.
@@ -78,7 +96,7 @@ class Store:
             }
 
         try:
-            return _patiently(find)
+            return self._patiently(find)
         except FileNotFoundError:
             return {}
         except Exception as error:
@@ -96,7 +114,7 @@ class Store:
         if size > max_bytes:
             raise InputError(f"{self.address}/{name} is larger than {max_bytes} bytes")
         try:
-            return bytes(_patiently(lambda: self._system.cat_file(self._at(name))))
+            return bytes(self._patiently(lambda: self._system.cat_file(self._at(name))))
         except FileNotFoundError:
             return None
         except Exception as error:
@@ -131,7 +149,7 @@ class Store:
             make_folder(path.parent, root)
             source = f"{self._at(name).rstrip('/')}/{each}" if each else self._at(name)
             try:
-                _patiently(lambda: self._system.get_file(source, str(path)))  # noqa: B023
+                self._patiently(lambda: self._system.get_file(source, str(path)))  # noqa: B023
             except Exception as error:
                 raise InputError(f"{what} cannot be fetched: {words_of(error)}") from error
         return target
@@ -144,7 +162,7 @@ class Store:
         """
         for path, name in files:
             try:
-                _patiently(lambda: self._system.put_file(str(path), self._at(name)))  # noqa: B023
+                self._patiently(lambda: self._system.put_file(str(path), self._at(name)))  # noqa: B023
             except Exception as error:
                 raise OutputError(
                     f"cannot write {self.address}/{name}: {words_of(error)}"
@@ -158,28 +176,13 @@ class Store:
         """
         for name in names:
             try:
-                _patiently(lambda: self._system.rm_file(self._at(name)))  # noqa: B023
+                self._patiently(lambda: self._system.rm_file(self._at(name)))  # noqa: B023
             except FileNotFoundError:
                 continue
             except Exception as error:
                 raise OutputError(
                     f"cannot remove {self.address}/{name}: {words_of(error)}"
                 ) from error
-
-
-def _patiently(action: Callable[[], _T]) -> _T:
-    """Do something that a store may not answer for a while."""
-    until_s, pause_s = time.monotonic() + _PATIENCE_S, _FIRST_PAUSE_S
-    while True:
-        try:
-            return action()
-        except _FINAL:
-            raise
-        except Exception as error:
-            if time.monotonic() + pause_s > until_s or _is_refusal(error):
-                raise
-            time.sleep(pause_s)
-            pause_s = min(2 * pause_s, _MAX_PAUSE_S)
 
 
 def _is_refusal(error: Exception) -> bool:

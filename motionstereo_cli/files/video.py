@@ -74,13 +74,15 @@ def _reported(path: Path) -> Iterator[None]:
             raise OSError(error.errno, error.strerror) from error
 
 
-def _container(path: Path) -> dict[str, Any]:
-    """Return how to open a container for writing: its format, and options."""
+def _new(part: Path, path: Path) -> av.container.OutputContainer:
+    """Open a container for writing as ``part``, in the format of the final name ``path``."""
     # No random identifiers; the index in front, so that browsers start at once and a cut copy can
     # still be read.
-    if path.suffix == ".mkv":
-        return {"format": "matroska", "options": {"fflags": "+bitexact"}}
-    return {"format": "mp4", "options": {"fflags": "+bitexact", "movflags": "+faststart"}}
+    options, kind = {"fflags": "+bitexact"}, "matroska"
+    if path.suffix != ".mkv":
+        options, kind = options | {"movflags": "+faststart"}, "mp4"
+    # An absolute path: FFmpeg takes what precedes a colon for a protocol.
+    return av.open(str(part.absolute()), "w", format=kind, options=options)
 
 
 class VideoWriter:
@@ -136,7 +138,7 @@ class VideoWriter:
                 part = self._file.path
             else:
                 os.close(open_new(part))
-            self._container = av.open(str(part), "w", **_container(path))
+            self._container = _new(part, path)
 
     def write(self, image: Picture | list[Picture], pts: int) -> None:
         """Append an image.
@@ -357,8 +359,7 @@ def join(segments: Sequence[Path], path: Path) -> None:
     with _reported(path):
         file = Temporary(path)
         try:
-            kind = _container(path)
-            with av.open(str(file.path), "w", **kind) as joined:
+            with _new(file.path, path) as joined:
                 stream: Any = None
                 for segment in segments:
                     with opened_result(segment, segment.parent) as source:

@@ -16,7 +16,7 @@ from motionstereo_cli.errors import InputError
 from motionstereo_cli.files.atomic import part_of
 from motionstereo_cli.files.reading import real
 from motionstereo_cli.sinks.outputs import OUTPUTS, RECORD
-from motionstereo_cli.sinks.read_back import Table, lines_of, read_record
+from motionstereo_cli.sinks.read_back import Table, lines_of_table, read_record
 from motionstereo_cli.sinks.records import RunRecord
 from motionstereo_cli.sinks.sink import DEFAULT_TIME_BASE, EPOCH_S
 
@@ -184,7 +184,7 @@ def _rows(path: Path) -> Iterator[dict[str, str]]:
 
 def _objects_of_lines(path: Path) -> Iterator[dict[str, str]]:
     """Yield the rows of a table of JSON lines; an incomplete last line is dropped."""
-    for number, line in enumerate(lines_of(path, part=True), 1):
+    for number, line in enumerate(lines_of_table(path, part=True), 1):
         try:
             row = json.loads(line)
             yield {name: "" if value is None else str(value) for name, value in row.items()}

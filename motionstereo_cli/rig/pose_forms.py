@@ -6,6 +6,7 @@ format, and assumptions are given as notes.
 
 from __future__ import annotations
 
+import array
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -15,13 +16,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from motionstereo_cli.errors import InputError
-from motionstereo_cli.files.reading import MAX_TABLE_BYTES, read_text
-from motionstereo_cli.rig.pose_header import Header, foreign, read_header
+from motionstereo_cli.files.reading import as_text, read_head, read_lines
+from motionstereo_cli.rig.pose_header import BEGINNING, Header, foreign, read_header
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     Reals = NDArray[np.float64]
+
+#: Limit of poses: 28 hours at 30 in a second.
+_MAX_POSES = 3_000_000
 
 #: Limit of numbers, so that their differences are finite.
 _LARGEST = 1e100
@@ -103,18 +107,18 @@ def read_pose_table(path: str | Path) -> PoseTable:
         InputError: the file cannot be read, has no poses, has a format that is not read (which is
             named), or a line (which is named) is not a pose, or earlier than the one before.
     """
-    text = read_text(path, "the poses", MAX_TABLE_BYTES)
-    if (other := foreign(text)) is not None:
+    if (other := foreign(as_text(read_head(path, BEGINNING)))) is not None:
         raise InputError(f"{path} {other}")
-    rows: list[list[float]] = []
+    rows, row = array.array("d"), list[float]()
     header: Header | None = None
     form: _Form | None = None
-    repeated = lost = 0
-    for number, line in enumerate(text.splitlines(), 1):
+    count = repeated = lost = 0
+    lines = (line for each in read_lines(path, "the poses") for line in each.splitlines())
+    for number, line in enumerate(lines, 1):
         words = _words(line, header)
         if not words:
             continue
-        if line.lstrip()[:1] in "#%" or (not rows and words[0][:1].isalpha() and form is None):
+        if line.lstrip()[:1] in "#%" or (not count and words[0][:1].isalpha() and form is None):
             found = read_header(line)
             header = found if header is None or header.problem else header
             # A row may begin with a name, as AirSim's do.
@@ -124,23 +128,28 @@ def read_pose_table(path: str | Path) -> PoseTable:
         if form.matrix is not None and _is_lost(words[form.matrix :]):
             lost += 1
             continue
-        row = _row(words, form, len(rows) + lost)
-        if row is None:
+        last, row = row, _row(words, form, count + lost)
+        if not row:
             raise InputError(
                 f"{path} line {number}: {line.strip()[:60]!r} is not a pose: give {form.wanted}"
             )
-        if rows and row[0] < rows[-1][0]:
+        if last and row[0] < last[0]:
             raise InputError(
                 f"{path} line {number}: time {row[0]:.12g} does not come after "
-                f"{rows[-1][0]:.12g}: sort the poses by time"
+                f"{last[0]:.12g}: sort the poses by time"
             )
-        if rows and row[0] == rows[-1][0]:
+        if last and row[0] == last[0]:
             repeated += 1
             continue
-        rows.append(row)
-    if not rows or form is None:
+        if count == _MAX_POSES:
+            raise InputError(
+                f"{path} has more than {_MAX_POSES} poses: give those of the recording alone"
+            )
+        rows.extend(row)
+        count += 1
+    if not count or form is None:
         raise InputError(f"{path} has no poses: give lines of t x y z qx qy qz qw")
-    return _table(str(path), np.array(rows), form, repeated)
+    return _table(str(path), np.reshape(rows, (count, -1)), form, repeated)
 
 
 def _table(path: str, rows: Reals, form: _Form, repeated: int) -> PoseTable:
@@ -315,20 +324,20 @@ def rotations(turns: Reals) -> Reals:
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=1)
 
 
-def _row(words: Sequence[str], form: _Form, count: int) -> list[float] | None:
-    """Return a row as time and pose; None if it is not a pose."""
+def _row(words: Sequence[str], form: _Form, count: int) -> list[float]:
+    """Return a row as time and pose; empty if it is not a pose."""
     columns = form.columns
     if form.matrix is not None:
         row = _numbers(words)
         if row is None or len(row) not in _MATRICES or not _is_rigid(row[form.matrix :]):
-            return None
+            return []
         return [row[0] if "t" in columns else float(count), *row[form.matrix :][:12]]
     if len(words) <= max(columns.values()):
-        return None
+        return []
     row = _numbers([words[columns[key]] for key in (*_PLACE, *_TURN)])
     times = _numbers([words[columns[key]] for key in ("t", "nsec") if key in columns])
     if row is None or times is None or abs(np.linalg.norm(row[3:]) - 1) > _LENGTH_ERROR:
-        return None
+        return []
     time = times[0] + sum(times[1:]) * 1e-9 if times else float(count)
     return [time, *row]
 

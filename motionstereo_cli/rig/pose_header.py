@@ -38,7 +38,7 @@ _FOREIGN = {
 }
 
 #: How far into a file they are searched.
-_BEGINNING = 4096
+BEGINNING = 4096
 
 #: Suffixes of the names of quaternions and positions, in lower case without units.
 _QUATERNION = re.compile(r"(?:^|[^a-z])(?:q|quat\w*?|rot\w*?|ori\w*?)(?:[^a-z].*)?([xyzw])$")
@@ -83,7 +83,7 @@ class Header:
 
 def foreign(text: str) -> str | None:
     """Return which other format a text has, and what to do; None if it may be a table of poses."""
-    beginning = text[:_BEGINNING]
+    beginning = text[:BEGINNING]
     found = (
         advice for what, advice in _FOREIGN.items() if re.search(what, beginning, re.MULTILINE)
     )

@@ -13,7 +13,7 @@ from typing import Any
 
 from motionstereo_cli.errors import OutputError
 from motionstereo_cli.files.atomic import write_whole
-from motionstereo_cli.files.reading import open_regular
+from motionstereo_cli.files.reading import content_up_to, open_regular
 from motionstereo_cli.files.records import builtins_of, pack, restored, unpack
 from motionstereo_cli.method.settings import Settings
 from motionstereo_cli.pipeline import State
@@ -23,6 +23,9 @@ from motionstereo_cli.sinks.records import FolderRecord
 from motionstereo_cli.sinks.sink import Sink
 
 _HEAD = b"motionstereo checkpoint 7"
+
+#: Larger than the state of a run with images of 64 million px.
+_MAX_BYTES = 1_000_000_000
 
 #: The classes of a guide's state.
 _GUIDED = {kind.__name__: kind for kind in (ImageHeading, MapCourse)}
@@ -97,11 +100,14 @@ def read_checkpoint(
     """
     try:
         with open_regular(path) as file:
-            head, content = file.readline(200), file.read()
+            whole = content_up_to(file, _MAX_BYTES)
     except FileNotFoundError:
         return None
     except OSError as error:
         raise OutputError(f"cannot read {path}: {error.strerror}") from error
+    if whole is None:
+        raise OutputError(f"{path} is larger than {_MAX_BYTES} bytes: give --overwrite")
+    head, _, content = whole.partition(b"\n")
     try:
         frames, checksum = head.removeprefix(_HEAD).decode().split()
         if not head.startswith(_HEAD) or hashlib.sha256(content).hexdigest() != checksum:

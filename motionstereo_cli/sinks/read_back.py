@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from motionstereo_cli.errors import InputError
 from motionstereo_cli.files.maps import SUFFIXES, numbered_files, read_map
-from motionstereo_cli.files.reading import open_regular, real
+from motionstereo_cli.files.reading import read_lines, real
 from motionstereo_cli.files.records import read_json, typed
 from motionstereo_cli.files.stills import DamagedImageError, read_still
 from motionstereo_cli.rig import read_rig
@@ -42,9 +42,6 @@ _FOLDERS = tuple(
 
 #: Maximum length of a value in a message.
 _SHOWN = 60
-
-#: Longer than any line of a table.
-_MAX_LINE_BYTES = 65_536
 
 #: Prefixes of folder names by kind; KITTI's is disp_occ_0.
 _NAMED = {"disp": "disparity", "depth": "depth"}
@@ -222,33 +219,18 @@ class Table:
 
     def _cells(self) -> Iterator[list[str]]:
         try:
-            yield from csv.reader(lines_of(self.path, part=self._part), strict=True)
+            yield from csv.reader(lines_of_table(self.path, part=self._part), strict=True)
         except csv.Error as error:
             raise InputError(f"cannot read the table {self.path}: {error}") from error
 
 
-def lines_of(path: Path, *, part: bool = False) -> Iterator[str]:
-    """Yield the lines of a table in the folder of a run, with their ends.
-
-    Args:
-        path: the file; no link may lead out of its folder.
-        part: an incomplete last line is dropped.
+def lines_of_table(path: Path, *, part: bool = False) -> Iterator[str]:
+    """Yield the lines of a table of a run; no link may lead out of its folder.
 
     Raises:
-        InputError: it cannot be read, or has a line that is too long.
+        InputError: see :func:`~motionstereo_cli.files.reading.read_lines`.
     """
-    try:
-        with open_regular(path, path.parent) as file:
-            while line := file.readline(_MAX_LINE_BYTES + 1):
-                if len(line) > _MAX_LINE_BYTES:
-                    raise InputError(
-                        f"cannot read the table {path}: it has a line of more than "
-                        f"{_MAX_LINE_BYTES} bytes: write it again"
-                    )
-                if not part or line.endswith(b"\n"):
-                    yield line.decode("utf-8", errors="replace").removeprefix("\ufeff")
-    except OSError as error:
-        raise InputError(f"cannot read the table {path}: {error.strerror}") from error
+    return read_lines(path, "the table", path.parent, part=part)
 
 
 def read_record(path: Path) -> RunRecord:

@@ -23,7 +23,7 @@ from motionstereo_cli.files.atomic import (
     write_whole,
 )
 from motionstereo_cli.files.folders import make_folder
-from motionstereo_cli.files.reading import open_regular
+from motionstereo_cli.files.reading import open_regular, sha256_of
 from motionstereo_cli.files.records import restored
 
 
@@ -168,7 +168,7 @@ class NumberedFiles:
             raise OutputError(f"{path.parent} has become a link: the results would go elsewhere")
         write_whole(path, content)
         self._unsynced.append(path)
-        self._count(content)
+        self._count(hashlib.sha256(content).digest())
 
     def checkpoint(self) -> FilesMark:
         """Make sure that all so far is on the disk."""
@@ -186,17 +186,16 @@ class NumberedFiles:
     def _named(self, number: int) -> Path:
         return self._path.with_name(self._path.name.format(number))
 
-    def _count(self, content: bytes) -> None:
+    def _count(self, digest: bytes) -> None:
         count, sums = self._mark
-        chained = hashlib.sha256(sums.encode() + hashlib.sha256(content).digest())
+        chained = hashlib.sha256(sums.encode() + digest)
         self._mark = (count + 1, chained.hexdigest())
 
     def _check(self, since: FilesMark) -> None:
         for number in range(since[0]):
             path = self._named(number)
             try:
-                with open_regular(path) as file:
-                    self._count(file.read())
+                self._count(bytes.fromhex(sha256_of(path)))
             except OSError as error:
                 raise OutputError(
                     f"{path} cannot be read ({error.strerror}): --resume cannot go on without "

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from motionstereo_cli.errors import InputError
-from motionstereo_cli.files.reading import MAX_TABLE_BYTES, as_text, read_bytes
+from motionstereo_cli.files.reading import as_text, read_bytes
 from motionstereo_cli.sources.names import MAX_STAMP, natural_key, stamps_in
 
 #: Beside a folder ``data``: the images' time stamps in ns and names, as in EuRoC.
@@ -20,6 +20,9 @@ _EUROC = "data.csv"
 #: Beside KITTI's folders ``image_0`` and the like: the time of each image in s, a line each; and
 #: beside the folders ``data`` of its raw recordings, and ``data_rect`` of KITTI-360, a date each.
 _KITTI, _KITTI_RAW = "times.txt", "timestamps.txt"
+
+#: Larger than the times of ten hours.
+_MAX_BYTES = 32_000_000
 
 _NS = 1_000_000_000
 
@@ -69,7 +72,7 @@ def timeline(path: Path, images: Iterable[Path], *, whole: bool) -> Timeline:
 
 def _euroc(table: Path, folder: Path) -> Timeline:
     """Return the images that a EuRoC camera's table lists, in the order of time."""
-    content = read_bytes(table, "the time stamps", MAX_TABLE_BYTES)
+    content = read_bytes(table, "the time stamps", _MAX_BYTES)
     rows = []
     for number, line in enumerate(as_text(content).splitlines(), 1):
         stamp, comma, name = (part.strip() for part in line.partition(","))
@@ -89,7 +92,7 @@ def _euroc(table: Path, folder: Path) -> Timeline:
 
 def _by_number(table: Path, files: list[Path], parse: Callable[[str], int], form: str) -> Timeline:
     """Return images whose numbers are the lines of a table, from 0."""
-    content = read_bytes(table, "the times", MAX_TABLE_BYTES)
+    content = read_bytes(table, "the times", _MAX_BYTES)
     try:
         lines = as_text(content).splitlines()
         stamps_ns = [parse(lines[int(file.stem)]) for file in files]

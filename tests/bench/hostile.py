@@ -6,6 +6,10 @@ same command works after a kill.
 
 Which names a command touches is seen in a run of it that nobody disturbs: each is then taken by a
 link, a FIFO, a folder, a device or a file of others.
+
+Commands run in forks of this process, which has everything loaded, and one of 20 as the installed
+command. With TMPDIR in memory (/dev/shm) a trial takes a third of the time, as nothing waits for
+the disk.
 """
 
 from __future__ import annotations
@@ -34,7 +38,31 @@ _PATIENCE_S = 60.0
 _MAX_BYTES = 1 << 30
 _SAVE = "steering,objects,charge,charge-png,disparity"
 
+#: The command as it is installed, and how many trials there are for each that runs it so.
+_INSTALLED = str(Path(sys.executable).with_name("motionstereo"))
+_INSTALLED_EVERY = 20
+
 _PAIR = "left.mp4 right.mp4 --rig rig.yaml"
+_SHORT = f"run {_PAIR} --end 3 --no-check"
+_MORE = "poses,map,rgbd,bag,points,own-charge,depth,depth-mkv,sigma,steering-jsonl,preview"
+_DRIVE = "drive {} --world plan.toml --max-frames 3 --width 64"
+_PLAN = """about = "A room."
+[robot]
+start = [0, 0]
+[[walls]]
+points = [[-3, -2], [4, -2], [4, 3], [-3, 3]]
+closed = true
+[[boxes]]
+at = [2, 0.5]
+size = [0.8, 0.5]
+height_m = 0.5
+"""
+_CONFIG = """end = "3"
+check = false
+save = ["steering", "objects"]
+rig = "rig.yaml"
+disparity = "golden/disparity"
+"""
 _CLIP = f"{_PAIR} --end 9 --no-check --checkpoint-frames 3"
 
 #: Where a batch keeps what is of the recording a.
@@ -52,6 +80,8 @@ _RESULTS = {
     "complete": "golden/",
     "report": "golden/report.html",
     "simulate again": "old/",
+    "more again": "all/",
+    "drive again": "driven/",
 }
 
 #: What a command calls to change what is on the disk; a kill comes before one of these calls.
@@ -94,7 +124,18 @@ _WORK: dict[str, tuple[str, tuple[str, ...]]] = {
     "check": (f"check {_PAIR} --write c.toml", ("c.toml",)),
     "simulate": ("simulate sim --frames 3 --width 64 --height 48", ()),
     "simulate again": ("simulate old --frames 3 --width 64 --height 48 --overwrite", ()),
+    "more": (f"{_SHORT} --save {_MORE} -o more", ()),
+    "more again": (f"{_SHORT} --save {_MORE} -o all --overwrite", ()),
+    "configured": ("run left.mp4 right.mp4 --config run.toml -o configured", ()),
+    "drive": (_DRIVE.format("drive"), ()),
+    "drive again": (f"{_DRIVE.format('driven')} --overwrite", ()),
+    "paths": ("evaluate all/poses.txt all/poses.txt --json p.json", ("p.json",)),
+    "status": ("batch m.csv -o many --no-check --status", ("many/batch.csv",)),
+    "shard": ("batch m.csv -o many2 --no-check --shard 0/1", ()),
 }
+#: Those that have no results of an earlier run: after a kill they need --overwrite.
+_NEW = ("run", "simulate", "more", "configured", "drive")
+_AGAIN = ("simulate", "more", "drive")
 #: Of a cluster of processes, which takes seconds to begin: one trial in so many.
 _BATCH = "batch m.csv -o many2 --workers 1 --pieces 1 --no-check"
 _BATCH_EVERY = 25
@@ -118,16 +159,27 @@ _VALUES: tuple[Any, ...] = (
     *("\0", "\ud800", "../precious/000003.png", "/etc/passwd", "a" * 100_000),
     *([], [1], ["x"], {}, {"a": 1}, [[[[]]]]),
 )
-_RECORDS = (
-    *("golden/run.json", "golden/steering.csv", "golden2/run.json", "begun/run.json.part"),
-    *(
-        "many/batch.csv",
-        f"many/.batch/status/{_A}/a.json",
-        "many/.batch/batch.json",
-        "many/a/run.json",
-    ),
-    *("old/poses.txt", "golden/objects.csv", "begun/run.checkpoint"),
-)
+#: Records, and what reads them.
+_RECORDS = {
+    "golden/run.json": ("report", "compare", "evaluate", "complete", "overwrite", "configured"),
+    "golden/steering.csv": ("report", "compare", "evaluate", "complete", "overwrite"),
+    "golden/objects.csv": ("report", "compare", "evaluate", "complete", "overwrite"),
+    "golden2/run.json": ("page", "compare", "evaluate"),
+    "begun/run.json.part": ("resume",),
+    "begun/run.checkpoint": ("resume",),
+    "many/batch.csv": ("reports", "status"),
+    f"many/.batch/status/{_A}/a.json": ("reports", "status"),
+    "many/.batch/batch.json": ("reports", "status"),
+    "many/a/run.json": ("reports", "status"),
+    "old/poses.txt": ("simulate again",),
+    "all/run.json": ("more again",),
+    "all/poses.txt": ("paths",),
+    "driven/drive.json": ("drive again",),
+    "run.toml": ("configured",),
+    "plan.toml": ("drive",),
+    "m.csv": ("status", "shard"),
+    "rig.yaml": ("rig", "more", "check"),
+}
 
 
 def hostile(clip: Clip, folder: Path, trials: Sequence[int], seed: int) -> tuple[str, list[str]]:
@@ -185,9 +237,17 @@ def _watched(place: Path, log: Path) -> None:
     sys.addaudithook(hook)
 
 
-def _in(place: Path, args: Sequence[str], prepare: Callable[[], object] = lambda: None) -> Ended:
+def _in(
+    place: Path,
+    args: Sequence[str],
+    prepare: Callable[[], object] = lambda: None,
+    *,
+    installed: bool = False,
+) -> Ended:
     def child() -> int:
         os.chdir(place)
+        if installed:
+            os.execv(_INSTALLED, [_INSTALLED, *args])
         prepare()
         return main(args)
 
@@ -243,7 +303,7 @@ def _swapped(place: Path, chance: random.Random, touched: dict[str, list[str]]) 
         for each, content in _all_sums(place).items()
         if each not in replaced and not each.startswith(own)
     }
-    ended = _in(place, command.split())
+    ended = _in(place, command.split(), installed=chance.randrange(_INSTALLED_EVERY) == 0)
     shown = f"{obstacle} as {known}, {command}"
     yield from _faults_of(shown, ended)
     yield from (f"{shown}: {each}" for each in _missed(place, before))
@@ -267,20 +327,13 @@ def _changed(place: Path, chance: random.Random, _: dict[str, list[str]]) -> Ite
     else:
         record.write_bytes(flipped(record.read_bytes(), chance))
         changed = f"{shown} flipped"
-    folder = shown.partition("/")[0]
-    readers = {
-        "golden": ("report", "compare", "evaluate", "complete", "overwrite"),
-        "golden2": ("page", "compare", "evaluate"),
-        "begun": ("resume",),
-        "many": ("reports",),
-        "old": ("simulate again",),
-    }[folder]
-    before = {name: s for name, s in _all_sums(place).items() if not name.startswith(f"{folder}")}
-    what = chance.choice(readers)
+    folder = shown.partition("/")[0] + "/"
+    before = {name: s for name, s in _all_sums(place).items() if not name.startswith(folder)}
+    what = chance.choice(_RECORDS[shown])
     command, replaced = _WORK[what]
-    if folder == "many" and chance.randrange(_BATCH_EVERY) == 0:
+    if folder == "many/" and chance.randrange(_BATCH_EVERY) == 0:
         command = _BATCH.replace("many2", "many")
-    ended = _in(place, command.split())
+    ended = _in(place, command.split(), installed=chance.randrange(_INSTALLED_EVERY) == 0)
     yield from _faults_of(f"{changed}, {command}", ended)
     for name in replaced:
         before.pop(name, None)
@@ -307,9 +360,13 @@ def _change(said: Any, chance: random.Random) -> str:
 
 def _killed_anywhere(place: Path, chance: random.Random, _: dict[str, list[str]]) -> Iterator[str]:
     """Kill a command before it changes the disk; then the same has to work."""
-    what = chance.choice([each for each in _WORK if each not in ("report", "page", "reports")])
+    unkilled = ("report", "page", "reports", "status", "shard")  # the last has processes of its own
+    what = chance.choice([each for each in _WORK if each not in unkilled])
     command, replaced = _WORK[what]
-    outs = ("out", "golden/", "begun", "table.csv", "sim", "old")
+    outs = (
+        *("out", "golden/", "begun", "table.csv", "sim", "old", "more", "all/", "configured"),
+        *("drive/", "driven/"),
+    )
     before = {
         name: s
         for name, s in _all_sums(place).items()
@@ -317,7 +374,7 @@ def _killed_anywhere(place: Path, chance: random.Random, _: dict[str, list[str]]
     }
     _in(place, command.split(), _killing(chance.randrange(60)))
     again = command.split()
-    if what in ("run", "simulate"):
+    if what in _NEW:
         again.append("--overwrite")
     ended = _in(place, again)
     if ended.exit_code not in (0, 3, 4):
@@ -337,10 +394,12 @@ def _make(clip: Clip, made: Path) -> None:
     for name in ("left", "right"):
         shutil.copy(made / f"{name}.mp4", made / "precious")
     (made / "m.csv").write_text("left,right,out,rig\nleft.mp4,right.mp4,a,rig.yaml\n")
+    (made / "plan.toml").write_text(_PLAN)
+    (made / "run.toml").write_text(_CONFIG)
     for command in (
         *(f"run {_CLIP} --save {_SAVE} -o {name}" for name in ("golden", "golden2")),
         _BATCH.replace("many2", "many"),
-        _WORK["simulate again"][0].replace(" --overwrite", ""),
+        *(_WORK[f"{each} again"][0].replace(" --overwrite", "") for each in _AGAIN),
     ):
         ended = _in(made, command.split())
         if ended.exit_code:
