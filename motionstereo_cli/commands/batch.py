@@ -198,13 +198,9 @@ def batch(
             "a batch goes on with what it has begun: to start a recording again, remove its folder "
             "in OUT, or give another OUT"
         )
-    if shard is not None:
-        from motionstereo_cli.batch.shard import Shard
-
-        Shard.parse(shard)
     entries = _entries(inputs, shared)
     if dry_run:
-        return _tried_out(plans(entries, out, plan_of))
+        return _tried_out(plans(entries, out, plan_of), shard)
     with kept(out, scratch) as (place, address), _bar(len(entries)) as bar:
         found = plans(entries, place, plan_of)
 
@@ -231,10 +227,13 @@ def batch(
     return _summarise(statuses, address or out, retried=retry_failed)
 
 
-def _tried_out(found: Mapping[str, RunPlan]) -> int:
+def _tried_out(found: Mapping[str, RunPlan], shard: str | None) -> int:
     """Say of each recording what would be done, or what is wrong; return the exit code."""
+    from motionstereo_cli.batch.shard import Shard
     from motionstereo_cli.runs.run import Watcher, try_out
 
+    if shard is not None:
+        Shard.parse(shard)
     failed = 0
     for name, plan in found.items():
 
