@@ -17,7 +17,6 @@ from motionstereo_cli.files.reading import read_bytes
 from motionstereo_cli.method.settings import PRESETS, Settings
 from motionstereo_cli.params import Param, near_match, params
 from motionstereo_cli.rig.settings import PoseSettings, RigSettings
-from motionstereo_cli.simulate.settings import DriveSettings
 from motionstereo_cli.sinks.settings import OutputSettings
 from motionstereo_cli.sources.settings import InputSettings
 
@@ -77,6 +76,8 @@ def processing_options(command: Callable[..., Any]) -> Callable[..., Any]:
 
 def world_options(command: Callable[..., Any]) -> Callable[..., Any]:
     """Give a command the options of a driven world; it receives what was given as ``world``."""
+    from motionstereo_cli.simulate.settings import DriveSettings
+
     return _declared(DriveSettings, "world", "Scene")(command)
 
 

@@ -12,7 +12,6 @@ import contextlib
 import errno
 import os
 import re
-import secrets
 import stat
 from collections.abc import Iterator
 from pathlib import Path
@@ -90,7 +89,7 @@ class Temporary:
 
     def __init__(self, final: Path) -> None:
         self._final = final
-        self.path = final.with_name(f"{_MARK}{secrets.token_hex(8)}{_PART}")
+        self.path = final.with_name(f"{_MARK}{os.urandom(8).hex()}{_PART}")
         self.content: BinaryIO = os.fdopen(make_new(self.path), "wb")
         self._status = os.fstat(self.content.fileno())
 

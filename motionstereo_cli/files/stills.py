@@ -256,15 +256,23 @@ def decode(
             pages = _pages_of(image, path)
             if page or pages > 1:
                 image.seek(page)
-            mode, turned = _as_read(image.mode, path), ImageOps.exif_transpose(image)
-            pixels = np.asarray(turned.convert(mode) if mode else turned)
+            return _pixels_of(image, path), pages
     except Pillow.DecompressionBombError:
         raise _too_large(path, "", max_pixels) from None
     except Exception as error:
         if not is_damage(error):
             raise
         raise DamagedImageError(words_of(error)) from error
-    return _native(pixels, path), pages
+
+
+def _pixels_of(image: Pillow.Image, path: Path) -> NDArray[Any]:
+    """Return the pixels of an open image, as :class:`Still` has them.
+
+    Raises:
+        InputError: it has pixels of a kind that says nothing of grey levels.
+    """
+    mode, turned = _as_read(image.mode, path), ImageOps.exif_transpose(image)
+    return _native(np.asarray(turned.convert(mode) if mode else turned), path)
 
 
 def page_count(path: Path) -> int:
@@ -320,20 +328,16 @@ def pages_from(path: Path, begin: int, max_pixels: int = MAX_PIXELS) -> Iterator
         DamagedImageError: the next one cannot be read.
         InputError: it is too large, or has pixels of a kind that says nothing of grey levels.
     """
-    import imageio.v3 as iio
-
     try:
-        with open_regular(path) as file, iio.imopen(file, "r", plugin="pillow") as opened:
+        with open_regular(path) as file, Pillow.open(file, formats=_PAGED) as image:
             for page in itertools.count(begin):
                 try:
-                    about = opened.metadata(index=page)
+                    image.seek(page)
                 except EOFError:
                     return
-                width, height = about["shape"]
-                if width * height > max_pixels:
-                    raise _too_large(path, f" ({width}x{height} px)", max_pixels)
-                how: dict[str, Any] = {"mode": _as_read(about["mode"], path), "rotate": True}
-                yield _native(opened.read(index=page, **how), path)
+                if image.width * image.height > max_pixels:
+                    raise _too_large(path, f" ({image.width}x{image.height} px)", max_pixels)
+                yield _pixels_of(image, path)
     except Exception as error:
         if not is_damage(error):
             raise

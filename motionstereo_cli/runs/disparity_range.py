@@ -70,6 +70,7 @@ def sample_of(
     number, places, windows = 0, [0], [-1]
     while number < len(places):
         with open_stereo(plan.left, plan.right, plan.input_settings) as source:
+            source.ahead = 1
             rectify_source(source, plan.rig, plan.rig_settings)
             given = plan.input_settings
             if plan.disparity and given.disparity_scale and given.disparity_view != "auto":

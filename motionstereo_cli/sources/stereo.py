@@ -28,8 +28,9 @@ from motionstereo_cli.types import StereoFrame
 if TYPE_CHECKING:
     from motionstereo_cli.types import Grey
 
-#: Images decoded ahead on each side: enough to even out key frames, in little memory.
-_DEPTH = 4
+#: Images decoded ahead on each side: enough to even out key frames, in little memory; and the
+#: memory that they may take, in bytes, but for the first.
+_AHEAD, _AHEAD_BYTES = 4, 1 << 23
 
 #: Plausible images per second; beyond these the unit of time stamps is likely wrong.
 _LIKELY_RATES = (0.05, 5000)
@@ -62,6 +63,7 @@ class StereoSource:
         paths: files and folders that are read.
         recorded: the first file or folder of each recording, left then right, without tables of
             times, which ``paths`` includes.
+        ahead: images decoded ahead on each side; where few are read, fewer are decoded in vain.
         first_pts: time stamp of frame 0, once a frame was delivered.
         warnings: what looks wrong at the outset, one line each.
 
@@ -112,6 +114,7 @@ class StereoSource:
             )
         self.view_width, self.view_height = sizes[0]
         self.width, self.height = s.delivered(*sizes[0])
+        self.ahead = max(1, min(_AHEAD, _AHEAD_BYTES // (self.width * self.height)))
         self._box = s.box(*sizes[0])
         for width, height in (sizes[0], (self.width, self.height)):
             if width * height > s.max_pixels:
@@ -464,7 +467,9 @@ class StereoSource:
             self.begin_at(0)
         with ExitStack() as stack:
             feeds: list[Iterator[SideImage | Loss]] = [
-                stack.enter_context(closing(prefetch(self._shots(side), _DEPTH, side.stream.stop)))
+                stack.enter_context(
+                    closing(prefetch(self._shots(side), self.ahead, side.stream.stop))
+                )
                 for side in self._sides[: len(self._streams)]
             ]
             if len(feeds) == 1:
