@@ -54,7 +54,8 @@ def pose(x_m=0.0, y_m=0.0, yaw_rad=0.0):
 
 
 def stands(near_px, top_m=TALL_M):
-    return Bearings(near_px, np.where(np.isnan(near_px), NAN, np.float32(top_m)))
+    top_m = np.where(np.isnan(near_px), NAN, np.float32(top_m))
+    return Bearings(near_px, top_m, np.zeros_like(near_px))
 
 
 def wall_ahead(depth_m):
@@ -111,6 +112,24 @@ class TestProfile:
         np.testing.assert_allclose(found.near_px, [FB / 5, FB / 2])
         assert found.top_m[0] > 0.4
         assert found.top_m[1] == pytest.approx(-0.5, abs=0.06)
+
+    def test_an_upper_side_reaches_from_the_front_to_its_end(self):
+        """Rays meet a box from 2 m to 3 m ahead, 0.7 m below the cameras, or a wall at 5 m."""
+        slant = (np.arange(HEIGHT) - RIG.cy) / RIG.focal_px
+        with np.errstate(divide="ignore"):
+            onto_m = np.where(slant > 0, 0.7 / slant, np.inf)
+        depth_m = np.where(onto_m < 2, 2, np.where(onto_m < 3, onto_m, 5))
+        disparity = np.repeat((FB / depth_m)[:, None], WIDTH, axis=1).astype(np.float32)
+        disparity[:, WIDTH // 2 :] = FB / 5  # beside it
+        every = np.ones(disparity.shape, bool)
+        found = profile(disparity, every, view(), bearings=2, below_m=BELOW_M, above_m=0.6)
+        assert found.far_m[0] == pytest.approx(3.0, abs=0.11)
+        assert found.far_m[1] == 0
+        known = LocalMap.unknown(0, 0)
+        for _ in range(3):
+            known = seen(known, found, view(), SIZE, BELOW_M)
+        occupied = [evidence_at(known, x_m, 0.1) > CERTAIN for x_m in (1.5, 2.3, 2.8, 3.5)]
+        assert occupied == [False, True, True, False]
 
 
 class TestMap:
@@ -226,17 +245,38 @@ class TestFreeWays:
 
 
 class TestPlan:
-    def planned(self, way, possible=None, course=None, yaw_rad=0.0, turned_rad=0.0):
+    def planned(self, way, possible=None, course=None, yaw_rad=0.0, turned_rad=0.0, goal=None):
         way = np.array([way(d) for d in DIRECTIONS_RAD])
         possible = way if possible is None else np.array([possible(d) for d in DIRECTIONS_RAD])
         course = course or Course(0.0, 0.0)
         directions = yaw_rad + DIRECTIONS_RAD
-        return plan(course, yaw_rad, way, possible, directions, turned_rad=turned_rad)
+        turned = {"turned_rad": turned_rad, "goal": goal}
+        return plan(course, yaw_rad, way, possible, directions, **turned)
 
     def test_heads_for_the_longest_way(self):
         course, free_m = self.planned(lambda d: 6.0 if abs(d - 0.4) < 0.2 else 2.0)
         assert course.heading_rad == pytest.approx(0.4, abs=0.15)
         assert free_m == 6
+
+    @pytest.mark.parametrize("at_rad", [0.8, -2.6])
+    def test_heads_for_a_goal_where_the_way_there_is_free(self, at_rad):
+        def way(d):
+            return 2.5 if abs(d - at_rad) < 0.2 else 6.0 if abs(d) < 0.2 else 1.0
+
+        near, free_m = self.planned(way, goal=(at_rad, 2.9))
+        assert near.heading_rad == at_rad
+        assert free_m == 2.5
+        far, free_m = self.planned(way, goal=(at_rad, 6.5))  # something is before it
+        assert abs(far.heading_rad) < 0.3
+        assert free_m == 6
+
+    def test_of_two_ways_takes_that_nearer_to_the_goal(self):
+        def way(d):
+            return 5.0 if 0.5 < abs(d) < 1.0 else 1.0
+
+        for side in (-1, 1):
+            course, _ = self.planned(way, goal=(side * 1.5, 9.0))
+            assert course.heading_rad * side > 0.4
 
     def test_does_not_turn_back_for_a_longer_way(self):
         course, _ = self.planned(lambda d: 7.0 if abs(d) > 2.5 else 1.2)

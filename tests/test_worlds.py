@@ -241,6 +241,18 @@ def test_a_goal_that_is_reached_ends_the_drive(tmp_path):
     assert one.robot.x_m == pytest.approx(-1.5, abs=MAX_FORWARD_M)
 
 
+def test_a_goal_on_the_command_line_comes_before_that_of_the_plan(tmp_path, capsys):
+    path = tmp_path / "plan.toml"
+    path.write_text(PLAN.replace("heading_deg = 20", "heading_deg = 180\ngoal = [-2, 0]"))
+    size = ["--width", "64", "--height", "48"]
+    goal = ["--goal", "0.3,-0.2", "--max-frames", "3"]
+    assert main(["drive", str(tmp_path / "out"), "--world", str(path), *size, *goal]) == 0
+    assert "goal reached" in capsys.readouterr().err
+    for wrong in ("4", "1,x", "1,inf", "1,2,3"):
+        assert main(["drive", str(tmp_path / "no"), "--goal", wrong]) == 2
+        assert f"--goal cannot be '{wrong}': give X,Y in m" in capsys.readouterr().err
+
+
 def test_a_drive_in_a_plan_writes_what_one_in_the_corridor_does(tmp_path):
     path, out = tmp_path / "plan.toml", tmp_path / "out"
     path.write_text(PLAN.replace("heading_deg = 20", "frames = 12\ngoal = [3, 2]"))
@@ -252,7 +264,7 @@ def test_a_drive_in_a_plan_writes_what_one_in_the_corridor_does(tmp_path):
     record = json.loads((out / "drive.json").read_text())
     assert record["world"]["plan"]["boxes"][0]["height_m"] == 0.5
     recordings = [out / "left.mkv", out / "right.mkv", "--rig", out / "rig.yaml"]
-    poses = ["--poses", out / "poses.txt", "--save", "steering", "--no-check"]
+    poses = ["--poses", out / "poses.txt", "--goal", "3,2", "--save", "steering", "--no-check"]
     run = ["run", *recordings, *poses, "-o", tmp_path / "run"]
     assert CliRunner().invoke(cli, [str(each) for each in run]).exit_code == 0
     steered = (tmp_path / "run" / "steering.csv").read_bytes()

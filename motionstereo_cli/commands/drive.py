@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     examples=(
         "motionstereo drive out/drive --seed 3 --walkers 2 --view",
         "motionstereo drive out/office --world office",
+        "motionstereo drive out/there --world room-with-pillars --goal 3,2.5",
     ),
 )
 @progress_options
@@ -40,9 +41,9 @@ def drive(
 
     It drives round a square corridor, or in the floor plan of --world. OUT then holds left.mkv and
     right.mkv, its views (FFV1, lossless); rig.yaml and poses.txt (TUM format, m); steering.csv,
-    equal to that of run with --poses poses.txt; plan.png, the drive from above; map.ply, map.png,
-    map.yaml and map-sheet.png, equal to those of run --save map; drive.json with laps, distance,
-    collisions, nearest pass and the reason for the end.
+    equal to that of run with --poses poses.txt and the same --goal; plan.png, the drive from above;
+    map.ply, map.png, map.yaml and map-sheet.png, equal to those of run --save map; drive.json with
+    laps, distance, collisions, nearest pass and the reason for the end.
     """
     world_settings = DriveSettings(**world)
 
@@ -50,7 +51,7 @@ def drive(
     from motionstereo_cli.simulate.drive_world import world_of
 
     started_s = time.perf_counter()
-    driven = world_of(world_settings)
+    driven = world_of(world_settings, settings.goal_m)
     frames = driven.expected_frames
     with Bar(frames) as bar:
         advance = foretelling(frames, bar)

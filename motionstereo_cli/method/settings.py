@@ -6,6 +6,7 @@ dataclasses declared with :func:`param`, here and in ``simulate``.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cache
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -281,6 +282,12 @@ class Settings:
         group="Guidance",
     )
     # Guidance of a robot whose own motion is known.
+    goal: str = param(
+        "",
+        "Place to steer to, X,Y in m in the world of the poses (empty = along the longest free "
+        "way). Only with --poses.",
+        group="Guidance",
+    )
     robot_radius_m: float = param(
         0.25,
         "Radius of the robot that is steered. Only with --poses.",
@@ -308,8 +315,22 @@ class Settings:
         group="Guidance",
     )
 
+    @property
+    def goal_m(self) -> tuple[float, float] | None:
+        """The place to steer to, None if there is none."""
+        if not self.goal:
+            return None
+        try:
+            x_m, y_m = (float(part) for part in self.goal.split(","))
+        except ValueError:
+            x_m = y_m = math.nan
+        if not (math.isfinite(x_m) and math.isfinite(y_m)):
+            raise SettingsError(f"--goal cannot be {self.goal!r}: give X,Y in m, such as 4.5,-1")
+        return x_m, y_m
+
     def __post_init__(self) -> None:
         checked(self)
+        _ = self.goal_m
         if self.grey_min >= self.grey_max:
             raise SettingsError(
                 f"--grey-min {self.grey_min} is not below --grey-max {self.grey_max}"

@@ -1,7 +1,7 @@
 """The course of a robot with known poses, on a map of what it has seen recently.
 
-It heads for the direction with the longest free way. For guidance by single images, see
-:mod:`~motionstereo_cli.robot.free_space`.
+It heads for its goal where the way there is free, else for the direction with the longest free way.
+For guidance by single images, see :mod:`~motionstereo_cli.robot.free_space`.
 """
 
 from __future__ import annotations
@@ -36,6 +36,10 @@ _TRAVEL_COST_M = 1.0
 _CHANGE_COST_M = 0.5
 #: Directions farther from the direction of travel lead back.
 _BACK_RAD = math.radians(100)
+#: Free distance that offsets a radian away from a goal. It heads there where the way is free up to
+#: the first distance from the goal, or as far as the second.
+_GOAL_COST_M = 0.5
+_AT_GOAL_M, _TOWARD_GOAL_M = 0.5, 4.0
 #: Free distances below the first are blocked: the robot looks around until one exceeds the second.
 _MIN_FREE_M = 0.9
 _FOUND_FREE_M = 1.5
@@ -112,6 +116,7 @@ def plan(
     directions_rad: NDArray[np.float64],
     *,
     turned_rad: float,
+    goal: tuple[float, float] | None = None,
 ) -> tuple[Course, float | None]:
     """Return the next course and the free distance on it in m, None while looking around.
 
@@ -121,12 +126,19 @@ def plan(
         free_m, possible_m: free distances, see :func:`free_distances`.
         directions_rad: their yaws in the world.
         turned_rad: how far the robot has turned since the last frame.
+        goal: yaw in the world and distance in m of a place to drive to, if there is one.
     """
+    if goal is not None:
+        best = int(np.argmin(np.abs(wrapped(directions_rad - goal[0]))))
+        if free_m[best] >= min(max(goal[1] - _AT_GOAL_M, 0.0), _TOWARD_GOAL_M):
+            return Course(goal[0], goal[0]), float(free_m[best])
     looked_rad = course.looked_rad + abs(turned_rad) if course.look else 0.0
     from_travel = np.abs(wrapped(directions_rad - course.travel_rad))
     smooth_m = np.mean([np.roll(free_m, k) for k in (-2, -1, 0, 1, 2)], axis=0)
     worth = np.minimum(free_m, smooth_m) - _TRAVEL_COST_M * from_travel
     worth -= _CHANGE_COST_M * np.abs(wrapped(directions_rad - course.heading_rad))
+    if goal is not None:
+        worth -= _GOAL_COST_M * np.abs(wrapped(directions_rad - goal[0]))
     # A short free distance is enough to continue, but not to turn to.
     ahead = (np.abs(wrapped(directions_rad - yaw_rad)) <= _AHEAD_RAD) & (course.look == 0)
     allowed = free_m >= np.where(ahead, _MIN_FREE_M, _FOUND_FREE_M)

@@ -383,7 +383,13 @@ class MapGuide:
             radius_m=s.robot_radius_m,
         )
         turned = math.remainder(yaw - before.pose.yaw_rad, math.tau)
-        course, free_m = plan(course, yaw, known_m, possible_m, directions, turned_rad=turned)
+        goal = None
+        if s.goal_m is not None:
+            x_m, y_m = s.goal_m[0] - pose.x_m, s.goal_m[1] - pose.y_m
+            goal = math.atan2(y_m, x_m), math.hypot(x_m, y_m)
+        course, free_m = plan(
+            course, yaw, known_m, possible_m, directions, turned_rad=turned, goal=goal
+        )
         angle_rad = math.remainder(course.heading_rad - yaw, math.tau)
         place = steadied(before.place, self._place_of(angle_rad, width), s.steer_gain)
         half_way = s.robot_radius_m / self.rig.baseline_m
@@ -426,7 +432,7 @@ class MapGuide:
         trail: tuple[tuple[float, float, float], ...],
     ) -> bool:
         """Return whether the way that the image shows leads beyond the map."""
-        if by_image.status != "ok" or seen_now.image is None:
+        if by_image.status != "ok" or seen_now.image is None or self.settings.goal:
             return False
         if math.isnan(seen_now.image.space.slope):
             return False

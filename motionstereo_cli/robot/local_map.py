@@ -7,7 +7,8 @@ with an inverse sensor model (Thrun, Burgard and Fox, Probabilistic Robotics, ch
 halves in :data:`HALF_LIFE_FRAMES`, because objects may move away unseen.
 
 A camera looks over low objects nearby. So a cell also holds the height of its object, and is not
-made free by a line of sight that passes above it.
+made free by a line of sight that passes above it. What is seen of its upper side from farther off
+is occupied, too.
 """
 
 from __future__ import annotations
@@ -56,6 +57,9 @@ _LOW_THING = cv2.getStructuringElement(
 #: Evidence from which on a thing is believed to stand where no view reaches it; one that rises less
 #: than this length above what is no obstacle may be the floor, wrongly matched, and needs more.
 _SURE, _SURE_IF_LOW, _LOW_M = 0.9, 2.0, 0.25
+#: The upper side of a low thing: as near its top as this, nearer than this, seen by so many points
+#: of a bearing in each cell, and without a longer gap.
+_LEVEL_M, _LEVEL_REACH_M, _LEVEL_POINTS, _LEVEL_GAP_M = 0.12, 4.0, 2, 0.25
 #: How far above the top of a thing a sight has to pass to be said to pass over it.
 _TOP_ERROR_M = 0.1
 
@@ -114,10 +118,12 @@ class Bearings(NamedTuple):
     Attributes:
         near_px: its nearness, (bearings,) float32 px, NaN = unknown.
         top_m: height of its top above the camera, as far as it is in the way, (bearings,) float32.
+        far_m: how far ahead its upper side ends, (bearings,) float32; 0 where none is seen.
     """
 
     near_px: Reals
     top_m: Reals
+    far_m: Reals
 
 
 def profile(
@@ -154,7 +160,34 @@ def profile(
     top_m = ranked_by_bearing(
         up_m[of_it].astype(np.float32), bearing[of_it], bearings, share=_HIGHER_SHARE
     )
-    return Bearings(near_px, top_m)
+    rises = (top_m > _LOW_M - below_m) & (top_m < -_LEVEL_M)  # the camera sees onto it
+    is_level = rises[bearing] & (np.abs(up_m - top_m[bearing]) < _LEVEL_M)
+    far_m = _ends_m(
+        *(view.focal_baseline / near[is_level], bearing[is_level]),
+        *(view.focal_baseline / near_px, bearings),
+    )
+    return Bearings(near_px, top_m, np.where(rises, far_m, np.float32(0)))
+
+
+def _ends_m(ahead_m: Reals, bearing: NDArray[np.intp], front_m: Reals, bearings: int) -> Reals:
+    """Return up to where upper sides reach from the fronts of things, (bearings,) float32 m.
+
+    Args:
+        ahead_m, bearing: the points of upper sides, (n,) m and (n,).
+        front_m: of each bearing, NaN = unknown.
+        bearings: number of bearings.
+    """
+    cells = round(_LEVEL_REACH_M / CELL_M)
+    cell = (ahead_m / CELL_M).astype(np.intp)
+    inside = cell < cells
+    count = np.bincount(bearing[inside] * cells + cell[inside], minlength=bearings * cells)
+    at = np.arange(cells)
+    first = np.nan_to_num(front_m / CELL_M, nan=cells).clip(0, cells - 1).astype(np.intp)[:, None]
+    filled = (count.reshape(bearings, cells) >= _LEVEL_POINTS) & (at > first)
+    last = np.maximum.accumulate(np.where(filled, at, first), axis=1)
+    joined = np.logical_and.accumulate((at - last) * CELL_M <= _LEVEL_GAP_M, axis=1)
+    ends: Reals = (np.where(joined, last, 0).max(axis=1) + 1).astype(np.float32)
+    return ends * np.float32(CELL_M)
 
 
 def ranked_by_bearing(
@@ -233,6 +266,7 @@ def seen(
         cell_m=CELL_M,
         reach_m=_HIT_REACH_M,
         error_px=_HIT_ERROR_PX,
+        far_m=found.far_m,
     )
     evidence = known.evidence * np.float32(0.5 ** (1 / HALF_LIFE_FRAMES))
     # The lowest row passes over what is lower and near.
@@ -277,6 +311,7 @@ def sighted(
     cell_m: float,
     reach_m: float,
     error_px: float,
+    far_m: Reals | None = None,
 ) -> Sight:
     """Return the cells of a grid that a camera sees through, and those in which it sees something.
 
@@ -289,6 +324,7 @@ def sighted(
         cell_m: size of a cell.
         reach_m: farther points are too uncertain to be marked; the space up to them is free.
         error_px: error of a disparity that an occupied place allows for.
+        far_m: as of the profile: what it sees onto is occupied up to there.
     """
     bridged, solid = _bridged(near_px, view, width)
     ahead, leftward = _camera_frame(shape, corner, view, cell_m)
@@ -305,6 +341,8 @@ def sighted(
         free = ahead < view.focal_baseline / (near + _FREE_ERROR_PX)
         hit = (off_px < error_px) | (np.abs(ahead - depth_m) < 0.75 * cell_m)
         hit &= (depth_m < reach_m) & solid[bearing]
+        if far_m is not None:
+            hit |= (ahead > depth_m) & (ahead < far_m[bearing])
     return Sight(free, hit, bearing, ahead)
 
 

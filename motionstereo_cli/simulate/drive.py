@@ -111,7 +111,7 @@ def drive(
     Raises:
         OutputError: ``out`` is not empty, or cannot be written.
     """
-    settings = settings or Settings(robot_radius_m=ROBOT_RADIUS_M)
+    settings = aimed(settings or Settings(robot_radius_m=ROBOT_RADIUS_M), world)
     rig = world.settings.rig
     plan = Plan(world)
     context = RunContext(_TIME_BASE, settings, rig, colours(world) if view else OutputSettings())
@@ -153,6 +153,13 @@ def colours(world: RobotWorld) -> OutputSettings:
     rig = world.settings.rig
     ends = measured_ends(rig.nearness_px(world.around_px()), rig.focal_baseline)
     return OutputSettings(near_m=ends[0], far_m=ends[1]) if ends else OutputSettings()
+
+
+def aimed(settings: Settings, world: RobotWorld) -> Settings:
+    """Return the settings with the world's goal, if it has one."""
+    if world.goal is None:
+        return settings
+    return dataclasses.replace(settings, goal=",".join(map(repr, world.goal)))
 
 
 def driven(world: RobotWorld, settings: Settings) -> Iterator[tuple[StereoFrame, Step]]:

@@ -114,8 +114,10 @@ class RobotWorld:
         speed: the robot's maximum distance of a frame, as a multiple of :data:`MAX_FORWARD_M`.
         latency_frames: after so many frames it does what it was told.
         drift: standard deviation of the errors of its own motion, as a share of each step.
+        goal: place that it is to reach, (x, y) in m, where the drive ends; None: it explores.
 
     Attributes:
+        goal: as given.
         robot: where the robot is now.
         path: where it has been, (x, y) in m.
         path_m: length of its path.
@@ -134,8 +136,10 @@ class RobotWorld:
         speed: float = 1.0,
         latency_frames: int = 0,
         drift: float = 0.0,
+        goal: tuple[float, float] | None = None,
     ) -> None:
         self.settings = settings
+        self.goal = goal
         self.robot = start
         self._max_frames = settings.max_frames or max_frames
         self._speed = speed
@@ -166,11 +170,6 @@ class RobotWorld:
         return self._max_frames
 
     @property
-    def goal(self) -> tuple[float, float] | None:
-        """Place that the robot is to reach, (x, y) in m; None where there is none."""
-        return None
-
-    @property
     def described(self) -> dict[str, Any]:
         """What the record says of the world, besides the settings."""
         raise NotImplementedError
@@ -196,7 +195,10 @@ class RobotWorld:
 
     def _finished(self) -> str | None:
         """Return why the drive is over, although nothing was touched; None if it goes on."""
-        return None
+        if self.goal is None:
+            return None
+        off = self.robot.x_m - self.goal[0], self.robot.y_m - self.goal[1]
+        return "goal reached" if math.hypot(*off) <= GOAL_M else None
 
     def _went(self, before: FloorPose) -> None:
         """Take in that the robot has moved by a frame: what walks does so, too."""
@@ -280,6 +282,7 @@ class DriveWorld(RobotWorld):
 
     Args:
         settings: the world.
+        goal: as of the robot's world.
 
     Attributes:
         corridor: the corridor.
@@ -287,7 +290,7 @@ class DriveWorld(RobotWorld):
         turned_rad: how far round the square's middle it has come, in the direction of its start.
     """
 
-    def __init__(self, settings: DriveSettings) -> None:
+    def __init__(self, settings: DriveSettings, goal: tuple[float, float] | None = None) -> None:
         rng = np.random.default_rng([settings.seed, 2])
         width_m = settings.corridor_width_m or rng.uniform(2.0, 3.5)
         length_m = settings.corridor_length_m or rng.uniform(12, 18)
@@ -304,7 +307,7 @@ class DriveWorld(RobotWorld):
         self._paint = WalkerPaint(settings.walkers, rng)
         self.turned_rad = 0.0
         laps_m = 8 * middle_m * settings.laps
-        super().__init__(settings, start, math.ceil(3 * laps_m / MAX_FORWARD_M))
+        super().__init__(settings, start, math.ceil(3 * laps_m / MAX_FORWARD_M), goal=goal)
 
     @property
     def lap_m(self) -> float:
@@ -358,7 +361,7 @@ class DriveWorld(RobotWorld):
         return walls_m, "a wall"
 
     def _finished(self) -> str | None:
-        return "laps done" if self.laps >= self.settings.laps else None
+        return "laps done" if self.laps >= self.settings.laps else super()._finished()
 
     def _went(self, before: FloorPose) -> None:
         self.walkers = [
@@ -386,13 +389,14 @@ class PlanWorld(RobotWorld):
 
     Args:
         settings: the world; its ``world`` names the plan.
+        goal: as of the robot's world; None: the plan's.
 
     Raises:
         InputError: the plan cannot be used.
         SettingsError: there is no such plan.
     """
 
-    def __init__(self, settings: DriveSettings) -> None:
+    def __init__(self, settings: DriveSettings, goal: tuple[float, float] | None = None) -> None:
         self.plan = read_plan(settings.world)
         plan, robot = self.plan, self.plan.robot
         self._prisms = prisms(plan)
@@ -405,15 +409,11 @@ class PlanWorld(RobotWorld):
             speed=robot.speed_m_s / (MAX_FORWARD_M * FRAME_RATE),
             latency_frames=robot.latency_frames,
             drift=robot.drift,
+            goal=goal or robot.goal,
         )
         if self.ended is not None and self.ended.startswith("touched"):
             what = self.ended.removeprefix("touched ")
             raise InputError(f"{settings.world}: robot.start: it is within the robot of {what}")
-
-    @property
-    def goal(self) -> tuple[float, float] | None:
-        """The plan's goal."""
-        return self.plan.robot.goal
 
     @property
     def described(self) -> dict[str, Any]:
@@ -437,13 +437,8 @@ class PlanWorld(RobotWorld):
             return math.inf, ""
         return self._outlines.nearest(self.robot.x_m, self.robot.y_m)
 
-    def _finished(self) -> str | None:
-        if self.goal is None:
-            return None
-        off = self.robot.x_m - self.goal[0], self.robot.y_m - self.goal[1]
-        return "goal reached" if math.hypot(*off) <= GOAL_M else None
 
-
-def world_of(settings: DriveSettings) -> RobotWorld:
-    """Return the world that settings name."""
-    return DriveWorld(settings) if settings.world == CORRIDOR else PlanWorld(settings)
+def world_of(settings: DriveSettings, goal: tuple[float, float] | None = None) -> RobotWorld:
+    """Return the world that settings name; the goal is its own if None."""
+    world = DriveWorld if settings.world == CORRIDOR else PlanWorld
+    return world(settings, goal)

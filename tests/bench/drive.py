@@ -22,7 +22,7 @@ from bench.markdown import table
 from motionstereo_cli.method.block_matching import stereo_bm, stereo_sgbm
 from motionstereo_cli.method.settings import Settings
 from motionstereo_cli.robot.guide import MapGuide
-from motionstereo_cli.simulate.drive import driven
+from motionstereo_cli.simulate.drive import aimed, driven
 from motionstereo_cli.simulate.drive_world import RobotWorld, Shot, world_of
 from motionstereo_cli.simulate.floor_plan import plan_names
 from motionstereo_cli.simulate.settings import CORRIDOR, ROBOT_RADIUS_M, DriveSettings
@@ -42,14 +42,14 @@ _COLUMNS = (
 
 
 def _by_motion(world: RobotWorld) -> Iterator[Steering]:
-    return (step.steering for _, step in driven(world, SETTINGS))
+    return (step.steering for _, step in driven(world, aimed(SETTINGS, world)))
 
 
 def _by(disparity: Callable[[Shot], Real]) -> Callable[[RobotWorld], Iterator[Steering]]:
     """Return a way to steer by a disparity that is all of the moment."""
 
     def steer(world: RobotWorld) -> Iterator[Steering]:
-        guide, state = MapGuide(SETTINGS, world.settings.rig), None
+        guide, state = MapGuide(aimed(SETTINGS, world), world.settings.rig), None
         for shot in world.shots():
             disparity_px = disparity(shot)
             seen = guide.profile(disparity_px, ~np.isnan(disparity_px))
