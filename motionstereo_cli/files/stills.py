@@ -128,7 +128,7 @@ def _content_of(path: Path, max_pixels: int, within: Path | None) -> bytes:
         with open_regular(path, within) as file:
             size, pixels = os.fstat(file.fileno()).st_size, max_pixels
             if _NOTES_BYTES < size <= _max_bytes(max_pixels):
-                pixels = _pixels_of(file, path)
+                pixels = _count_of(file, path)
             content = content_up_to(file, _max_bytes(min(pixels, max_pixels)))
     except OSError as error:
         raise DamagedImageError(words_of(error)) from error
@@ -143,7 +143,7 @@ def _max_bytes(pixels: int) -> int:
     return _MAX_BYTES_PER_PIXEL * pixels + _NOTES_BYTES
 
 
-def _pixels_of(file: BufferedReader, path: Path) -> int:
+def _count_of(file: BufferedReader, path: Path) -> int:
     """Return how many pixels all images in a file have, by its head.
 
     Raises:
