@@ -256,7 +256,7 @@ def decode(
             pages = _pages_of(image, path)
             if page or pages > 1:
                 image.seek(page)
-            return _pixels_of(image, path), pages
+            return _decoded(image, path), pages
     except Pillow.DecompressionBombError:
         raise _too_large(path, "", max_pixels) from None
     except Exception as error:
@@ -265,7 +265,7 @@ def decode(
         raise DamagedImageError(words_of(error)) from error
 
 
-def _pixels_of(image: Pillow.Image, path: Path) -> NDArray[Any]:
+def _decoded(image: Pillow.Image, path: Path) -> NDArray[Any]:
     """Return the pixels of an open image, as :class:`Still` has them.
 
     Raises:
@@ -337,7 +337,7 @@ def pages_from(path: Path, begin: int, max_pixels: int = MAX_PIXELS) -> Iterator
                     return
                 if image.width * image.height > max_pixels:
                     raise _too_large(path, f" ({image.width}x{image.height} px)", max_pixels)
-                yield _pixels_of(image, path)
+                yield _decoded(image, path)
     except Exception as error:
         if not is_damage(error):
             raise

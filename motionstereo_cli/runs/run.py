@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from motionstereo_cli.check.measure import watched
-from motionstereo_cli.check.offset import with_offset
 from motionstereo_cli.check.shortfall import (
     beyond_range,
     falls_short,
@@ -164,6 +163,10 @@ def run(plan: RunPlan, watcher: Watcher | None = None, stdout: BinaryIO | None =
 
 
 def _with_offset(plan: RunPlan, warned: Warned) -> RunPlan:
+    if not plan.input_settings.measures_offset:
+        return plan
+    from motionstereo_cli.check.offset import with_offset
+
     say = partial(warned.say, "sync-offset")
     prepare = partial(rectify_source, paths=plan.rig, settings=plan.rig_settings)
     measured = with_offset(plan.left, plan.right, plan.input_settings, say, prepare)

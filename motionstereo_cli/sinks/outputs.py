@@ -283,7 +283,7 @@ OUTPUTS = {
         "by itself in boxes (id, speed over ground, time to contact), charge and depth beside "
         "each other, with scale and time, and the map so far if it is saved too; panels of at most "
         "640 px",
-        "videos.Preview",
+        "preview.Preview",
         shows_colours=True,
         takes="step",
         shows_images=True,

@@ -18,16 +18,23 @@ from motionstereo_cli.files.lettering import (
     text_width,
     titled,
 )
+from motionstereo_cli.files.records import restored
+from motionstereo_cli.robot.mapper import Mapper, Surroundings
 from motionstereo_cli.sinks.drawing import depth_picture, depth_scale, grey_picture
 from motionstereo_cli.sinks.legend import strip, time_text
 from motionstereo_cli.sinks.map import map_panel
+from motionstereo_cli.sinks.videos import ResultMark, ResultVideo
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from numpy.typing import NDArray
 
-    from motionstereo_cli.robot.mapper import Mapper
     from motionstereo_cli.sinks.sink import RunContext
     from motionstereo_cli.types import MovingObject, Steering, Step
+
+#: Checkpoint of a preview: that of its video, and the map so far.
+_Mark = tuple[ResultMark, Surroundings | None]
 
 #: Titles grow with the panels: width of a panel per height of its letters.
 _PX_PER_LETTER = 32
@@ -158,3 +165,35 @@ def heading_text(steering: Steering) -> str:
         amount = f"{abs(math.degrees(steering.steer_rad)):.0f}° {side}"
     ahead = "" if steering.depth_m is None else f", {steering.depth_m:.1f} m ahead"
     return f"{steering.status}: {amount}{ahead}"
+
+
+class Preview:
+    """The preview, with the map so far in a run that makes one.
+
+    Args:
+        path, stream: as of :class:`ResultVideo`.
+        since: continue from this checkpoint: that of the video, and the map so far.
+    """
+
+    def __init__(self, path: Path, stream: RunContext, since: _Mark | None = None) -> None:
+        video, known = restored(since, _Mark) if since else (None, None)
+        self._mapper: Mapper | None = None
+        if stream.with_map and stream.rig is not None:
+            self._mapper = Mapper(stream.settings, stream.rig, stream.output.map_cell_m)
+            self._mapper.known = known
+        self._video = ResultVideo(path, stream, video, image=self._picture)
+        self.close, self.abandon = self._video.close, self._video.abandon
+
+    def write(self, step: Step) -> None:
+        """Append the picture of a frame."""
+        if self._mapper is not None:
+            self._mapper.see(step)
+        self._video.write(step)
+
+    def checkpoint(self) -> _Mark:
+        """End a segment."""
+        known = None if self._mapper is None else self._mapper.known
+        return self._video.checkpoint(), known
+
+    def _picture(self, step: Step, stream: RunContext) -> NDArray[np.uint8]:
+        return preview_picture(step, stream, self._mapper)

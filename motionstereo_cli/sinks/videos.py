@@ -12,7 +12,6 @@ import numpy as np
 
 from motionstereo_cli.files.records import restored
 from motionstereo_cli.files.video import Indexed, Picture, SegmentedVideo, VideoMark
-from motionstereo_cli.robot.mapper import Mapper, Surroundings
 from motionstereo_cli.sinks.drawing import (
     colour_table,
     depth_levels,
@@ -20,9 +19,8 @@ from motionstereo_cli.sinks.drawing import (
 )
 from motionstereo_cli.sinks.images import asked_for, depth_png, known_depth_m, motion_png
 from motionstereo_cli.sinks.legend import strip, time_text
-from motionstereo_cli.sinks.preview import preview_picture
 from motionstereo_cli.sinks.sink import EPOCH_S
-from motionstereo_cli.types import FrameImages, Step
+from motionstereo_cli.types import FrameImages
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -33,7 +31,7 @@ if TYPE_CHECKING:
     Draw = Callable[[Any, RunContext], Picture | list[Picture]]
 
 #: Checkpoint of a video: that of its segments, and the first time stamp.
-_Mark = tuple[VideoMark, int | None]
+ResultMark = tuple[VideoMark, int | None]
 
 
 def beginning(pts: int, time_base: Fraction) -> int:
@@ -63,11 +61,11 @@ class ResultVideo:
         self,
         path: Path,
         stream: RunContext,
-        since: _Mark | None = None,
+        since: ResultMark | None = None,
         *,
         image: Draw,
     ) -> None:
-        segments, self._begin = restored(since or (((), None), None), _Mark)
+        segments, self._begin = restored(since or (((), None), None), ResultMark)
         self._video = SegmentedVideo(path, stream.time_base, segments)
         self._stream = stream
         self._image = image
@@ -79,7 +77,7 @@ class ResultVideo:
             self._begin = beginning(pts, self._stream.time_base)
         self._video.write(self._image(given, self._stream), pts - self._begin)
 
-    def checkpoint(self) -> _Mark:
+    def checkpoint(self) -> ResultMark:
         """End a segment."""
         return self._video.checkpoint(), self._begin
 
@@ -104,40 +102,6 @@ def _depth(images: FrameImages, stream: RunContext) -> list[Picture]:
     if stream.output.legend:
         parts.append(strip(levels.shape[1], scale, time_text(images.time)))
     return parts
-
-
-class Preview:
-    """The preview, with the map so far in a run that makes one.
-
-    Args:
-        path, stream: as of :class:`ResultVideo`.
-        since: continue from this checkpoint: that of the video, and the map so far.
-    """
-
-    def __init__(
-        self, path: Path, stream: RunContext, since: tuple[_Mark, Surroundings | None] | None = None
-    ) -> None:
-        video, known = restored(since, tuple[_Mark, Surroundings | None]) if since else (None, None)
-        self._mapper: Mapper | None = None
-        if stream.with_map and stream.rig is not None:
-            self._mapper = Mapper(stream.settings, stream.rig, stream.output.map_cell_m)
-            self._mapper.known = known
-        self._video = ResultVideo(path, stream, video, image=self._picture)
-        self.close, self.abandon = self._video.close, self._video.abandon
-
-    def write(self, step: Step) -> None:
-        """Append the picture of a frame."""
-        if self._mapper is not None:
-            self._mapper.see(step)
-        self._video.write(step)
-
-    def checkpoint(self) -> tuple[_Mark, Surroundings | None]:
-        """End a segment."""
-        known = None if self._mapper is None else self._mapper.known
-        return self._video.checkpoint(), known
-
-    def _picture(self, step: Step, stream: RunContext) -> NDArray[np.uint8]:
-        return preview_picture(step, stream, self._mapper)
 
 
 # The sinks by their names in OUTPUTS; each takes the path and the stream.

@@ -14,11 +14,9 @@ if TYPE_CHECKING:
 
     from motionstereo_cli.types import Grey
 
-#: Grey level for each luma of a limited-range stream: 16..235 becomes 0..255.
-_GREY_OF_LIMITED_LUMA = np.clip(np.rint((np.arange(256) - 16) * (255 / 219)), 0, 255).astype(
-    np.uint8
-)
-
+#: Grey levels for a step of a limited-range stream's luma, and for none: 16..235 becomes 0..255.
+_GREY_PER_LUMA = 255 / 219
+_GREY_OF_NONE = -16 * _GREY_PER_LUMA
 
 #: Differences of red, green and blue up to this are rounding.
 _GREY_SPREAD = 6
@@ -48,7 +46,7 @@ def brightest(frame: av.VideoFrame) -> int:
 def grey_levels(frame: av.VideoFrame, white: int = 0) -> Grey:
     """Return the grey levels of a decoded frame, (height, width) uint8 0..255.
 
-    An 8-bit luma plane is used directly, expanded by a table if it is limited range. Other YUV is
+    An 8-bit luma plane is used directly, expanded if it is limited range. Other YUV is
     converted by FFmpeg's scaler, RGB by BT.601 in full range.
 
     Args:
@@ -71,7 +69,10 @@ def grey_levels(frame: av.VideoFrame, white: int = 0) -> Grey:
         -1, plane.line_size
     )  # rows are padded
     luma = rows[: frame.height, : frame.width]
-    return np.ascontiguousarray(luma if full else cv2.LUT(luma, _GREY_OF_LIMITED_LUMA), np.uint8)
+    if full:
+        return np.ascontiguousarray(luma)
+    # Rounded, and limited to 0..255.
+    return np.asarray(cv2.addWeighted(luma, _GREY_PER_LUMA, luma, 0, _GREY_OF_NONE), np.uint8)
 
 
 def colours(frame: av.VideoFrame) -> NDArray[np.uint8]:

@@ -1,4 +1,7 @@
-"""Open inputs by name: videos, images, standard input, folders of both cameras."""
+"""Open inputs by name: videos, images, standard input, folders of both cameras.
+
+What only some kinds of recordings need is imported where it is one of them.
+"""
 
 from __future__ import annotations
 
@@ -12,24 +15,22 @@ from pathlib import Path
 from typing import NamedTuple
 
 from motionstereo_cli.errors import InputError, SettingsError, is_damage, opening
-from motionstereo_cli.files.stills import SUFFIXES, shown
-from motionstereo_cli.sources.bag import BagRecording
+from motionstereo_cli.files.stills import SUFFIXES, page_count, shown
 from motionstereo_cli.sources.bag_topics import bags_in, image_topics_of, stereo_topics
-from motionstereo_cli.sources.folder import FolderRecording
 from motionstereo_cli.sources.joined import SUFFIXES as VIDEO_SUFFIXES
 from motionstereo_cli.sources.joined import JoinedRecording, missing_files, next_chapter, parts_of
-from motionstereo_cli.sources.multiview import add_nominal_rig, eyes_in
 from motionstereo_cli.sources.names import right_of
-from motionstereo_cli.sources.pages import PagesRecording, has_pages
 from motionstereo_cli.sources.pipe import Pipe
 from motionstereo_cli.sources.recording import Recording
 from motionstereo_cli.sources.settings import InputSettings
 from motionstereo_cli.sources.stereo import SIDES, StereoSource
-from motionstereo_cli.sources.svo import SvoRecording, is_svo
 from motionstereo_cli.sources.video import VideoRecording
 
 #: The name of standard input. A file of that name is ``./-``.
 STDIN = "-"
+
+#: The suffix of a ZED's recordings, and those of files that may hold several still images.
+_SVO, _PAGED = ".svo2", frozenset({".tif", ".tiff", ".png", ".webp"})
 
 #: FFmpeg's addresses: a protocol and a colon. A single letter is a drive of Windows.
 _ADDRESS = re.compile(r"[A-Za-z][A-Za-z0-9+.,-]+:")
@@ -86,6 +87,8 @@ def open_stereo(
             for name, track, topic in zip(names, settings.tracks, topics, strict=False)
         ]
         if len(streams) == 1 and settings.layout == "two" and streams[0].multiview:
+            from motionstereo_cli.sources.multiview import add_nominal_rig, eyes_in
+
             if not streams[0].rereadable:
                 raise InputError(
                     f"{names[0]} brings spatial video, which is read twice: give a file"
@@ -250,9 +253,13 @@ def open_recording(
         InputError: it cannot be decoded or has no images.
     """
     path = Path(name)
-    if is_svo(path):
+    if path.suffix.lower() == _SVO and path.is_file():
+        from motionstereo_cli.sources.svo import SvoRecording
+
         return SvoRecording(path, max_pixels=settings.max_pixels)
     if topic:
+        from motionstereo_cli.sources.bag import BagRecording
+
         return BagRecording(
             topic.files, topic.name, white=settings.white, max_pixels=settings.max_pixels
         )
@@ -262,10 +269,14 @@ def open_recording(
         )
     is_still = path.suffix.lower() in SUFFIXES or not path.exists()
     if not (name == STDIN or is_address(name)) and (path.is_dir() or is_still):
-        if path.is_file() and has_pages(path):
+        if path.is_file() and path.suffix.lower() in _PAGED and page_count(path) > 1:
+            from motionstereo_cli.sources.pages import PagesRecording
+
             return PagesRecording(
                 path, settings.rate, white=settings.white, max_pixels=settings.max_pixels
             )
+        from motionstereo_cli.sources.folder import FolderRecording
+
         files = None if path.is_dir() else _files(name)
         return FolderRecording(
             path, files, settings.rate, white=settings.white, max_pixels=settings.max_pixels

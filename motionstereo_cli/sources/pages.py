@@ -18,14 +18,6 @@ from motionstereo_cli.files.stills import (
 )
 from motionstereo_cli.sources.recording import Image, StillsRecording, images
 
-#: Files with these suffixes may hold several images.
-SUFFIXES = frozenset({".tif", ".tiff", ".png", ".webp"})
-
-
-def has_pages(path: Path) -> bool:
-    """Return whether a file holds several still images."""
-    return path.suffix.lower() in SUFFIXES and page_count(path) > 1
-
 
 class PagesRecording(StillsRecording):
     """Images of one file in order; they have times only with ``frame_rate``.

@@ -32,8 +32,6 @@ from motionstereo_cli.sources.luma import colours, grey_levels, has_colour
 from motionstereo_cli.sources.names import MAX_STAMP
 from motionstereo_cli.sources.recording import Image, Recording, images
 
-SUFFIX = ".svo2"
-
 #: The topic of the header, and the limit of plausible images per second.
 _HEADER, _FASTEST = "svo_header", 1000
 
@@ -51,11 +49,6 @@ _MOST_BYTES = 1 << 28
 #: First bytes of streams: kinds of units in H.265 (parameter sets) and H.264 (parameter sets,
 #: delimiter) with which an independent image can begin.
 _HEVC_BEGINS, _H264_BEGINS = range(32, 36), (7, 8, 9)
-
-
-def is_svo(path: Path) -> bool:
-    """Return whether a path is that of an SVO2 recording."""
-    return path.suffix.lower() == SUFFIX and path.is_file()
 
 
 class SvoRecording(Recording):
