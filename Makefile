@@ -46,8 +46,11 @@ regress: $(READY)  ## see that a run on sample_data gives what it gave before
 	$(BIN)/motionstereo compare out/regress sample_data/golden \
 		--junit out/regress.xml --picture out/regress.png
 
-fuzz: $(READY)  ## try damaged files with each reader for 10 minutes, and new examples
-	$(BIN)/pytest tests/test_fuzz.py -s --fuzz-seconds 600
+# Goes on from what reached new code in earlier nights, which is kept in out/fuzz.
+FUZZ_SECONDS ?= 600
+fuzz: $(READY)  ## try damaged files with each reader for FUZZ_SECONDS (10 minutes), and new examples
+	$(BIN)/pytest tests/test_fuzz.py -s --fuzz-seconds $(FUZZ_SECONDS) \
+		--fuzz-seed $$(($$(date +%s) / 86400))
 	$(BIN)/pytest -n auto --dist loadfile --hypothesis-profile new
 
 torture: $(READY)  ## damage input, kill runs, fill disks, run for long: half an hour

@@ -1,29 +1,22 @@
 """Damaged and hostile files: every reader gives a result or says what is wrong, in one line.
 
-The suite tries each reader a hundred times; `make fuzz` goes on for 10 minutes each. Seeds count
-from 0, or from --fuzz-seed, and are printed, so that a failure comes again.
+The suite tries each reader a hundred times. `make fuzz` goes on for 10 minutes each from what it
+kept in out/fuzz the last time.
 """
 
 import contextlib
-import faulthandler
 import functools
 import hashlib
 import io
-import itertools
 import math
-import random
 import re
-import resource
 import shutil
-import struct
-import time
 
 import cv2
 import numpy as np
 import pytest
 from bags import Bag
-from hypothesis import HealthCheck, given, seed, settings
-from hypothesis import strategies as st
+from fuzzing import Fuzz
 from PIL import Image
 from recordings import encode, scene
 from spatial import svo2, vr180, with_boxes
@@ -61,7 +54,6 @@ from test_compare import RECORD, STEERING, written
 from test_rig import VALUES, rig_file
 from test_worlds import PLAN
 
-from bench.damage import DAMAGES
 from motionstereo_cli.__main__ import main
 from motionstereo_cli.batch.cluster import Cluster
 from motionstereo_cli.batch.own_folder import claim, read_status, status_path, write_status
@@ -98,103 +90,13 @@ from motionstereo_cli.types import Rig
 #: A warning of NumPy's would be talk that no user can follow.
 pytestmark = pytest.mark.filterwarnings("error")
 
-#: What is put in place of a word: numbers that are none or out of range, and marks of the formats.
-NASTY = [
-    *(b"nan", b"-inf", b"0", b"-1", b"-0.0", b"1e308", b"1e-320", b"1e999", b"0.5", b"2", b"1_0"),
-    *(b"3" * 20, b"9" * 5000, b"1" + b"0" * 400, b"0x1p3", "\u0663".encode(), b"true", b"null"),
-    *(b"", b"\0", b"\r", b"\n", b"\xff\xfe", b"\xed\xa0\x80", b"\x1b[31m", b"\xef\xbb\xbf"),
-    *(b"[", b"]", b"{", b"}", b"<", b">", b"<!--", b":", b"=", b",", b"-", b'"', b"'", b"#", b"|"),
-    *(b"[" * 3000, b'{"a":' * 3000, b"&a [*a]", b"!!python/object/apply:os.system", b"<<: *a"),
-]
-
-
-@st.composite
-def damaged(draw, samples):
-    """Any bytes, or a sample with some of its words replaced, lost, repeated or exchanged."""
-    if draw(st.integers(0, 9)) == 0:
-        return draw(st.binary(max_size=200))
-    words = re.findall(rb"[\w.+-]+|\s+|[^\w\s]", draw(st.sampled_from(samples)))
-    places = st.integers(0, len(words) - 1)
-    for _ in range(draw(st.integers(1, 4))):
-        place = draw(places)
-        match draw(st.integers(0, 5)):
-            case 0:
-                words[place] = draw(st.binary(max_size=6))
-            case 1:
-                words[place] *= draw(st.integers(2, 5))
-            case 2:
-                words[place] = words[draw(places)]
-            case 3:
-                end = draw(places)
-                words[place:end] = [b""] * (end - place)  # the number of words stays
-            case _:
-                words[place] = draw(st.sampled_from(NASTY))
-    return b"".join(words)
-
-
-def overwritten(content, chance):
-    """Return a content with one number in it replaced by one that is out of range."""
-    number = struct.pack(chance.choice("<>") + chance.choice("HIQd"), chance.choice((0, 1, 255)))
-    number = chance.choice((number, bytes(len(number)), b"\xff" * len(number)))
-    place = chance.randrange(len(content))
-    return content[:place] + number + content[place + len(number) :]
-
-
-#: What a file of bytes is spoilt by: large examples are slow to draw, and no one reads them.
-NUMBERS = st.integers(0, 2**64)
-
-
-def spoilt(samples, number):
-    """Return one of some samples, whose last part is a content, with damage that a number draws."""
-    chance = random.Random(number)
-    *name, content = chance.choice(samples)
-    for _ in range(chance.randint(1, 3)):
-        content = chance.choice((overwritten, *DAMAGES.values()))(content or b"\0", chance)
-    return (*name, content)
-
-
-#: An example that takes so long hangs, and one that needs so much memory is not bounded.
-HANGS_S, MAX_KB = 60, 1_000_000
-
 
 @pytest.fixture
 def fuzz(request):
-    """Return what tries a check on former finds, and then a hundred examples, or fewer slow ones.
-
-    If the command line says so, on as many more, until its time is over.
-    """
-    before_kb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-
-    def watched(check):
-        def call(content):
-            faulthandler.dump_traceback_later(HANGS_S, exit=True)
-            try:
-                check(content)
-            finally:
-                faulthandler.cancel_dump_traceback_later()
-            assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss < before_kb + MAX_KB
-
-        return call
-
-    def run(strategy, check, finds=(), examples=100):
-        check = watched(check)
-        for content in finds:
-            check(content)
-        ends = time.monotonic() + request.config.getoption("--fuzz-seconds")
-        for number in itertools.count(request.config.getoption("--fuzz-seed")):
-            print(f"seed {number}")
-            tried = given(strategy)(check)
-            limits = settings(
-                max_examples=examples,
-                deadline=None,
-                database=None,
-                suppress_health_check=list(HealthCheck),
-            )
-            seed(number)(limits(tried))()
-            if time.monotonic() >= ends:
-                break
-
-    return run
+    """Return what tries a check on former finds and on a hundred examples, or for some time."""
+    options, name = request.config, re.sub(r"\W+", "-", request.node.name)
+    seconds, seed = options.getoption("--fuzz-seconds"), options.getoption("--fuzz-seed")
+    return Fuzz(options.rootpath / "out/fuzz" / name, seconds, seed)
 
 
 def result_of(read, *args, **options):
@@ -221,7 +123,7 @@ def test_rig_files(fuzz, tmp_path):
             path.write_text(format_rig(rig))
             assert read_rig(path) == rig
 
-    fuzz(damaged(samples), check)
+    fuzz(samples, check)
 
 
 def test_calibration_files(fuzz, tmp_path):
@@ -241,7 +143,7 @@ def test_calibration_files(fuzz, tmp_path):
     finds = [sized.replace(b"320.", size) for size in (b"1e999", b"2e9", b"1e6")]
     finds.append(b"P0: 7 0 6 0 0 7 1 0 0 0 1 0\nP1: 0 0 6 0 0 0 1 0 0 0 1 0\n")
     finds += [samples[0].replace(b"rows: 3", b"rows: 1e999"), sized.replace(b"258.", b"1e-320")]
-    fuzz(damaged(samples), check, finds)
+    fuzz(samples, check, finds)
 
 
 def test_calibration_files_of_other_programs(fuzz, tmp_path):
@@ -256,7 +158,7 @@ def test_calibration_files_of_other_programs(fuzz, tmp_path):
         path.write_bytes(content)
         check_calibration(result_of(read_calibration, [path], SIZE))
 
-    fuzz(damaged(samples), check)
+    fuzz(samples, check)
 
 
 def test_pairs_of_calibration_files(fuzz, tmp_path):
@@ -264,18 +166,18 @@ def test_pairs_of_calibration_files(fuzz, tmp_path):
     samples = [(left.read_bytes(), right.read_bytes()) for left, right in pairs]
     paths = [tmp_path / "one", tmp_path / "other"]
 
-    def check(contents):
-        for path, content in zip(paths, contents, strict=True):
-            path.write_bytes(content)
+    def check(example):
+        side, other, content = example
+        paths[side].write_bytes(content)
+        paths[1 - side].write_bytes(other)
         check_calibration(result_of(read_calibration, paths))
 
-    spoilt = st.one_of(
-        *(st.tuples(damaged([left]), st.just(right)) for left, right in samples),
-        *(st.tuples(st.just(left), damaged([right])) for left, right in samples),
-    )
     left, right = samples[0]
     assert b"0.0, 0.0, 0.0, 1.0]" in right
-    fuzz(spoilt, check, [(left, right.replace(b"0.0, 0.0, 0.0, 1.0]", b"0, 0, 0, 0]"))])
+    find = right.replace(b"0.0, 0.0, 0.0, 1.0]", b"0, 0, 0, 0]")
+    sides = [(0, right, left) for left, right in samples]
+    sides += [(1, left, right) for left, right in samples]
+    fuzz(sides, check, [(1, left, find)])
 
 
 def check_calibration(calibration):
@@ -305,7 +207,7 @@ def test_poses(fuzz, tmp_path):
                 pose = result_of(trajectory.at, time_s)
                 assert pose is None or math.isfinite(pose.yaw_rad)
 
-    fuzz(damaged(["\n".join([head, *lines]).encode() for head, lines in samples]), check)
+    fuzz(["\n".join([head, *lines]).encode() for head, lines in samples], check)
 
 
 CONFIG = b"""max-disparity = 96
@@ -342,7 +244,7 @@ def test_configuration_files(fuzz, tmp_path, monkeypatch, command, sample):
         assert talk.getvalue().count("\n") == 1
 
     finds = [b"max-disparity = 1" + b"0" * 400, b"tolerance = " + b"[" * 3000, b'junit = ""']
-    fuzz(damaged([sample]), check, finds)
+    fuzz([sample], check, finds)
 
 
 def test_tables(fuzz, tmp_path):
@@ -356,7 +258,7 @@ def test_tables(fuzz, tmp_path):
             frames = result_of(lambda: list(table.by_frame())) or []
             assert all(tuple(row) == table.columns for _, rows in frames for row in rows.values())
 
-    fuzz(damaged([STEERING.encode(), objects]), check)
+    fuzz([STEERING.encode(), objects], check)
 
 
 def test_times_by_line(fuzz, tmp_path):
@@ -375,7 +277,7 @@ def test_times_by_line(fuzz, tmp_path):
                 result_of(lambda stream=stream: [image.pts for image in stream])
 
     samples = [b"0.0\n0.1\n0.2\n", b"2011-09-26 13:02:25.964389445\n" * 3]
-    fuzz(damaged(samples), check)
+    fuzz(samples, check)
 
 
 def test_time_stamps_of_images(fuzz, tmp_path):
@@ -392,7 +294,7 @@ def test_time_stamps_of_images(fuzz, tmp_path):
             result_of(lambda: [(image.pts, stream.time_base) for image in stream])
 
     finds = [b"1" + b"0" * 400 + b",a.png", b"9" * 5000 + b",a.png"]
-    fuzz(damaged([sample.encode()]), check, [sample.encode() + find for find in finds])
+    fuzz([sample.encode()], check, [sample.encode() + find for find in finds])
 
 
 def test_records_of_runs(fuzz, tmp_path):
@@ -409,7 +311,7 @@ def test_records_of_runs(fuzz, tmp_path):
         (out / "run.json").write_bytes(content)
         result_of(prepare, out, ["steering"], overwrite=True)
 
-    fuzz(damaged([sample]), check, [b"[" * 3000, b"{" + b'"a": {' * 3000])
+    fuzz([sample], check, [b"[" * 3000, b"{" + b'"a": {' * 3000])
 
 
 def talk_of(*args):
@@ -467,14 +369,14 @@ def media(tmp_path):
 def test_videos(fuzz, tmp_path):
     samples = list(media(tmp_path))
 
-    def check(number):
-        suffix, content = spoilt(samples, number)
+    def check(example):
+        suffix, content = example
         path = tmp_path / f"spoilt{suffix}"
         path.write_bytes(content)
         layout = "two" if suffix == ".svo2" else "side-by-side"
         result_of(read_all, path, layout=layout)
 
-    fuzz(NUMBERS, check)
+    fuzz(samples, check)
 
 
 def test_bags(fuzz, tmp_path):
@@ -493,8 +395,8 @@ def test_bags(fuzz, tmp_path):
         files = [whole] if whole.is_file() else sorted(whole.iterdir())
         samples += [(kind, path.name, path.read_bytes()) for path in files]
 
-    def check(number):
-        kind, name, content = spoilt(samples, number)
+    def check(example):
+        kind, name, content = example
         place = tmp_path / f"whole{kind}"
         path = place if place.is_file() else place / name
         whole = path.read_bytes()
@@ -505,7 +407,7 @@ def test_bags(fuzz, tmp_path):
         finally:
             path.write_bytes(whole)
 
-    fuzz(NUMBERS, check, examples=25)
+    fuzz(samples, check, examples=25)
 
 
 def images(tmp_path):
@@ -536,8 +438,8 @@ def images(tmp_path):
 def test_images_and_maps(fuzz, tmp_path):
     place, samples = tmp_path / "images", list(images(tmp_path))
 
-    def check(number):
-        suffix, content = spoilt(samples, number)
+    def check(example):
+        suffix, content = example
         shutil.rmtree(place, ignore_errors=True)
         place.mkdir()
         path = place / f"000000{suffix}"
@@ -552,7 +454,7 @@ def test_images_and_maps(fuzz, tmp_path):
             result_of(read_all, path, layout="side-by-side")
             result_of(read_all, place, layout="side-by-side")
 
-    fuzz(NUMBERS, check)
+    fuzz(samples, check)
 
 
 def test_checkpoints(fuzz, tmp_path):
@@ -564,13 +466,12 @@ def test_checkpoints(fuzz, tmp_path):
     head, _, whole = path.read_bytes().partition(b"\n")
     head = head[: -len(hashlib.sha256().hexdigest())]
 
-    def check(example):
-        content = example if isinstance(example, bytes) else spoilt([(whole,)], example)[0]
+    def check(content):
         path.write_bytes(head + hashlib.sha256(content).hexdigest().encode() + b"\n" + content)
         state = functools.partial(check_state, settings=Settings(), width=12, height=8)
         result_of(read_checkpoint, path, {}, state)
 
-    fuzz(st.one_of(NUMBERS, damaged([whole])), check)
+    fuzz([whole], check)
 
 
 def test_manifests(fuzz, tmp_path, monkeypatch):
@@ -586,7 +487,7 @@ def test_manifests(fuzz, tmp_path, monkeypatch):
             assert exit_code in (1, 2)
             assert said.startswith("error: ")
 
-    fuzz(damaged([sample]), check)
+    fuzz([sample], check)
 
 
 def test_records_of_batches(fuzz, tmp_path):
@@ -609,8 +510,7 @@ def test_records_of_batches(fuzz, tmp_path):
         finally:
             name.write_bytes(whole)
 
-    each = [st.tuples(st.just(name), damaged([content])) for name, content in samples]
-    fuzz(st.one_of(*each), check, examples=25)
+    fuzz(samples, check, examples=25)
 
 
 def test_reports_of_results(fuzz, tmp_path):
@@ -637,8 +537,7 @@ def test_reports_of_results(fuzz, tmp_path):
         finally:
             path.write_bytes(whole)
 
-    each = [st.tuples(st.just(path), damaged([content])) for path, content in samples]
-    fuzz(st.one_of(*each), check, examples=25)
+    fuzz(samples, check, examples=25)
 
 
 def test_objects(fuzz, tmp_path):
@@ -652,7 +551,7 @@ def test_objects(fuzz, tmp_path):
         for box in result_of(read_objects, path, ObjectSettings()) or ():
             assert math.isfinite(box.left + box.bottom)
 
-    fuzz(damaged([table, labels]), check)
+    fuzz([table, labels], check)
 
 
 def test_floor_plans(fuzz, tmp_path):
@@ -664,7 +563,7 @@ def test_floor_plans(fuzz, tmp_path):
         if plan is not None:
             assert prisms(plan) is not None
 
-    fuzz(damaged([PLAN.encode()]), check)
+    fuzz([PLAN.encode()], check)
 
 
 def test_models_and_their_forms(fuzz, tmp_path):
@@ -680,13 +579,15 @@ def test_models_and_their_forms(fuzz, tmp_path):
     form = b'inputs = ["L", "R"]\nlevels = "unit"\noutput = "D"\nscale = 1.5\nsize = [32, 64]\n'
     settings = Settings(matcher=f"onnx:{tmp_path}/model.onnx")
 
+    parts = {"onnx": whole, "toml": form}
+
     def check(example):
-        model, text = (whole, example) if isinstance(example, bytes) else (None, form)
-        (tmp_path / "model.onnx").write_bytes(model or spoilt([(whole,)], example)[0])
-        (tmp_path / "model.toml").write_bytes(text)
+        name, content = example
+        for suffix, part in (parts | {name: content}).items():
+            (tmp_path / f"model.{suffix}").write_bytes(part)
         result_of(load_model, settings)
 
-    fuzz(st.one_of(NUMBERS, damaged([form])), check)
+    fuzz(list(parts.items()), check)
 
 
 def test_scheduler_files(fuzz, tmp_path):
@@ -696,4 +597,4 @@ def test_scheduler_files(fuzz, tmp_path):
         path.write_bytes(content)
         result_of(Cluster(scheduler_file=path).address)
 
-    fuzz(damaged([b'{"type": "Scheduler", "id": "a", "address": "tcp://127.0.0.1:9"}']), check)
+    fuzz([b'{"type": "Scheduler", "id": "a", "address": "tcp://127.0.0.1:9"}'], check)

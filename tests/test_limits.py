@@ -502,3 +502,28 @@ def test_an_archive_that_grows_is_refused() -> None:
 
 def test_pillow_prints_nothing() -> None:
     assert any(type(each) is logging.NullHandler for each in logging.getLogger("PIL").handlers)
+
+
+class Unseekable:
+    """A damaged container, in which FFmpeg finds no way back."""
+
+    def __init__(self, source: av.container.InputContainer) -> None:
+        self._source = source
+
+    def __getattr__(self, name: str) -> object:
+        return getattr(self._source, name)
+
+    def seek(self, *_: object, **__: object) -> None:
+        raise av.PermissionError(1, "Operation not permitted")
+
+
+def test_a_video_that_cannot_be_seeked_is_opened_anew(tmp_path: Path) -> None:
+    path = encode(tmp_path / "video.mkv", moving(), "libx264", "yuv420p", FULL)
+    with contextlib.closing(VideoRecording(path)) as whole:
+        images = [(each.number, each.grey.tobytes()) for each in whole]
+    with contextlib.closing(VideoRecording(path)) as recording:
+        source: object = Unseekable(recording._file.source)
+        recording._file.source = source  # type: ignore[assignment]
+        recording.skip_to(3)
+        assert [(each.number, each.grey.tobytes()) for each in recording][-2:] == images[-2:]
+        assert recording._file.source is not source

@@ -96,10 +96,7 @@ class Container:
             if not is_damage(error):
                 raise
             self.check()
-            raise InputError(
-                f"{path} is not a video that can be decoded ({words_of(error)}): "
-                f"{self.advice or 'give a whole video file, or a folder of images'}"
-            ) from error
+            raise self._undecodable(error) from error
         try:
             tracks = self._tracks()
             self.tracks, self.track = len(tracks), track or 1
@@ -111,9 +108,17 @@ class Container:
                 )
             self.stream = tracks[self.track - 1]
             self._prepare()
-        except BaseException:
+        except BaseException as error:
             self.close()
-            raise
+            if not is_damage(error):
+                raise
+            raise self._undecodable(error) from error
+
+    def _undecodable(self, error: BaseException) -> InputError:
+        return InputError(
+            f"{self.path} is not a video that can be decoded ({words_of(error)}): "
+            f"{self.advice or 'give a whole video file, or a folder of images'}"
+        )
 
     @property
     def advice(self) -> str:
@@ -256,6 +261,25 @@ class Container:
             av.FFmpegError: the container cannot be seeked.
         """
         self.source.seek(pts, stream=self.stream, backward=True)
+
+    def rewind(self) -> None:
+        """Begin again; a damaged file that cannot be seeked is opened anew.
+
+        Raises:
+            InputError: it cannot be opened any more.
+        """
+        try:
+            self.source.seek(0, backward=True, any_frame=False)
+        except (av.FFmpegError, OSError):
+            index = self.stream.index
+            self.source.close()
+            try:
+                self.source = self._opened()
+                again: Any = self.source.streams[index]
+                self.stream = again
+                self._prepare()
+            except (av.FFmpegError, OSError, LookupError) as error:
+                raise self._undecodable(error) from error
 
     @property
     def _head(self) -> bytes:

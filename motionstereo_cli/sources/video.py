@@ -180,7 +180,8 @@ class VideoRecording(Recording):
             if not first.is_keyframe or (first.pts or 0) > found.pts:
                 raise ValueError
         except (av.FFmpegError, OSError, StopIteration, ValueError):
-            self._file.source.seek(0, backward=True, any_frame=False)
+            self._file.rewind()
+            self._stream = self._file.stream
             self._images = self._read()
             return super().skip_to(number)
         self._pace, self._packets = pace, place
