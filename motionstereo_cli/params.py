@@ -85,7 +85,8 @@ class Param:
                 raise ValueError
             parsed = self.kind(value)
         except (TypeError, ValueError, OverflowError):
-            raise self._error(value, f"give {wanted[self.kind]}") from None
+            unit = " in" if self.unit else ""
+            raise self._error(value, f"give {wanted[self.kind]}{unit}") from None
         begun = self.begun and parsed.startswith(self.begun)
         if self.choices and parsed not in self.choices and not begun:
             more = [each for each in self.more() if each not in self.choices]

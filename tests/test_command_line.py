@@ -369,7 +369,7 @@ def test_every_command_says_that_the_input_was_damaged(run_args, command, capsys
         (["--charge-leak", "0"], "--charge-leak cannot be '0'"),
         (["--blur-px", "nan"], "--blur-px cannot be 'nan'"),
         (["--max-disparity", "-4"], "--max-disparity cannot be '-4'"),
-        (["--max-disparity", "many"], "give a whole number px"),
+        (["--max-disparity", "many"], "give a whole number in px"),
         (["--grey-min", "200", "--grey-max", "100"], "--grey-min 200 is not below"),
         (["--matcher", "census"], "choose trails | dense | regions"),
         (["--preset", "paper2"], "paper2"),

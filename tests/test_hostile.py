@@ -162,7 +162,7 @@ def test_another_run_without_a_checkpoint_stays(recording, monkeypatch, capsys):
     assert ran(*options, "--bands", "9") == 1
     assert main(["run", "right", "left", "--no-check", *options]) == 1
     said = capsys.readouterr().err
-    assert "out is of another run, with settings.bands" in said
+    assert "out is of another run, with --bands" in said
     assert "out is of another run, with inputs.left." in said
     assert contents("out") == before
     assert ran(*options) == 0

@@ -195,7 +195,7 @@ def test_another_run_is_not_taken_for_this_one(half_done, recording, tmp_path, c
         assert main([*args, "--resume"]) == 1
         return capsys.readouterr().err
 
-    assert "with settings.bands 8, not 9: give the same" in said([*half_done, "--bands", "9"])
+    assert "with --bands 8, not 9: give the same" in said([*half_done, "--bands", "9"])
     swapped = [half_done[0], half_done[2], half_done[1], *half_done[3:]]
     assert "with inputs.left." in said(swapped)
     (tmp_path / "poses.txt").write_text((recording / "poses.txt").read_text() + "9 0 0 0 0 0 0 1\n")
@@ -211,7 +211,7 @@ def test_another_run_is_not_taken_for_this_one(half_done, recording, tmp_path, c
     )
     assert main([*half_done, "--resume", "--overwrite"]) == 2
     assert main([*half_done, "--resume"]) == 0
-    assert "with settings.bands 8, not 9" in said([*half_done, "--bands", "9"])
+    assert "with --bands 8, not 9" in said([*half_done, "--bands", "9"])
 
 
 def test_what_is_missing_or_cut_is_named(half_done, tmp_path, capsys):

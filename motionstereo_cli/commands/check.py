@@ -143,7 +143,8 @@ def _table(report: CheckReport) -> str:
         f"advised: --max-disparity {report.advised_max_disparity}",
         "grey": "unknown"
         if report.grey_difference is None
-        else f"left {report.grey_difference:+.1f} levels brighter",
+        else f"left {abs(report.grey_difference):.1f} levels "
+        f"{'brighter' if report.grey_difference >= 0 else 'darker'}",
         "motion": "unknown"
         if report.moving is None
         else f"{report.moving:.1%} of the image, {report.repeated_left} left and "
@@ -153,8 +154,9 @@ def _table(report: CheckReport) -> str:
         else f"right {report.ahead_frames:+.2f} frames ahead of left",
     }
     if report.disparity_offset_px is not None:
-        how = "small" if report.disparity_offset_px >= 0 else "large"
-        facts["offset"] = f"disparities {abs(report.disparity_offset_px):.2f} px too {how}"
+        facts["offset"] = (
+            f"disparities off by {report.disparity_offset_px:+.2f} px (positive: too small)"
+        )
     lines = [f"{name + ':':<11}{fact}" for name, fact in facts.items()]
     for finding in report.findings:
         lines.append(f"{'problem' if finding.ruins else 'warning'}: {finding.text}")

@@ -22,10 +22,9 @@ from motionstereo_cli.errors import InputError, SettingsError
 from motionstereo_cli.evaluation.settings import COLUMN_TOLERANCE, CompareSettings
 from motionstereo_cli.files.reading import check_regular, real
 from motionstereo_cli.files.records import read_json, typed
-from motionstereo_cli.params import params
 from motionstereo_cli.sinks.outputs import OUTPUTS, RECORD
 from motionstereo_cli.sinks.read_back import Maps, Table, read_record, shortened
-from motionstereo_cli.sinks.records import GROUPS, RunRecord
+from motionstereo_cli.sinks.records import GROUPS, RunRecord, option_of
 from motionstereo_cli.sinks.scale import ENDS
 
 if TYPE_CHECKING:
@@ -341,22 +340,22 @@ class _Comparison:
             if name in _ENDS and 0 in (actual.get(name), theirs):  # one run shows no colours
                 continue
             if name in actual:
-                mine = _shown(actual[name])
+                mine = _given(actual[name])
             else:
                 mine = "given" if any(key.startswith(f"{name}.") for key in actual) else "missing"
-            found = f"{mine}, golden {_shown(theirs)}"
+            found = f"{mine}, golden {_given(theirs)}"
             if section in GROUPS and field_name in measured:
-                self._notes.append(f"{_option(name)} was measured: {found}")
+                self._notes.append(f"{option_of(name)} was measured: {found}")
             elif section in _NOTED:
                 self._notes.append(f"{name} is {found}")
             else:
-                output.differ(_option(name), found)
+                output.differ(option_of(name), found)
         for name in actual.keys() - golden.keys():
             section = name.partition(".")[0]
             # The golden record, too, may be incomplete, but each section that it has is whole.
             there = any(key.startswith(f"{section}.") for key in golden)
             if there and section not in _IGNORED | _NOTED:
-                output.differ(_option(name), f"{_shown(actual[name])}, not in golden")
+                output.differ(option_of(name), f"{_given(actual[name])}, not in golden")
         return output
 
     def _presence(self, name: str, files: list[Path]) -> Compared:
@@ -432,13 +431,6 @@ def _leaves(record: dict[str, Any]) -> Iterator[tuple[str, Any]]:
             yield name, value
 
 
-def _option(name: str) -> str:
-    """Return a setting of a record as the option that sets it, and other values as they are."""
-    group, _, field_name = name.partition(".")
-    known = params(GROUPS[group]) if group in GROUPS else ()
-    return next((item.flag for item in known if item.name == field_name), name)
-
-
 def _same(one: object, other: object) -> bool:
     if isinstance(one, float) and isinstance(other, float):
         return math.isclose(one, other, rel_tol=1e-6, abs_tol=_ROUNDING)  # a rig is computed
@@ -447,6 +439,11 @@ def _same(one: object, other: object) -> bool:
 
 def _shown(value: object) -> str:
     return "unknown" if value == "" else shortened(value)
+
+
+def _given(value: object) -> str:
+    """Return a value of a record in words."""
+    return "not given" if value == "" else shortened(value)
 
 
 def _size(image: Real) -> str:

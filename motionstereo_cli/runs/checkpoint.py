@@ -19,7 +19,7 @@ from motionstereo_cli.method.settings import Settings
 from motionstereo_cli.pipeline import State
 from motionstereo_cli.robot.guide import ImageHeading, MapCourse
 from motionstereo_cli.runs.open_outputs import Totals
-from motionstereo_cli.sinks.records import FolderRecord
+from motionstereo_cli.sinks.records import FolderRecord, option_of
 from motionstereo_cli.sinks.sink import Sink
 
 _HEAD = b"motionstereo checkpoint 7"
@@ -146,8 +146,9 @@ def _digest(identity: FolderRecord) -> str:
 
 
 def _followed(identity: FolderRecord) -> dict[str, Any]:
-    """Return what results depend on; warnings are no part of it."""
-    return {key: each for key, each in builtins_of(identity).items() if key != "warnings"}
+    """Return what results depend on; warnings and how a value was found are no part of it."""
+    said = builtins_of(identity)
+    return {key: each for key, each in said.items() if key not in ("warnings", "measured")}
 
 
 def check_state(state: State, settings: Settings, width: int, height: int) -> None:
@@ -188,7 +189,7 @@ def check_same(out: Path, identity: FolderRecord, found: FolderRecord) -> None:
     if difference := _difference(wanted, {key: there.get(key) for key in wanted}):
         raise OutputError(
             f"{out} is of another run, {difference}: "
-            "give the same input and options, or --overwrite to start again"
+            "give the same input and options; to start again, remove the folder or give --overwrite"
         )
 
 
@@ -210,4 +211,6 @@ def _difference(wanted: Any, there: Any, name: str = "") -> str:
             if found and key != "path":
                 return found
         return ""
-    return "" if wanted == there else f"with {name} {there!s:.16}, not {wanted!s:.16}"
+    if wanted == there:
+        return ""
+    return f"with {option_of(name)} {there!s:.16}, not {wanted!s:.16}"

@@ -37,6 +37,13 @@ GROUPS: Mapping[str, type] = {
 }
 
 
+def option_of(name: str) -> str:
+    """Return the option that sets a value of a record, such as ``settings.bands``, or its name."""
+    group, _, field_name = name.partition(".")
+    known = params(GROUPS[group]) if group in GROUPS else ()
+    return next((item.flag for item in known if item.name == field_name), name)
+
+
 class OutputRecord(Struct, frozen=True):
     """An output: its first file, and its content."""
 
