@@ -58,6 +58,10 @@ if TYPE_CHECKING:
 #: Parts of a result that take time and are computed on request.
 EXTRAS = frozenset({"age_frames", "confidence", "depth_m", "occlusion", "sigma_px"})
 
+#: Of frames with fewer pixels, one more waits than are matched at a time, so that no thread waits
+#: for the next: larger ones take much memory, and the wait is a small part of their time.
+_SMALL_PX = 1_000_000
+
 #: A disparity locates a moving object if it moved there at most this many frames ago.
 FRESH_FRAMES = 3
 
@@ -215,7 +219,8 @@ def process(
             are found from the frames, in the robot frame of the first one.
         with_objects: find moving objects; with poses, the guidance keeps clear of them.
         extras: which of :data:`EXTRAS` the results have; the others are None, and take no time.
-        jobs: frames matched at a time; all but one of them are read before a result is given.
+        jobs: frames matched at a time; with more than one, up to so many are read before a result
+            is given.
         state: the state before the first frame, from an earlier result; None: the initial one.
 
     Raises:
@@ -362,8 +367,9 @@ def side_by_side(
             recent.append(now)
             found = threads.submit(analyse, frame, state, motion, context, now, before)
             waiting.append(_Waiting(frame, state, tuple(recent), found))
+            one_more = jobs > 1 and frame.right.size < _SMALL_PX
             del frame, found
-            if len(waiting) >= jobs:
+            if len(waiting) >= jobs + one_more:
                 yield waiting.popleft().result()
         for each in waiting:
             yield each.result()

@@ -85,8 +85,8 @@ _OPTIONS = (
         "--jobs",
         type=Count(1, 256),
         metavar="INTEGER",
-        help="Frames matched in parallel. Results do not depend on it, but each comes this many "
-        "frames, less one, later.  [default: number of cores, 1 with a pipe]",
+        help="Frames matched in parallel. Results do not depend on it, but with more than one each "
+        "comes up to so many frames later.  [default: number of cores, 1 with a pipe]",
     ),
     click.option(
         "--check/--no-check",
