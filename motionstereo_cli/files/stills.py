@@ -328,16 +328,20 @@ def pages_from(path: Path, begin: int, max_pixels: int = MAX_PIXELS) -> Iterator
         DamagedImageError: the next one cannot be read.
         InputError: it is too large, or has pixels of a kind that says nothing of grey levels.
     """
+    import imageio.v3 as iio
+
     try:
-        with open_regular(path) as file, Pillow.open(file, formats=_PAGED) as image:
+        with open_regular(path) as file, iio.imopen(file, "r", plugin="pillow") as opened:
             for page in itertools.count(begin):
                 try:
-                    image.seek(page)
+                    about = opened.metadata(index=page)
                 except EOFError:
                     return
-                if image.width * image.height > max_pixels:
-                    raise _too_large(path, f" ({image.width}x{image.height} px)", max_pixels)
-                yield _decoded(image, path)
+                width, height = about["shape"]
+                if width * height > max_pixels:
+                    raise _too_large(path, f" ({width}x{height} px)", max_pixels)
+                how: dict[str, Any] = {"mode": _as_read(about["mode"], path), "rotate": True}
+                yield _native(opened.read(index=page, **how), path)
     except Exception as error:
         if not is_damage(error):
             raise
