@@ -747,6 +747,7 @@ def test_a_dry_run_checks_all_and_writes_nothing(run_args, tmp_path, monkeypatch
         in said
     )
     assert main([*run_args, "--dry-run", "--rig", "none.yaml"]) == 1
+    assert main([*run_args, "--dry-run", "--start", "10000"]) == 1
     assert not list(tmp_path.iterdir())
     assert main([*run_args, "--save", "steering", "-o", "out"]) == 0
     written = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}

@@ -467,6 +467,20 @@ def test_junit_has_a_case_for_each_output_and_counts_failures(sides):
     assert "9.000, golden 6.657" in cases["steering.csv"].text
 
 
+def test_what_cannot_be_compared_leaves_nothing_of_an_earlier_comparison(sides, tmp_path):
+    actual = sides[0]
+    painted("depth/000001.png", 5000, 3)(actual)
+    files = ["--json", "d.json", "--junit", "d.xml", "--picture", "d.png"]
+    assert called("actual", "golden", *files, cwd=tmp_path).returncode == 4
+    shutil.rmtree(actual)
+    assert called("actual", "golden", *files, cwd=tmp_path).returncode == 1
+    suite = ET.fromstring((tmp_path / "d.xml").read_text())
+    assert (suite.get("failures"), suite.get("errors")) == ("0", "1")
+    assert "actual" in suite.find("testcase/error").get("message")
+    assert "actual" in json.loads((tmp_path / "d.json").read_text())["error"]
+    assert not (tmp_path / "d.png").exists()
+
+
 @given(st.text(), st.text())
 def test_junit_is_xml_whatever_the_values(what, words):
     output = Compared("run.json", "values")

@@ -381,6 +381,26 @@ def test_two_views_are_warned_of(sides, tmp_path):
     assert "warning" not in called(sides[0], named, cwd=tmp_path).stderr
 
 
+def test_truth_of_kitti_is_in_the_left_view(sides, tmp_path):
+    write_rig(sides[0] / "rig.yaml", RIG)  # as simulate's own results, in the right view
+    (sides[1] / "disparity").rename(sides[1] / "disp_occ_0")
+    done = called(sides[0], sides[1] / "disp_occ_0", cwd=tmp_path)
+    assert "warning: OUT is in the right view, but TRUTH in the left one\n" in done.stderr
+
+
+def test_truth_of_another_unit_is_warned_of_and_can_be_told(sides, tmp_path):
+    write_rig(sides[0] / "rig.yaml", RIG)
+    for number in range(2):
+        truth_px = Maps(sides[1]).read(number)
+        depth = np.nan_to_num(256 * RIG.focal_px * RIG.baseline_m / truth_px)
+        png(tmp_path / f"depth_kitti/{number:06d}.png", np.rint(depth).astype(np.uint16))
+    done = called(sides[0], "depth_kitti", cwd=tmp_path)
+    assert "warning: depths are 3.7 times those of TRUTH: check its unit" in done.stderr
+    done = called(sides[0], "depth_kitti", "--truth-scale", "256", "--json", "-", cwd=tmp_path)
+    assert "times those of TRUTH" not in done.stderr
+    assert json.loads(done.stdout)["overall"]["bad_1"] == 0.1
+
+
 def test_dash_puts_csv_on_standard_output_alone(sides, tmp_path):
     disparity(sides[0] / "disparity", np.ones((2, 4), np.float32), first=9)
     done = called(*sides, "--csv", "-", cwd=tmp_path)

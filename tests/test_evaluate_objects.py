@@ -9,7 +9,7 @@ import pytest
 from motionstereo_cli.__main__ import main
 from motionstereo_cli.errors import InputError
 from motionstereo_cli.evaluation.objects import ObjectBox, compare, read_objects
-from motionstereo_cli.evaluation.settings import ObjectSettings
+from motionstereo_cli.evaluation.settings import EvaluateSettings
 from motionstereo_cli.sinks.objects_table import HEADER
 
 
@@ -48,7 +48,7 @@ def test_an_object_keeps_its_row_where_another_overlaps_more():
 def test_two_objects_and_two_rows_are_paired_as_all_together_overlap_most():
     true = [box(0, "1", 0.0), box(0, "2", 20.0)]
     found = [box(0, "a", 12.0), box(0, "b", 30.0)]
-    assert compare(found, true, ObjectSettings(min_overlap=0.1)).found == 1
+    assert compare(found, true, EvaluateSettings(min_overlap=0.1)).found == 1
 
 
 def test_errors_of_speed_are_medians_of_what_both_sides_know():
@@ -70,7 +70,7 @@ def test_small_boxes_and_rows_in_them_do_not_count():
     report = compare(
         [box(0), dataclasses.replace(small, id="b")],
         [box(0), small],
-        ObjectSettings(min_box_px=200),
+        EvaluateSettings(min_box_px=200),
     )
     assert (report.true_boxes, report.false_rows) == (1, 0)
 
@@ -92,7 +92,7 @@ def labels(path, count=5, extra=()):
 
 
 def test_kitti_labels_are_read_with_their_closing_speed(tmp_path):
-    boxes = read_objects(labels(tmp_path / "0000.txt"), ObjectSettings())
+    boxes = read_objects(labels(tmp_path / "0000.txt"), EvaluateSettings())
     assert [each.frame for each in boxes] == [0, 1, 2, 3, 4]
     assert {each.id for each in boxes} == {"7"}
     assert [each.depth_m for each in boxes] == [20, 19, 18, 17, 16]
@@ -102,7 +102,7 @@ def test_kitti_labels_are_read_with_their_closing_speed(tmp_path):
 
 def test_rows_where_nothing_is_labelled_are_not_judged(tmp_path):
     places = ["0 -1 DontCare -1 -1 -10 300 0 600 400 -1 -1 -1 -1000 -1000 -1000 -10"]
-    true = read_objects(labels(tmp_path / "0000.txt", extra=places), ObjectSettings())
+    true = read_objects(labels(tmp_path / "0000.txt", extra=places), EvaluateSettings())
     report = compare([box(0), box(0, "2", 350.0), box(1, "2", 350.0)], true)
     assert report.true_boxes == 5
     assert report.false_rows == 1
@@ -148,4 +148,4 @@ def test_what_is_no_file_of_objects_is_said(tmp_path, capsys, content, said):
 
 def test_an_unreadable_file_is_an_input_error(tmp_path):
     with pytest.raises(InputError, match="cannot read"):
-        read_objects(tmp_path / "missing.csv", ObjectSettings())
+        read_objects(tmp_path / "missing.csv", EvaluateSettings())

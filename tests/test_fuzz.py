@@ -62,7 +62,7 @@ from motionstereo_cli.errors import MotionStereoError, shortage
 from motionstereo_cli.evaluation.compare import compare
 from motionstereo_cli.evaluation.evaluate import Comparison
 from motionstereo_cli.evaluation.objects import read_objects
-from motionstereo_cli.evaluation.settings import ObjectSettings
+from motionstereo_cli.evaluation.settings import EvaluateSettings
 from motionstereo_cli.files.maps import SUFFIXES as MAP_SUFFIXES
 from motionstereo_cli.files.maps import read_map
 from motionstereo_cli.files.stills import DamagedImageError
@@ -548,7 +548,7 @@ def test_objects(fuzz, tmp_path):
 
     def check(content):
         path.write_bytes(content)
-        for box in result_of(read_objects, path, ObjectSettings()) or ():
+        for box in result_of(read_objects, path, EvaluateSettings()) or ():
             assert math.isfinite(box.left + box.bottom)
 
     fuzz([table, labels], check)

@@ -372,7 +372,7 @@ def _summarise(statuses: Sequence[Status], out: Path | str, *, retried: bool) ->
         name: sum(status.status == name for status in statuses)
         for name in dict.fromkeys(status.status for status in statuses)
     }
-    said = ", ".join(f"{count} {name}" for name, count in counts.items())
+    said = ", ".join(f"{count} {name}" for name, count in counts.items()) or "none is in this share"
     number = "1 recording" if len(statuses) == 1 else f"{len(statuses)} recordings"
     say("note", f"{number}: {said}; see {out}/batch.csv")
     if counts.keys() & set(FAILED) and not retried:

@@ -13,7 +13,7 @@ from motionstereo_cli.commands.grouped import GroupedCommand
 from motionstereo_cli.commands.messages import say
 from motionstereo_cli.commands.options import config_files, settings_options
 from motionstereo_cli.commands.progress import no_bar, quiet_option
-from motionstereo_cli.errors import DIFFERENT_EXIT_CODE
+from motionstereo_cli.errors import DIFFERENT_EXIT_CODE, MotionStereoError
 from motionstereo_cli.evaluation.settings import COLUMN_TOLERANCE, CompareSettings
 
 _FILE = click.Path(dir_okay=False, path_type=Path)
@@ -98,10 +98,17 @@ def compare(
 
     inputs = (actual, golden, *config_files())
     check_targets((picture, junit, json_path), inputs)
-    with tqdm(unit="image", disable=no_bar()) as bar:
-        report = compare_library(
-            actual, golden, settings, tolerances=tolerance, progress=bar.update
-        )
+    try:
+        with tqdm(unit="image", disable=no_bar()) as bar:
+            report = compare_library(
+                actual, golden, settings, tolerances=tolerance, progress=bar.update
+            )
+    except MotionStereoError as error:  # files of an earlier comparison would be taken for this one
+        failed = ((junit, compare_report.junit_of_error), (json_path, compare_report.json_of_error))
+        write_files(error, failed, inputs)
+        if picture:
+            put_picture(picture, None, golden, inputs)
+        raise
     drawn = put_picture(picture, report.worst_image, golden, inputs) if picture else None
     forms = (
         (junit, compare_report.format_junit),

@@ -12,12 +12,14 @@ from motionstereo_cli.commands.grouped import GroupedCommand
 from motionstereo_cli.commands.messages import say
 from motionstereo_cli.commands.options import config_files, settings_options
 from motionstereo_cli.commands.progress import no_bar, quiet_option
-from motionstereo_cli.evaluation.settings import ObjectSettings
+from motionstereo_cli.evaluation.settings import EvaluateSettings
 
 if TYPE_CHECKING:
     from motionstereo_cli.evaluation.evaluate import Comparison, Report
 
 _KIND = click.Choice(["disparity", "depth"])
+#: Depths this many times too large or too small are of another unit or rig.
+_MAX_TIMES = 1.5
 _TABLE = click.Path(dir_okay=False, allow_dash=True, path_type=Path)
 
 
@@ -62,7 +64,7 @@ _TABLE = click.Path(dir_okay=False, allow_dash=True, path_type=Path)
     show_default=True,
     help="PNG file for --picture; replaces an older one.",
 )
-@settings_options(ObjectSettings)
+@settings_options(EvaluateSettings)
 @quiet_option
 def evaluate(
     *,
@@ -94,8 +96,9 @@ def evaluate(
     """
     if csv_path == json_path == STDOUT:
         raise click.UsageError("--csv - and --json - cannot both go to standard output")
+    settings = EvaluateSettings(**chosen)
     if result.is_file():
-        _evaluate_files(result, truth, csv_path, json_path, ObjectSettings(**chosen))
+        _evaluate_files(result, truth, csv_path, json_path, settings)
         return
 
     from tqdm import tqdm
@@ -110,7 +113,7 @@ def evaluate(
 
     comparison = Comparison(
         Maps(result, out_kind, within=result),
-        Maps(truth, truth_kind),
+        Maps(truth, truth_kind, per_m=settings.truth_scale),
         rig=None if rig is None else read_rig(rig),
         mask=mask,
     )
@@ -136,7 +139,7 @@ def _evaluate_files(
     truth: Path,
     csv_path: Path | None,
     json_path: Path | None,
-    settings: ObjectSettings,
+    settings: EvaluateSettings,
 ) -> None:
     """Compare two files of objects or of poses."""
     from motionstereo_cli.evaluation import numbers, objects, poses
@@ -163,3 +166,9 @@ def _say_what_is_not_scored(comparison: Comparison, report: Report) -> None:
         say("warning", f"OUT is in the {out_view} view, but TRUTH in the {truth_view} one")
     if not comparison.has_depth:
         say("note", "errors in m need a rig: give --rig")
+    elif max(times := comparison.times(comparison.numbers[0]), 1 / times) > _MAX_TIMES:
+        say(
+            "warning",
+            f"depths are {times:.2g} times those of TRUTH: check its unit (--truth-scale), its "
+            "kind, and the rig",
+        )

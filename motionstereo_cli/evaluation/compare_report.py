@@ -9,7 +9,11 @@ import xml.etree.ElementTree as ET
 from dataclasses import asdict
 from typing import Any
 
+from motionstereo_cli.errors import MotionStereoError
 from motionstereo_cli.evaluation.compare import CompareReport, Difference
+
+#: Class of the test cases.
+_CLASS = "motionstereo.compare"
 
 
 def format_table(report: CompareReport) -> str:
@@ -58,20 +62,36 @@ def format_json(report: CompareReport) -> str:
 def format_junit(report: CompareReport) -> str:
     """Return the report as JUnit XML, a test case for each output."""
     failed = [output for output in report.outputs if output.differences]
-    suite = ET.Element(
-        "testsuite",
-        name="motionstereo compare",
-        tests=str(len(report.outputs)),
-        failures=str(len(failed)),
-        errors="0",
-        skipped="0",
-    )
+    suite = _suite(len(report.outputs), failures=len(failed))
     for output in report.outputs:
-        case = ET.SubElement(suite, "testcase", classname="motionstereo.compare", name=output.name)
+        case = ET.SubElement(suite, "testcase", classname=_CLASS, name=output.name)
         if output.differences:
             message = f"differs in {', '.join(output.differences)}"
             failure = ET.SubElement(case, "failure", type="difference", message=_xml(message))
             failure.text = _xml(format_table(CompareReport((output,), (), None)))
+    return _document(suite)
+
+
+def junit_of_error(error: MotionStereoError) -> str:
+    """Return JUnit XML of a comparison that could not be made."""
+    suite = _suite(1, errors=1)
+    case = ET.SubElement(suite, "testcase", classname=_CLASS, name="compare")
+    ET.SubElement(case, "error", type="error", message=_xml(str(error)))
+    return _document(suite)
+
+
+def json_of_error(error: MotionStereoError) -> str:
+    """Return JSON of a comparison that could not be made."""
+    return json.dumps({"error": str(error)}, indent=2) + "\n"
+
+
+def _suite(tests: int, failures: int = 0, errors: int = 0) -> ET.Element:
+    counts = {"tests": tests, "failures": failures, "errors": errors, "skipped": 0}
+    said = {name: str(count) for name, count in counts.items()}
+    return ET.Element("testsuite", {"name": "motionstereo compare", **said})
+
+
+def _document(suite: ET.Element) -> str:
     text: bytes = ET.tostring(suite, encoding="utf-8", xml_declaration=True)
     return f"{text.decode()}\n"
 

@@ -355,6 +355,17 @@ class Comparison:
         assert truth_px is not None
         return FramePair(found_px, truth_px, found_m, truth_m, self.views[1] or "right")
 
+    def times(self, number: int) -> float:
+        """Return how many times as large as the true one depth is, the median of a frame.
+
+        NaN where no pixel has both.
+        """
+        pair = self.pair(number)
+        both = ~np.isnan(pair.found_px) & (pair.truth_px > 0)
+        if pair.found_m is None or pair.truth_m is None or not both.any():
+            return math.nan
+        return float(np.nanmedian(pair.found_m[both] / pair.truth_m[both]))
+
     def _check_size(self, path: Path, image: Real) -> None:
         for rig in (self._out_rig, self._truth_rig):
             if rig is not None and (rig.height, rig.width) != image.shape:

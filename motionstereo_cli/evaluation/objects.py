@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from motionstereo_cli.errors import InputError
-from motionstereo_cli.evaluation.settings import ObjectSettings
+from motionstereo_cli.evaluation.settings import EvaluateSettings
 from motionstereo_cli.files.reading import MAX_RESULT_BYTES, open_regular, read_text
 from motionstereo_cli.robot.assignment import assignment
 from motionstereo_cli.sinks.outputs import RECORD
@@ -118,21 +118,21 @@ def is_objects(path: Path) -> bool:
 
 
 def evaluate_objects(
-    found: Path, true: Path, settings: ObjectSettings | None = None
+    found: Path, true: Path, settings: EvaluateSettings | None = None
 ) -> ObjectReport:
     """Compare two files of objects of the same frames in the same view.
 
     Raises:
         InputError: a file cannot be read as one, or neither has a row.
     """
-    settings = settings or ObjectSettings()
+    settings = settings or EvaluateSettings()
     mine, theirs = (read_objects(path, settings) for path in (found, true))
     record = found.parent / RECORD
     counts = read_record(record).counts if record.is_file() else None
     return compare(mine, theirs, settings, counts.written if isinstance(counts, Counts) else None)
 
 
-def read_objects(path: Path, settings: ObjectSettings) -> list[ObjectBox]:
+def read_objects(path: Path, settings: EvaluateSettings) -> list[ObjectBox]:
     """Return the rows of a table of objects, or of KITTI's tracking labels.
 
     Raises:
@@ -235,7 +235,7 @@ class _Sums:
 def compare(
     found: Iterable[ObjectBox],
     true: Iterable[ObjectBox],
-    settings: ObjectSettings | None = None,
+    settings: EvaluateSettings | None = None,
     frames: int | None = None,
 ) -> ObjectReport:
     """Compare objects, each side in any order; see :class:`ObjectReport`.
@@ -248,7 +248,7 @@ def compare(
     Raises:
         InputError: neither side has an object.
     """
-    settings = settings or ObjectSettings()
+    settings = settings or EvaluateSettings()
     least = settings.min_box_px
     mine, theirs = _by_frame(found), _by_frame(true)
     sums, last = _Sums(), dict[str, str]()

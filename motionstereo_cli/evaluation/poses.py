@@ -64,7 +64,10 @@ def evaluate_poses(found: str | Path, true: str | Path) -> PoseReport:
     settings = PoseSettings(pose_frame="robot")
     one, other = read_poses(found, settings), read_poses(true, settings)
     if one.by_number != other.by_number:
-        raise InputError(f"{found} and {true}: only one has times: give both in the same form")
+        raise InputError(
+            f"{found} and {true}: only one has times: give both in the same form (run "
+            "writes TUM's by --save poses and KITTI's by --save poses-kitti)"
+        )
     first, last = float(other.time_s[0]), float(other.time_s[-1])
     inside = (one.time_s >= first - 1e-6) & (one.time_s <= last + 1e-6)
     truth = [other.at(time) for time in one.time_s[inside].tolist()]

@@ -36,8 +36,8 @@ class CompareSettings:
 
 
 @dataclass(frozen=True, slots=True)
-class ObjectSettings:
-    """What counts where objects are compared with the truth.
+class EvaluateSettings:
+    """How the truth is read, and what counts where objects are compared with it.
 
     Raises:
         SettingsError: a value is out of range.
@@ -61,6 +61,15 @@ class ObjectSettings:
         unit="fps",
         low=0.01,
         high=1000,
+    )
+
+    truth_scale: int = param(
+        0,
+        "Units per m of the depth PNG in TRUTH. 0: as the run.json beside it says, else 1000, mm; "
+        "TUM has 5000, KITTI 256.",
+        unit="per m",
+        low=0,
+        high=65535,
     )
 
     def __post_init__(self) -> None:

@@ -348,7 +348,7 @@ def _agreed_size(
         )
     size = stated or given
     if size is None:
-        raise InputError(f"{name} does not say how large the images are: give --size")
+        raise InputError(f"{name} does not say how large the images are: give --size WIDTHxHEIGHT")
     if size[0] * size[1] > max_pixels:
         raise InputError(
             f"{name}: images of {size[0]:.7g}x{size[1]:.7g} px are far too large: check the file"

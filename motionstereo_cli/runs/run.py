@@ -190,6 +190,11 @@ def try_out(plan: RunPlan, watcher: Watcher | None = None) -> tuple[int | None, 
         sinks = _sinks(job)
         if isinstance(sinks, RunFolder):
             sinks.check()
+        if source.expected_frames is not None and source.expected_frames < 1:
+            raise InputError(
+                f"--start {plan.input_settings.start} lies behind the last frame: give an earlier "
+                "one"
+            )
         return source.expected_frames, shown_outputs(job.save) if plan.folder else ()
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 import csv
 import itertools
 import math
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -46,6 +47,9 @@ _SHOWN = 60
 #: Prefixes of folder names by kind; KITTI's is disp_occ_0.
 _NAMED = {"disp": "disparity", "depth": "depth"}
 
+#: Folders of KITTI's truth, all of the left view: of its stereo benchmarks, and of depth.
+_KITTI_LEFT = re.compile(r"disp_(occ|noc)(_[01])?|image_0?2")
+
 
 class Maps:
     """The disparity or depth images of a folder, by frame number.
@@ -60,6 +64,7 @@ class Maps:
             in it; or a folder of images.
         within: a folder that no link to an image may lead out of; None: links may lead anywhere.
         kind: ``disparity`` or ``depth``; if None, by the prefix of the folder's name (disp, depth).
+        per_m: units per m of depth PNG; 0: as a run.json says, else mm.
 
     Attributes:
         kind: ``disparity`` or ``depth``.
@@ -73,7 +78,9 @@ class Maps:
             cannot be determined.
     """
 
-    def __init__(self, folder: Path, kind: str | None = None, within: Path | None = None) -> None:
+    def __init__(
+        self, folder: Path, kind: str | None = None, within: Path | None = None, per_m: int = 0
+    ) -> None:
         self._within = within
         inside = [
             name for name in _FOLDERS if name.startswith(kind or "") and (folder / name).is_dir()
@@ -92,9 +99,11 @@ class Maps:
                 "give --out-kind or --truth-kind"
             )
         self.kind = kind
-        self.rig, reference, per_m = _said_in(home)
-        self.reference = side_of(real(images).name.lower()) or reference
-        self._png_per_unit = DISPARITY_PER_PX if kind == "disparity" else per_m
+        self.rig, reference, said_per_m = _said_in(home)
+        name = real(images).name.lower()
+        kitti = "left" if _KITTI_LEFT.fullmatch(name) else None
+        self.reference = side_of(name) or kitti or reference
+        self._png_per_unit = DISPARITY_PER_PX if kind == "disparity" else per_m or said_per_m
 
     def read(self, number: int) -> Real:
         """Return a frame's disparity in px or depth in m, (height, width) float32, NaN = unknown.

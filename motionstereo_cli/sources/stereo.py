@@ -564,7 +564,10 @@ class StereoSource:
     def _nothing(self, pairs: int) -> str:
         left, right = (side.stream.name for side in self._sides)
         if pairs:
-            return f"--start {self.settings.start} lies behind the last of {pairs} frames"
+            return (
+                f"--start {self.settings.start} lies behind the last of {pairs} frames: give an "
+                "earlier one"
+            )
         return (
             f"{left} and {right} have no images that belong together: check that they are whole, "
             "their numbers, and --sync-offset and --sync-tolerance if given"
