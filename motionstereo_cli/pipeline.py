@@ -34,7 +34,7 @@ from motionstereo_cli.method.memory import (
 from motionstereo_cli.method.settings import AUTO, MATCHERS, Settings
 from motionstereo_cli.method.steady import averaged
 from motionstereo_cli.robot.guide import Guide, guide_of
-from motionstereo_cli.robot.mapper import camera_points
+from motionstereo_cli.robot.mapper import apart_from, camera_points
 from motionstereo_cli.robot.mover_finder import MoverFinder, stands
 from motionstereo_cli.robot.movers import Movers
 from motionstereo_cli.robot.objects import Region
@@ -437,6 +437,11 @@ def with_movers(
     if context.tracker is not None and not stands(summary.motion):
         regions = context.tracker.moving_regions(images.disparity_px, moved)
         summary = replace(summary, regions=regions)
+    if summary.points is not None and context.rig is not None:
+        s = context.settings
+        recent = charge >= s.charge_max - FRESH_FRAMES * s.charge_leak
+        points = apart_from(summary.points, recent, s.reference, context.rig)
+        summary = replace(summary, points=points)
     after = replace(after, movers=movers, own_charge=charge)
     return after, FrameAnalysis(replace(images, own_charge=charge), summary)
 

@@ -31,7 +31,7 @@ from motionstereo_cli.robot.fused_map import (
     trimmed,
     voxels_of,
 )
-from motionstereo_cli.robot.mapper import Floor, Mapper, standing
+from motionstereo_cli.robot.mapper import Floor, Mapper, apart_from, camera_points, standing
 from motionstereo_cli.robot.points import in_world, points
 from motionstereo_cli.runs.folder import prepare
 from motionstereo_cli.simulate.camera import Pose as RobotPose
@@ -291,6 +291,24 @@ def add(mapper, shown, reference="right", rig=RIG):
     mapper.add(*step.points, step.pose)
 
 
+@pytest.mark.parametrize("camera", ["right", "left"])
+def test_points_near_what_moves_by_itself_are_left_out(camera):
+    """Each grey tells which pixel it was."""
+    rig = dataclasses.replace(RIG, doffs=3.0)
+    rng = np.random.default_rng(1)
+    depth = rng.uniform(0.5, 9, (rig.height, rig.width)).astype(np.float32)
+    view = rng.integers(0, 256, depth.shape, dtype=np.uint8)
+    which = rng.random(depth.shape) < 0.3
+    moved = np.zeros(depth.shape, np.bool_)
+    moved[40, 70] = moved[5, 0] = True
+    near = np.zeros(depth.shape, np.bool_)
+    near[28:53, 58:83] = near[:18, :13] = True
+    found = apart_from(camera_points(depth, view, which, camera, rig), moved, camera, rig)
+    wanted = camera_points(depth, view, which & ~near, camera, rig)
+    for one, other in zip(found, wanted, strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
 class TestMapper:
     def mapper(self, cell_m=0.05, **settings):
         return Mapper(Settings(**settings), RIG, cell_m)
@@ -382,6 +400,9 @@ class TestMapper:
         for height_m in (0.0, 1.1):
             flat = (np.abs(places[:, 2] - height_m) < 1e-5) & (np.abs(places[:, 1]) < 0.3)
             assert (places[flat, 0] < 1.6).sum() > 20  # where the way is free
+        lower, _ = mapper.points(top_m=0.4)
+        np.testing.assert_array_equal(lower, places[places[:, 2] < 1.0])
+        assert 0 < len(lower) < len(places)
 
     @pytest.mark.parametrize("reference", ["right", "left"])
     def test_the_free_space_begins_at_the_camera(self, reference):

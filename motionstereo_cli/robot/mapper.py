@@ -9,6 +9,7 @@ import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray  # the path is restored by its type
 
@@ -47,6 +48,9 @@ _BEARINGS = 80
 #: lie in two or more layers of this height.
 _STANDING_POINTS, _LAYER_M, _LAYERS = 4, 0.15, 64
 
+#: What moves by itself is found in parts: so far around them it may be, in px.
+_AROUND_PX = 12
+
 #: New voxels are collected up to this number, so that the large cloud is merged rarely.
 _RECENT = 30_000
 
@@ -78,6 +82,26 @@ def camera_points(
         cy_px=rig.cy,
     )
     return found, view[which]
+
+
+def apart_from(
+    found: tuple[Points, Grey], moved: NDArray[np.bool_], camera: str, rig: Rig
+) -> tuple[Points, Grey]:
+    """Return the points of a frame, as :func:`camera_points` gives them, away from some pixels.
+
+    Args:
+        found: the points and their grey.
+        moved: where something moved by itself, (height, width) bool: parts of it.
+        camera, rig: as for the points.
+    """
+    places, look = found
+    around = np.ones((2 * _AROUND_PX + 1,) * 2, np.uint8)
+    near = np.asarray(cv2.dilate(moved.view(np.uint8), around)).view(np.bool_)
+    x, y, z = places.T
+    column = np.rint(x / z * rig.focal_px + rig.cx_of(camera)).astype(np.intp)
+    row = np.rint(y / z * rig.fy_px + rig.cy).astype(np.intp)
+    apart = ~near[row, column]
+    return places[apart], look[apart]
 
 
 @dataclass(frozen=True, slots=True)
@@ -190,11 +214,15 @@ class Mapper:
         """Where the rig was, (n, 2) float64: x and y in the world in m."""
         return np.zeros((0, 2)) if self.known is None else self.known.path_m
 
-    def points(self) -> tuple[Points, Grey]:
+    def points(self, top_m: float = math.inf) -> tuple[Points, Grey]:
         """Return the cloud, one point a voxel: (n, 3) float64 m in the world, (n,) uint8 grey.
 
         Points seen in only a few frames are left out, and so are those in the robot's way where the
         floor plane is free: they have moved away.
+
+        Args:
+            top_m: points this far or farther above the cameras, where they were lowest, are left
+                out.
         """
         if self.known is None:
             return np.zeros((0, 3)), np.zeros(0, np.uint8)
@@ -205,6 +233,7 @@ class Mapper:
         stays = ~(
             (low_m < height_m) & (height_m < high_m) & known_free(self.known.grid, places[:, :2])
         )
+        stays &= height_m < high_m - self._settings.robot_above_m + top_m
         return places[stays] * self._cell_m, grey[stays]
 
     def _nothing(self, pose: Pose) -> Surroundings:

@@ -187,7 +187,9 @@ class Job:
             with_objects=with_poses or any(row.needs_objects for row in rows),
             poses_are_given=self.poses is not None,
             with_own_motion=self.with_own_motion,
-            with_movers=self.with_own_motion and any(row.needs_movers for row in rows),
+            # A map shall not have what moves by itself.
+            with_movers=self.with_own_motion
+            and any(row.needs_movers or row.needs_points for row in rows),
             motion_offset_px=self.motion_offset_px,
             extras={extra for row in rows for extra in row.extras},
             with_points=any(row.needs_points for row in rows),

@@ -143,7 +143,7 @@ class MapFiles:
 
     def __init__(self, path: Path, stream: RunContext, since: Surroundings | None = None) -> None:
         assert stream.rig is not None
-        self._path = path
+        self._path, self._top_m = path, stream.output.map_top_m
         self.mapper = Mapper(stream.settings, stream.rig, stream.output.map_cell_m)
         self.mapper.known = restored(since, Surroundings | None)
         self._closed = False
@@ -169,7 +169,7 @@ class MapFiles:
                 write_whole(part_of(path), content)
 
     def _files(self) -> Iterator[tuple[Path, bytes]]:
-        points_m, grey = self.mapper.points()
+        points_m, grey = self.mapper.points(self._top_m)
         floor = self.mapper.floor()
         picture, yaml = self._path.with_suffix(".png"), self._path.with_suffix(".yaml")
         yield self._path, encode_ply(points_m, grey, "m, in the world of the poses")

@@ -77,6 +77,14 @@ class OutputSettings:
         high=10,
     )
 
+    map_top_m: float = param(
+        1000.0,
+        "map.ply ends so far above the cameras: less leaves out a ceiling, for a look from above.",
+        unit="m",
+        low=-100,
+        high=1000,
+    )
+
     checkpoint_frames: int = param(
         250,
         "Number of frames between checkpoints, from which --resume goes on. Videos have a key "
