@@ -321,18 +321,19 @@ class MapGuide:
 
     def profile(self, disparity_px: Real, fresh: NDArray[np.bool_]) -> MapProfile:
         """Return what is taken from a frame, see :meth:`Guide.profile`."""
-        s, near = self.settings, self.rig.nearness_px(disparity_px)
-        height, width = near.shape
+        s, (height, width) = self.settings, disparity_px.shape
+        step = _thinning(disparity_px)
+        thin = np.ascontiguousarray(disparity_px[:: step[0], :: step[1]])
+        thin = self.rig.nearness_px(thin)
+        view = view_of(self.rig, s.reference, (0.0, 0.0), 0.0)
         bearings = profile(
-            near,
-            fresh,
-            view_of(self.rig, s.reference, (0.0, 0.0), 0.0),
-            bearings=min(BEARINGS, width),
+            thin,
+            fresh[:: step[0], :: step[1]],
+            replace(view, cy_px=view.cy_px / step[0], focal_y_px=view.focal_y_px / step[0]),
+            bearings=min(BEARINGS, thin.shape[1]),
             below_m=s.robot_below_m,
             above_m=s.robot_above_m,
         )
-        step = _thinning(near)
-        thin = np.ascontiguousarray(near[:: step[0], :: step[1]])
         image = None
         if self._is_far_sighted:
             image = ImageGuide(s, self.rig).profile(disparity_px, fresh)

@@ -136,10 +136,24 @@ class OffsetFinder:
         """The constant, 0 where none can be told."""
         return told(self._path.error_px)
 
+    def is_within(self, limit_px: float) -> bool:
+        """Return whether the constant is certainly smaller, by three standard deviations."""
+        return abs(self._path.error_px) + 3 / math.sqrt(self._path.information) < limit_px
 
-def disparity_offset_px(frames: Iterable[StereoFrame], odometer: Odometer) -> float:
-    """Return what an :class:`OffsetFinder` finds in some frames."""
+
+def disparity_offset_px(
+    frames: Iterable[StereoFrame], odometer: Odometer, negligible_px: float = 0.0
+) -> float:
+    """Return what an :class:`OffsetFinder` finds in some frames.
+
+    Args:
+        frames: stretches of consecutive frames.
+        odometer: the rig as it is believed to be.
+        negligible_px: no more frames are taken once the constant is certainly smaller than this.
+    """
     finder = OffsetFinder(odometer)
     for frame in frames:
         finder.see(frame)
+        if finder.is_within(negligible_px):
+            break
     return finder.offset_px

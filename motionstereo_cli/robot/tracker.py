@@ -14,6 +14,7 @@ from motionstereo_cli.method.settings import Settings
 from motionstereo_cli.robot.approach import MAX_CONTACT_S
 from motionstereo_cli.robot.free_space import MIN_KNOWN_SHARE, level_surface
 from motionstereo_cli.robot.objects import (
+    CELL_PX,
     Movement,
     Observation,
     Region,
@@ -42,6 +43,8 @@ MIN_SEEN = 3
 #: Around what moved by itself, so many px belong to it where their depth does. A region that moves
 #: by itself has at least this share of the image, and this share of its box has been seen to move.
 _AROUND_PX, _MIN_MOVING_SHARE, _MIN_MOVED, _MIN_MOVED_PX = 8, 0.0005, 0.05, 48
+#: Regions of what moves by itself end within so many px of it, gaps that are bridged included.
+_MARGIN_PX = 24
 
 #: A surface before which things move is known in at least this share of the view's strips.
 _SURFACE_STRIPS = 0.8
@@ -106,11 +109,28 @@ class Tracker:
             disparity_px: (height, width) float32, NaN = unknown.
             moved: where something moved by itself, (height, width) bool: parts of it.
         """
+        x, y, width, height = cv2.boundingRect(moved.view(np.uint8))
+        if not width:
+            return ()
+        left, top = (max(side - _MARGIN_PX, 0) // CELL_PX * CELL_PX for side in (x, y))
+        part = slice(top, y + height + _MARGIN_PX), slice(left, x + width + _MARGIN_PX)
         around = np.ones((2 * _AROUND_PX + 1,) * 2, np.uint8)
-        near = np.asarray(cv2.dilate(moved.view(np.uint8), around)).view(np.bool_)
-        nearness = self.rig.nearness_px(disparity_px) if self.rig else disparity_px
-        found = regions(nearness, near, _MIN_MOVING_SHARE)
-        return tuple(replace(each, before=1) for each in found if _holds(each, moved))
+        near = np.asarray(cv2.dilate(moved[part].view(np.uint8), around)).view(np.bool_)
+        nearness = np.ascontiguousarray(disparity_px[part])
+        nearness = self.rig.nearness_px(nearness) if self.rig else nearness
+        found = regions(nearness, near, _MIN_MOVING_SHARE * moved.size / near.size)
+        placed = (
+            replace(
+                each,
+                x=each.x + left,
+                y=each.y + top,
+                middle_x=each.middle_x + left,
+                middle_y=each.middle_y + top,
+                before=1,
+            )
+            for each in found
+        )
+        return tuple(each for each in placed if _holds(each, moved))
 
     def follow(
         self,

@@ -20,8 +20,8 @@ Say = Callable[[str, str], object]
 def with_measured_offset(job: Job, say: Say) -> Job:
     """Return the job, with a measured disparity offset if the settings ask for one.
 
-    Own motion always uses the measured offset, even if depth is not corrected by it. The sample is
-    that of ``--max-disparity auto``.
+    Own motion always uses a measured offset that matters, even if depth is not corrected by it. The
+    sample is that of ``--max-disparity auto``, or its beginning if that tells that none does.
 
     Args:
         job: the job, with a range of disparities that is a number.
@@ -42,7 +42,9 @@ def with_measured_offset(job: Job, say: Say) -> Job:
         sample = list(itertools.islice(rest, WINDOW_FRAMES))
         frames = itertools.chain(sample, rest)
     odometer = Odometer(rig, job.plan.settings.max_disparity)
-    offset_px = round(disparity_offset_px(sample, odometer), 3)
+    # A small offset matters only where depth is to be corrected by it.
+    negligible_px = 0.0 if asked else MAX_OFFSET_PX
+    offset_px = round(disparity_offset_px(sample, odometer, negligible_px), 3)
     if asked:
         say("note", f"--disparity-offset {offset_px:g}: measured from how things move")
         context = dataclasses.replace(job.context, rig=with_offset(rig, offset_px))
