@@ -511,3 +511,17 @@ def test_shadows_on_the_floor_below_a_camera_are_no_objects():
     near[20:50, 20:50] = FB / 1.7
     found = Tracker(Settings(), RIG).regions(near, moved)
     assert [round(FB / each.nearness_px, 1) for each in found] == [1.7]
+
+
+@pytest.mark.parametrize(("top", "stands"), [(60, True), (4, False)])
+def test_what_moves_by_itself_stands_on_ground(top, stands):
+    rig = Rig(160, 120, 140.0, 0.12, 79.5, 59.5)
+    disparity, moved = np.full((120, 160), NAN), np.zeros((120, 160), np.bool_)
+    disparity[top : top + 24, 40:64] = 1.5
+    moved[top : top + 24, 40:64] = True
+    found = Tracker(Settings(), rig).moving_regions(disparity, moved)
+    assert [(each.x, each.y, each.width, each.height) for each in found] == (
+        [(40, top, 24, 24)] if stands else []
+    )
+    assert all(each.middle_x == 51.5 and each.middle_y == top + 11.5 for each in found)
+    assert not Tracker(Settings(), rig).moving_regions(disparity, np.zeros_like(moved))

@@ -98,6 +98,19 @@ def drift(poses, true):
     return np.linalg.norm(off[:3, 3]) / way, np.degrees(np.arccos(min(cos, 1)))
 
 
+def crossed(pairs, width, disparity_px):
+    """Views with a textured wall before them that moves by a px a frame."""
+    paint = cv2.GaussianBlur(np.random.default_rng(0).standard_normal((210, width)), (0, 0), 3)
+    paint = (paint / paint.std() * 40 + 120).clip(0, 255).astype(np.uint8)
+    result = []
+    for number, pair in enumerate(pairs):
+        views = [view.copy() for view in pair]
+        for view, x in zip(views, (20 + number, 20 + number + disparity_px), strict=True):
+            view[30:, x : x + width] = paint
+        result.append(ViewPair(*views))
+    return result
+
+
 class TestPath:
     @pytest.mark.parametrize(
         ("given", "share", "degrees"),
@@ -113,6 +126,13 @@ class TestPath:
         assert path.lost == 0
         assert off < share
         assert turned < degrees
+
+    def test_is_not_drawn_away_by_what_fills_a_quarter_of_the_view(self, street):
+        rig, pairs, true = street
+        before_it = crossed(pairs[:16], 100, 24)
+        path, poses = path_of(motions(before_it, lens_of(rig)))
+        assert path.lost == 0
+        assert drift(poses, true[:16])[0] < 0.03
 
     def test_of_a_street_is_good_to_half_a_percent(self, street):
         rig, pairs, true = street

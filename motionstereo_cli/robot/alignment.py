@@ -48,6 +48,8 @@ _NOISE = 2.0
 _SECOND_BEST = 1.5
 _WEIGHTS = (3.0, 0.02, 1.345, 4 * 1.345)
 _COARSE_WEIGHTS = (6.0, 0.02, 1.345, 4.0)
+#: A near start is aligned from this level on, and what differs by more is left out.
+_NEAR_LEVEL, _NEAR_CUT = 1, 2.5
 
 #: Prior information that gain is 1 and offset 0.
 _GAIN_PRIOR, _OFFSET_PRIOR = 1e4, 1e-2
@@ -217,6 +219,7 @@ def align(
     error_information: float,
     *,
     pinned: bool = False,
+    near: bool = False,
 ) -> Alignment | None:
     """Align a keyframe with the current views; None if it fails.
 
@@ -228,6 +231,7 @@ def align(
         error_px, error_information: prior of the constant error of disparity in px, and one over
             its variance.
         pinned: keep the initial motion and estimate only the light.
+        near: the initial motion is nearly right, and what contradicts it has no say.
     """
     prior = np.zeros((2, 11))
     prior[0, 6:] = 1, 0, 1, 0, error_px
@@ -236,8 +240,10 @@ def align(
     state = np.concatenate([start[:3].ravel(), key.light, [error_px]])
     normal, residual = np.empty((11, 11)), np.empty(len(key.points), np.float32)
     work: Any = reused(loops.Workspace)
-    weights: Any = loops.Weights(*_WEIGHTS)  # type: ignore[call-arg]
-    for level in range(0 if pinned else LEVELS - 1, -1, -1):
+    cut = _NEAR_CUT if near else _WEIGHTS[3]
+    weights: Any = loops.Weights(*_WEIGHTS[:3], cut)  # type: ignore[call-arg]
+    first = 0 if pinned else _NEAR_LEVEL if near else LEVELS - 1
+    for level in range(first, -1, -1):
         views = _views(key, right, left, level)
         seen = loops.align(
             *(views, lens.at(level), weights, prior, _ITERATIONS, _LEAST_STEP_PX, work),

@@ -44,9 +44,9 @@ _BLUR_PX = 0.8
 CELL_PX, _REACH_PX = 4, 4
 
 #: Standard deviation of grey at each level, and what its slope adds to its variance; differences of
-#: so many times that are unexplained, in a cell and in a patch.
+#: so many times that are unexplained.
 _NOISE = 1.5, 0.9, 0.6, 0.4
-_PER_SLOPE, _UNEXPLAINED_CELL, _UNEXPLAINED_PATCH = 0.03, 12.0, 12.0
+_PER_SLOPE, _UNEXPLAINED = 0.03, 5.0
 #: Maximum difference of nearness within a patch, so that it is one surface: the larger of these.
 _JUMP_PX, _JUMP_SHARE = 0.5, 0.06
 #: Standard deviation of disparity: px, and share of nearness.
@@ -65,7 +65,7 @@ _MAX_NEARER = 0.3
 #: Maximum difference of the shifts of neighbouring patches of a mover: the larger of these.
 _ALIKE_PX, _ALIKE_SHARE = 0.7, 0.2
 #: Minimum number of patches of a mover, and the share of them that also moved in the last frame.
-_MIN_PATCHES, _LASTING = 3, 0.45
+_MIN_PATCHES, _LASTING = 4, 0.45
 #: That is, by a shift that differs by at most the larger of these.
 _LASTING_PX, _LASTING_SHARE = 2.0, 0.5
 
@@ -254,11 +254,10 @@ def _shifts(now: list[Any], motion: Reals, then: Moment, eye: Eye, way_px: float
     """
     height, width = then.disparity_px.shape
     moments = list(zip(now, then.levels(), strict=True))
-    limits = [_limits(level, _UNEXPLAINED_PATCH) for level in range(LEVELS)]
-    search = _limits(1, _UNEXPLAINED_CELL)
+    limits = [_limits(level) for level in range(LEVELS)]
     wanted = np.zeros((height // CELL_PX // 2, width // CELL_PX // 2), np.uint8)
     work: Any = reused(loops.Workspace, (2 * _REACH_PX + 1) ** 2)
-    loops.find(*moments[1], eye.at(1), motion, search, CELL_PX, way_px / 2, work, wanted)
+    loops.find(*moments[1], eye.at(1), motion, limits[1], CELL_PX, way_px / 2, work, wanted)
     asked_at = {1: wanted}
     for level in range(2, LEVELS):
         shape = tuple(side // 2**level // CELL_PX for side in (height, width))
@@ -284,10 +283,10 @@ def _any_of_four(wanted: Grey, shape: tuple[int, ...]) -> Grey:
     return np.ascontiguousarray(inside.reshape(rows, 2, columns, 2).max(axis=(1, 3)))
 
 
-def _limits(level: int, unexplained: float) -> Any:
+def _limits(level: int) -> Any:
     q = 0.5**level
     return loops.Limits(  # type: ignore[call-arg]
-        *(_NOISE[level], _PER_SLOPE, unexplained, _JUMP_PX * q, _JUMP_SHARE),
+        *(_NOISE[level], _PER_SLOPE, _UNEXPLAINED, _JUMP_PX * q, _JUMP_SHARE),
         *(_SIGMA_PX * q, _SIGMA_SHARE, _MAX_SHIFT_PX, _HIDDEN_PX * q, _HIDDEN_SHARE),
     )
 

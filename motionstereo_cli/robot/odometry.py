@@ -42,6 +42,8 @@ _MIN_SEEN = 0.7
 #: An alignment is good enough with this share of the keyframe's median score; at first, of the
 #: last value. Corners are tried below the second share.
 _ENOUGH, _POOR, _USUAL_SCORE = 0.75, 0.7, 0.85
+#: One that keeps near to the last motion, whatever else moves, has to be so much better.
+_NEAR_MARGIN = 1.1
 #: Below it, the rig is lost, unless so many corners agree, and such a share of them.
 _MIN_SCORE = 0.3
 _MIN_INLIERS, _MIN_INLIER_SHARE = 15, 0.4
@@ -201,10 +203,11 @@ def _aligned(
     best: Alignment | None = None
     depth_m = _depth_m(key, lens)
 
-    def attempt(start: Reals) -> None:
+    def attempt(start: Reals, *, near: bool = False) -> None:
         nonlocal best
-        found = align(key, right, left, lens, start, 0.0, certain)
-        if found is None or (best is not None and found.score <= best.score):
+        margin = _NEAR_MARGIN if near else 1.0
+        found = align(key, right, left, lens, start, 0.0, certain, near=near)
+        if found is None or (best is not None and found.score <= best.score * margin):
             return
         if _plausible(before.motion @ _inverse(found.motion), depth_m):
             best = found
@@ -216,6 +219,8 @@ def _aligned(
 
     if before.velocity is not None:
         attempt(before.velocity @ before.motion)
+        if below(_ENOUGH):  # something large that moves by itself may have drawn it away
+            attempt(before.velocity @ before.motion, near=True)
     if below(_ENOUGH):
         starts = _starts(depth_m) @ before.motion
         costs = mismatch(key, right, lens, starts, 0.0)

@@ -45,6 +45,8 @@ MIN_SEEN = 3
 _AROUND_PX, _MIN_MOVING_SHARE, _MIN_MOVED, _MIN_MOVED_PX = 8, 0.0005, 0.05, 48
 #: Regions of what moves by itself end within so many px of it, gaps that are bridged included.
 _MARGIN_PX = 24
+#: Nothing that moves by itself has its lower end farther above the camera.
+_MAX_UP_M = 2.0
 
 #: A surface before which things move is known in at least this share of the view's strips.
 _SURFACE_STRIPS = 0.8
@@ -130,7 +132,15 @@ class Tracker:
             )
             for each in found
         )
-        return tuple(each for each in placed if _holds(each, moved))
+        return tuple(each for each in placed if _holds(each, moved) and not self._hangs(each))
+
+    def _hangs(self, region: Region) -> bool:
+        """Return whether a region ends so far above the camera that it cannot stand on ground."""
+        if self.rig is None:
+            return False
+        depth_m = self.rig.focal_baseline / region.nearness_px
+        up_m = (self.rig.cy - region.y - region.height) * depth_m / self.rig.fy_px
+        return up_m > _MAX_UP_M
 
     def follow(
         self,

@@ -31,11 +31,11 @@ if TYPE_CHECKING:
 
 #: Scenes, by the name in the table; those that are held out had no part in the choice of values.
 SCENES: dict[str, dict[str, Any]] = {
-    "held-out street 41": {"scene": "street", "seed": 41, "street_winding_deg": 25.0},
-    "held-out street 42": {"scene": "street", "seed": 42},
-    "held-out street 43": {"scene": "street", "seed": 43, "street_winding_deg": 15.0},
-    "held-out street 44": {"scene": "street", "seed": 44, "street_winding_deg": 35.0},
-    "held-out corridor": {"scene": "corridor", "seed": 45, "frames": "200:255"},
+    "held-out street 51": {"scene": "street", "seed": 51, "street_winding_deg": 25.0},
+    "held-out street 52": {"scene": "street", "seed": 52},
+    "held-out street 53": {"scene": "street", "seed": 53, "street_winding_deg": 15.0},
+    "held-out street 54": {"scene": "street", "seed": 54, "street_winding_deg": 35.0},
+    "held-out corridor": {"scene": "corridor", "seed": 55, "frames": "200:255"},
     "street": {"scene": "street", "seed": 8, "street_winding_deg": 25.0},
     "straight street": {"scene": "street", "seed": 3},
     "corridor": {"scene": "corridor", "seed": 1, "frames": "70:125"},
