@@ -84,6 +84,10 @@ def _called(args: Sequence[str] | None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except (KeyboardInterrupt, Exception) as error:
+        if isinstance(error, click.NoSuchOption):
+            for name in given:
+                if name.startswith("-") and os.path.exists(name):
+                    error.add_note(f"there is a file of the name {name}: write ./{name}")
         return _fail(error)
 
 

@@ -737,6 +737,13 @@ def test_long_work_says_soon_how_long_it_takes(frames, frame_s, wanted, monkeypa
     assert capsys.readouterr().err == wanted
 
 
+def test_a_file_that_begins_with_a_dash_is_told_from_an_option(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "-left.mp4").touch()
+    assert main(["run", "-left.mp4", "right.mp4"]) == 2
+    assert "write ./-left.mp4" in capsys.readouterr().err
+
+
 def test_a_dry_run_checks_all_and_writes_nothing(run_args, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert main([*run_args, "--dry-run", "-o", "out"]) == 0

@@ -132,15 +132,15 @@ DIFFERENCES = {
     ),
     "number without tolerance": (
         edited("steering.csv", ",512,", ",513,"),
-        ("steering.csv", "pts", 1, 1, 1, "'513', golden '512'"),
+        ("steering.csv", "pts", 1, 1, 1, "513, golden 512"),
     ),
     "known and unknown": (
         edited("steering.csv", "7.010", ""),
-        ("steering.csv", "depth_m", 1, 1, 1, "unknown, golden '7.010'"),
+        ("steering.csv", "depth_m", 1, 1, 1, "unknown, golden 7.010"),
     ),
     "not finite": (
         edited("steering.csv", "7.010", "nan"),
-        ("steering.csv", "depth_m", 1, 1, 1, "'nan', golden '7.010'"),
+        ("steering.csv", "depth_m", 1, 1, 1, "'nan', golden 7.010"),
     ),
     "row missing": (
         edited("steering.csv", STEERING.splitlines()[2] + "\n", ""),

@@ -8,10 +8,16 @@ import click
 
 from motionstereo_cli.commands.grouped import GroupedCommand
 from motionstereo_cli.commands.messages import say
-from motionstereo_cli.commands.options import config_files, input_options, processing_options
+from motionstereo_cli.commands.options import (
+    config_files,
+    input_options,
+    processing_options,
+    rig_options,
+)
 from motionstereo_cli.commands.progress import quiet_option
 from motionstereo_cli.errors import DAMAGED_EXIT_CODE
 from motionstereo_cli.method.settings import Settings
+from motionstereo_cli.rig.settings import RigSettings
 from motionstereo_cli.sources.settings import InputSettings
 
 
@@ -45,6 +51,7 @@ def _numbers(ctx: click.Context, _: click.Parameter, text: str) -> list[int]:
     help="PNG file to write; replaces an older one.",
 )
 @input_options
+@rig_options
 @processing_options
 @quiet_option
 def figure(
@@ -54,21 +61,27 @@ def figure(
     numbers: list[int],
     out: Path,
     input_settings: InputSettings,
+    rig: tuple[Path, ...],
+    rig_settings: RigSettings,
     settings: Settings,
 ) -> int:
     """Draw some frames stage by stage on one sheet.
 
     Figures 2 and 3 of the paper have this form: one row for each frame, with the right image (the
     left one with --reference left), its bands, its permanency memory, and its depth, bright where
-    near and black where unknown.
+    near and black where unknown. Images that are not rectified need --rig.
     """
     from motionstereo_cli.evaluation.figure import draw_figure
     from motionstereo_cli.files.encode import encode_png
     from motionstereo_cli.files.targets import check_target, write_output
+    from motionstereo_cli.rig.calibration import rectify_source
     from motionstereo_cli.sources import open_stereo
 
     with open_stereo(left, right, input_settings) as source:
-        inputs = (*source.paths, *config_files())
+        calibration = rectify_source(source, rig, rig_settings)
+        for line in calibration.warnings if calibration else ():
+            say("warning", line)
+        inputs = (*source.paths, *rig, *config_files())
         check_target(out, inputs)
         write_output(out, encode_png(draw_figure(source, numbers, settings)), inputs)
         damage = source.damage

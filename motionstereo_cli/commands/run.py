@@ -170,7 +170,7 @@ def _summarise(plan: RunPlan, report: RunReport) -> int:
             f"{frames}{before} in {report.wall_s:.1f} s "
             f"({report.frames_per_second:.0f} frames per second): "
             f"{'depth' if report.in_metres else 'disparity'} for {report.matched:.0%} of the image "
-            f"({report.charged:.0%} moved)",
+            f"({report.charged:.0%} moved lately)",
         )
     if report.interrupted:
         kept = f": what was done is in {plan.folder}, --resume goes on from there"

@@ -268,7 +268,7 @@ class _Comparison:
         if tolerance is None or error - tolerance > _ROUNDING:
             found = f"{_shown(mine)}, golden {_shown(theirs)}"
             if math.isfinite(error):
-                found = f"{mine}, golden {theirs} (tolerance {tolerance:g})"
+                found += f" (tolerance {tolerance:g})"
             output.differ(column, found, frame, error)
 
     def _maps(self, name: str) -> Compared:
@@ -437,8 +437,11 @@ def _same(one: object, other: object) -> bool:
     return one == other
 
 
-def _shown(value: object) -> str:
-    return "unknown" if value == "" else shortened(value)
+def _shown(cell: str) -> str:
+    """Return a cell of a table in words, numbers as they are."""
+    if cell == "":
+        return "unknown"
+    return cell if math.isfinite(_distance(cell, "0")) else shortened(cell)
 
 
 def _given(value: object) -> str:

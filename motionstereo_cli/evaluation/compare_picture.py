@@ -18,7 +18,7 @@ from motionstereo_cli.sinks.drawing import depth_colours
 from motionstereo_cli.sinks.legend import strip
 from motionstereo_cli.sinks.outputs import RECORD
 from motionstereo_cli.sinks.read_back import read_record
-from motionstereo_cli.sinks.scale import DepthScale
+from motionstereo_cli.sinks.scale import ENDS, DepthScale
 from motionstereo_cli.sinks.settings import OutputSettings
 
 if TYPE_CHECKING:
@@ -112,8 +112,10 @@ def _recorded(golden: Path | None, is_depth: bool) -> DepthScale | None:
     """Return the scale in a run's record, None without one."""
     if golden is not None:
         with contextlib.suppress(InputError, SettingsError):
-            scale = DepthScale.recorded(read_record(golden / RECORD))
-            if scale.px_m or not is_depth:
+            record = read_record(golden / RECORD)
+            scale, said = DepthScale.recorded(record), record.values("output_settings")
+            known = any(said.get(name) for name in ENDS)  # a run that shows no colours has none
+            if known and (scale.px_m or not is_depth):
                 return scale
     return None
 

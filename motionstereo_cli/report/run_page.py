@@ -93,7 +93,7 @@ def run_page(out: Path, page: Path, record: RunRecord | None = None) -> str:
         way=way(run, steering),
         troubles=troubles(said),
         changed=list(changed(said)),
-        command=command(said),
+        command=command(said, real(out).name),
         outputs=_outputs(run),
     )
 
@@ -191,9 +191,11 @@ def _facts(steering: SteeringTable, quantity: str) -> list[Fact]:
         when = int(np.nanargmin(nearest))
         frame = int(steering.frames[when])
         facts.append(Fact("Nearest", f"{nearest[when]:.3g} m", f"in frame {frame}", frame))
-    for name, label in (("charged", "Moved"), ("matched", f"{quantity.capitalize()} known")):
-        mean = np.nanmean(steering.series[name])
-        facts.append(Fact(label, f"{mean:.0%}", "of the image"))
+    for name, label, note in (
+        ("charged", "Charged", "of the image: moved lately"),
+        ("matched", f"{quantity.capitalize()} known", "of the image"),
+    ):
+        facts.append(Fact(label, f"{np.nanmean(steering.series[name]):.0%}", note))
     return facts
 
 

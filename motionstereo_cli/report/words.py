@@ -47,8 +47,13 @@ def changed(record: RunRecord) -> Iterator[Changed]:
                 yield Changed(item, values[item.name], measured)
 
 
-def command(record: RunRecord) -> str | None:
-    """Return the shell command that repeats the run; None if its options are unknown."""
+def command(record: RunRecord, folder: str = "") -> str | None:
+    """Return the shell command that repeats the run; None if its options are unknown.
+
+    Args:
+        record: of the run.
+        folder: name of the folder to write to; empty: the default.
+    """
     if record.options is UNSET or not record.inputs:
         return None
     inputs = record.inputs.values()
@@ -63,6 +68,8 @@ def command(record: RunRecord) -> str | None:
     if tuple(save) != DEFAULT_OUTPUTS:
         words += ["--save", ",".join(save)]
     words += [word for each in changed(record) for word in each.option]
+    if folder:
+        words += ["-o", f"./{folder}" if folder.startswith("-") else folder]
     return shlex.join(words)
 
 

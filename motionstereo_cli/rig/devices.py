@@ -132,7 +132,7 @@ def read_zed(path: Path, values: Values, size: tuple[int, int] | None) -> Pair:
     if size is None and len(known) == 1:
         (size,) = known.values()
     if size is None:
-        raise InputError(f"{path} has a calibration for each of {sizes}: give --size")
+        raise InputError(f"{path} has a calibration for each of {sizes}: give --size WIDTHxHEIGHT")
     name = next((name for name, each in known.items() if each == size), None)
     if name is None:
         raise InputError(

@@ -213,4 +213,5 @@ def _difference(wanted: Any, there: Any, name: str = "") -> str:
         return ""
     if wanted == there:
         return ""
-    return f"with {option_of(name)} {there!s:.16}, not {wanted!s:.16}"
+    before, now = (f"{value!s:.16}" or "not given" for value in (there, wanted))
+    return f"with {option_of(name)} {before}, not {now}"

@@ -51,10 +51,13 @@ def parts_of(name: str, files: Sequence[Path]) -> list[Path]:
             f"{name} holds several recordings, of the numbers {listed}: give the chapters of one, "
             f"as a pattern such as 'G???{min(recordings)}.MP4'"
         )
-    forms = {re.sub(r"\d+", "#", video.stem) + video.suffix.lower() for video in videos}
+    forms = {
+        re.sub(r"\d+", "#", each.stem) + each.suffix.lower(): each.name for each in sorted(videos)
+    }
     if len(forms) > 1 and not all(chapters.values()):
+        examples = ", ".join(sorted(forms.values()))
         raise InputError(
-            f"{name} holds videos whose names are not of one form ({', '.join(sorted(forms))}): "
+            f"{name} holds videos whose names are not of one form ({examples}): "
             "give those that follow one another, as a quoted pattern"
         )
     return sorted(videos, key=lambda video: natural_key(_in_order(video)))

@@ -121,7 +121,7 @@ class InputSettings:
         "First frame used: its number from 0 (100) or its time since the first (12.5s, 0:12.5).",
         common=True,
     )
-    end: str = param("", "First frame not used any more, in the same form.", common=True)
+    end: str = param("", "First frame not used any more, as number or time.", common=True)
     every: int = param(
         1,
         "Use every N-th frame. Motion is what changes between the frames used.",
