@@ -817,7 +817,7 @@ def test_only_options_that_are_alike_are_suggested(run_args, capsys, option, sai
 def test_the_summary_says_how_much_of_the_image_has_depth(run_args, tmp_path, capsys):
     assert main([*run_args, "-o", str(tmp_path / "o")]) == 0
     said = capsys.readouterr().err
-    assert re.search(r"disparity for \d+% of the image \(\d+% moved\)", said)
+    assert re.search(r"disparity for \d+% of the image \(\d+% moved lately\)", said)
 
 
 @pytest.mark.parametrize(
