@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-import re
 import statistics
 import subprocess
 import sys
@@ -17,6 +16,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import cv2
+from packaging.requirements import Requirement
 
 import motionstereo_cli
 
@@ -183,6 +183,7 @@ def installed_mb(name: str) -> dict[str, float]:
         if each == name:  # its files may lie elsewhere
             files = list(Path(motionstereo_cli.__file__).parent.rglob("*"))
         sizes[each] = sum(file.stat().st_size for file in files if file.is_file()) / 1e6
-        needs = [need for need in found.requires or [] if "extra ==" not in need]
-        waiting += [re.split(r"[^\w.-]", need)[0] for need in needs]
+        needs = [Requirement(need) for need in found.requires or []]
+        # Not what extras need, or other systems.
+        waiting += [n.name for n in needs if n.marker is None or n.marker.evaluate({"extra": ""})]
     return sizes
