@@ -1,4 +1,4 @@
-"""Counts around each pixel: the counting loops of :mod:`motionstereo_cli.method.planes`.
+"""Counts around each pixel, and what cannot be: loops of :mod:`motionstereo_cli.method.planes`.
 
 Two counts are kept in one number, which may overflow because only differences are used. Compilers
 vectorise loops over arrays that are arguments of a separate function.
@@ -6,6 +6,8 @@ vectorise loops over arrays that are arguments of a separate function.
 
 import cython
 import numpy as np
+
+NAN = cython.declare(cython.float, np.nan)
 
 #: The second count is multiplied by this; the bits of the first.
 SECOND = cython.declare(cython.uint, 65536)
@@ -232,3 +234,20 @@ def move(
         textured: cython.int = cython.cast(cython.int, both & FIRST)
         still: cython.bint = (textured >= least) & (rests + 1 > resting * (textured + 2))
         result[x] = 0 if still else need[x]
+
+
+def forget_unseen(
+    error: cython.const[cython.float][:, ::1],
+    max_error_px: cython.float,
+    result: cython.float[:, ::1],
+    share: cython.float[:, ::1],
+) -> None:
+    """Forget disparities whose partner lies beyond the left view's border, but of sure planes."""
+    y: cython.Py_ssize_t
+    x: cython.Py_ssize_t
+    last: cython.Py_ssize_t = result.shape[1] - 1
+    with cython.nogil:
+        for y in range(result.shape[0]):
+            for x in range(result.shape[1]):
+                if x + result[y, x] > last and not error[y, x] < max_error_px:
+                    result[y, x] = share[y, x] = NAN

@@ -5,6 +5,7 @@ import numpy as np
 from cython.cimports.libc.math import isnan
 
 NAN = cython.declare(cython.float, np.nan)
+ALMOST = cython.declare(cython.float, 0.999)  # of a leap: sums are rounded
 PER_PX = cython.declare(cython.int, 16)  # sixteenths of a px, and of a grey level
 
 
@@ -19,8 +20,8 @@ class Scene:
     """
 
     disparity: cython.const[cython.float][:, ::1]
-    right: cython.const[cython.short][:, ::1]
-    left: cython.const[cython.short][:, ::1]
+    right: cython.const[cython.uchar][:, ::1]
+    left: cython.const[cython.uchar][:, ::1]
 
 
 @cython.cclass
@@ -36,29 +37,67 @@ class Limits:
     min_gain: cython.int
 
 
-def trim(scene: Scene, limits: Limits, result: cython.float[:, ::1]) -> None:
-    """Trim objects: see :func:`motionstereo_cli.method.borders.trimmed`."""
-    x: cython.int
+def trim(
+    scene: Scene, limits: Limits, borders: cython.uchar[::1], result: cython.float[:, ::1]
+) -> None:
+    """Trim objects: see :func:`motionstereo_cli.method.borders.trimmed`.
+
+    Args:
+        scene, limits: see there.
+        borders: room for a row.
+        result: gets the disparity.
+    """
+    x: cython.Py_ssize_t
     y: cython.int
+    column: cython.int
     disparity: cython.const[cython.float][:, ::1] = scene.disparity
     leap: cython.float = limits.leap
     with cython.nogil:
         result[:, :] = disparity
         for y in range(cython.cast(cython.int, disparity.shape[0])):
-            for x in range(cython.cast(cython.int, disparity.shape[1])):
+            find_borders(disparity[y], disparity[max(y - 1, 0)], leap, borders)
+            for x in range(disparity.shape[1]):
+                if not borders[x]:
+                    continue
+                column = cython.cast(cython.int, x)
                 here: cython.float = disparity[y, x]
                 if x > 0:
                     before: cython.float = disparity[y, x - 1]
                     if before > here + leap or (isnan(here) and not isnan(before)):
-                        go_in(scene, limits, y, x - 1, 0, -1, NAN, result)
+                        go_in(scene, limits, y, column - 1, 0, -1, NAN, result)
                     elif here > before + leap:
-                        go_in(scene, limits, y, x, 0, 1, before, result)
+                        go_in(scene, limits, y, column, 0, 1, before, result)
                 if y > 0:
                     above: cython.float = disparity[y - 1, x]
                     if above > here + leap:
-                        go_in(scene, limits, y - 1, x, -1, 0, here, result)
+                        go_in(scene, limits, y - 1, column, -1, 0, here, result)
                     elif here > above + leap:
-                        go_in(scene, limits, y, x, 1, 0, above, result)
+                        go_in(scene, limits, y, column, 1, 0, above, result)
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def find_borders(
+    disparity: cython.const[cython.float][::1],
+    above: cython.const[cython.float][::1],
+    leap: cython.float,
+    borders: cython.uchar[::1],
+) -> cython.void:
+    """Fill in where a row leaps from the pixel before or above, or ends.
+
+    Compilers vectorise loops over arrays that are arguments of a separate function.
+    """
+    x: cython.Py_ssize_t
+    borders[0] = abs(disparity[0] - above[0]) > leap * ALMOST
+    for x in range(1, disparity.shape[0]):
+        here: cython.float = disparity[x]
+        before: cython.float = disparity[x - 1]
+        borders[x] = (
+            (abs(here - before) > leap * ALMOST)
+            | (abs(here - above[x]) > leap * ALMOST)
+            | ((here != here) & (before == before))  # noqa: PLR0124
+        )
 
 
 @cython.cfunc
@@ -99,7 +138,10 @@ def go_in(
         total += behind - difference(scene, limits, row, column, down != 0, near)
         after: cython.int = min(max(row + down, 0), height - 1)
         beside: cython.int = min(max(column + across, 0), width - 1)
-        edge: cython.int = abs(scene.right[row, column] - scene.right[after, beside])
+        edge: cython.int = abs(
+            cython.cast(cython.int, scene.right[row, column])
+            - cython.cast(cython.int, scene.right[after, beside])
+        )
         if total - limits.per_grey_level * edge < least:
             least = total - limits.per_grey_level * edge
             found = step + 1
@@ -135,11 +177,11 @@ def difference(
         row: cython.int = y if beside else min(max(y + k, 0), height - 1)
         column: cython.int = min(max(x + k, 0), width - 1) if beside else x
         partner: cython.int = min(column + whole, width - 1)
-        left: cython.int = (
-            scene.left[row, partner] * (PER_PX - share)
-            + scene.left[row, min(partner + 1, width - 1)] * share
-        )
-        total += min(abs(scene.right[row, column] * PER_PX - left), limits.max_grey)
+        near: cython.int = scene.left[row, partner]
+        after: cython.int = scene.left[row, min(partner + 1, width - 1)]
+        left: cython.int = near * (PER_PX - share) + after * share
+        right: cython.int = scene.right[row, column]
+        total += min(abs(right * PER_PX - left), limits.max_grey)
     return total // 3
 
 

@@ -480,6 +480,8 @@ def weigh(
     reach: cython.int,
     if_fresh: cython.short,
     if_old: cython.short,
+    ends: cython.uchar[::1],
+    near: cython.uchar[::1],
     weight: cython.short[:, ::1],
 ) -> None:
     """Fill in weights: see :func:`motionstereo_cli.method.dense.weights_of`.
@@ -490,25 +492,59 @@ def weigh(
         fresh: where they are of this very frame, 0 or 1.
         reach: how far from the end of a trail it proposes, px.
         if_fresh, if_old: the weights.
+        ends, near: room for a row, ``ends`` for 2 * reach more, all 0.
         weight: gets the result.
     """
     y: cython.Py_ssize_t
-    x: cython.int
-    width: cython.int = cython.cast(cython.int, keys.shape[1])
+    k: cython.Py_ssize_t
     with cython.nogil:
         for y in range(keys.shape[0]):
-            end: cython.int = -reach  # where a trail begins that is not the one before
-            for x in range(width):
-                if x > 0 and keys[y, x] != keys[y, x - 1]:
-                    end = x
-                weight[y, x] = 0
-                if x - end < reach:
-                    weight[y, x] = if_fresh if fresh[y, x] else if_old
-            end = width + reach
-            for x in range(width - 1, -1, -1):
-                if end - x <= reach:
-                    weight[y, x] = if_fresh if fresh[y, x] else if_old
-                if proposed[y, x] != proposed[y, x]:
-                    weight[y, x] = 0
-                if x > 0 and keys[y, x] != keys[y, x - 1]:
-                    end = x
+            find_ends(keys[y], reach, ends)
+            near[:] = 0
+            for k in range(1, 2 * reach + 1):
+                join(ends[k:], near)
+            weigh_row(proposed[y], fresh[y], near, if_fresh, if_old, weight[y])
+
+
+# Compilers vectorise loops over arrays that are arguments of a separate function.
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def find_ends(
+    keys: cython.const[cython.ushort][::1], reach: cython.Py_ssize_t, ends: cython.uchar[::1]
+) -> cython.void:
+    """Fill in where a trail begins that is not the first of its row, from place ``reach`` on."""
+    x: cython.Py_ssize_t
+    for x in range(1, keys.shape[0]):
+        ends[reach + x] = keys[x] != keys[x - 1]
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def join(row: cython.const[cython.uchar][::1], result: cython.uchar[::1]) -> cython.void:
+    """Add what is set in a row."""
+    x: cython.Py_ssize_t
+    for x in range(result.shape[0]):
+        result[x] |= row[x]
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def weigh_row(
+    proposed: cython.const[cython.float][::1],
+    fresh: cython.const[cython.uchar][::1],
+    near: cython.const[cython.uchar][::1],
+    if_fresh: cython.short,
+    if_old: cython.short,
+    weight: cython.short[::1],
+) -> cython.void:
+    """Fill in a row of weights."""
+    x: cython.Py_ssize_t
+    for x in range(weight.shape[0]):
+        proposes: cython.bint = (proposed[x] == proposed[x]) & (near[x] != 0)
+        w: cython.short = if_fresh if fresh[x] else if_old
+        weight[x] = w if proposes else 0

@@ -88,8 +88,7 @@ class Samples:
         max_disparity: px.
     """
 
-    # Of the image, row by row.
-    first: cython.int[:, ::1]  # the first one from each step across on
+    first: cython.int[:, ::1]  # of the image, row by row: the first one from each step across on
     steps: cython.int[::1]  # across: a step is farther to the right by ``shift`` in each row
     depth: cython.int[::1]
     half: cython.int[::1]
@@ -100,6 +99,7 @@ class Samples:
     disparity: cython.int[::1]
     weight: cython.int[::1]
     counts: cython.int[::1]  # weight of the samples by twice their disparity
+    wanted: cython.uchar[::1]  # columns of a row of blocks in which a plane is
     sums: cython.int[::1]  # over inliers, see :func:`add_up`
     used: cython.int
     total: cython.int  # their weight
@@ -123,6 +123,7 @@ class Samples:
         self.disparity = np.empty(count, np.int32)
         self.weight = np.empty(count, np.int32)
         self.counts = np.zeros(2 * max_disparity + 4, np.int32)
+        self.wanted = np.empty(width, np.uint8)
         self.sums = np.zeros(10, np.int32)
         self.bits = PER_PX_BITS
         while self.bits > 1 and (max_disparity + 1) << self.bits > LARGEST:
@@ -190,9 +191,12 @@ def fit(
         for down in range((rows + window.block_y - 1) // window.block_y):
             top: cython.int = down * window.block_y
             bottom: cython.int = min(top + window.block_y, rows)
+            join(where[top:bottom], samples.wanted)
             for across in range((width + window.block_x - 1) // window.block_x):
                 left: cython.int = across * window.block_x
                 right: cython.int = min(left + window.block_x, width)
+                if not is_some(samples.wanted, left, right):
+                    continue
                 # The wanted pixel nearest to the block's middle represents it.
                 nearest: cython.int = rows + width
                 y: cython.int = 0
@@ -217,6 +221,33 @@ def fit(
                     for i in range(left, right):
                         if where[j, i] and not result[j, i] >= rule.below_px:
                             take(plane, j - y, i - x, rule, result[j], share[j], error[j], i)
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def join(where: cython.const[cython.uchar][:, ::1], result: cython.uchar[::1]) -> cython.void:
+    """Fill in the columns in which something is set in any row."""
+    y: cython.Py_ssize_t
+    x: cython.Py_ssize_t
+    result[:] = 0
+    for y in range(where.shape[0]):
+        for x in range(result.shape[0]):
+            result[x] |= where[y, x]
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def is_some(
+    wanted: cython.const[cython.uchar][::1], begin: cython.int, end: cython.int
+) -> cython.bint:
+    """Return whether anything is set in some columns."""
+    x: cython.int
+    some: cython.uchar = 0
+    for x in range(begin, end):
+        some |= wanted[x]
+    return some != 0
 
 
 @cython.cfunc
@@ -567,20 +598,3 @@ def judge(window: Window, samples: Samples, residual: cython.int, plane: Plane) 
     ) / (plane.xx * plane.yy - plane.xy * plane.xy)
     plane.share = plane.weight / total
     plane.error_px = window.dependent * sqrt(max(variance, MIN_VARIANCE) * lever)
-
-
-def forget_unseen(
-    error: cython.const[cython.float][:, ::1],
-    max_error_px: cython.float,
-    result: cython.float[:, ::1],
-    share: cython.float[:, ::1],
-) -> None:
-    """Forget disparities whose partner lies beyond the left view's border, but of sure planes."""
-    y: cython.Py_ssize_t
-    x: cython.Py_ssize_t
-    last: cython.Py_ssize_t = result.shape[1] - 1
-    with cython.nogil:
-        for y in range(result.shape[0]):
-            for x in range(result.shape[1]):
-                if x + result[y, x] > last and not error[y, x] < max_error_px:
-                    result[y, x] = share[y, x] = NAN

@@ -8,6 +8,7 @@
 #ifndef SEMI_GLOBAL_H
 #define SEMI_GLOBAL_H
 
+#include <limits.h>
 #include <math.h>
 #include <stddef.h>
 #include <stdlib.h>
@@ -420,6 +421,17 @@ INLINE void go_forward(Matching *matching, const Stretch *stretch, int vectors, 
     suspend(matching, s, vectors, path);
 }
 
+/* The place of the first of the words that is the least, in words. */
+INLINE int place_of(const Words *words, int vectors, Words minimum)
+{
+    int place = vectors * LANES;
+    for (int i = vectors - 1; i >= 0; i--) {
+        int here = first_true(words[i] == minimum);
+        place = here < LANES ? i * LANES + here : place;
+    }
+    return place;
+}
+
 /* The disparity of least cost of a pixel, and its margin; -1 where the margin is too small. */
 INLINE void choose(const Matching *m, const Stretch *s, int vectors, int x, const Words *total)
 {
@@ -429,10 +441,8 @@ INLINE void choose(const Matching *m, const Stretch *s, int vectors, int x, cons
     for (int i = 1; i < vectors; i++)
         minimum = least(minimum, total[i]);
     minimum = least_of_all(minimum);
-    int cost = minimum[0], vector = 0, place = first_true(total[0] == minimum);
-    while (place == LANES)
-        place = first_true(total[++vector] == minimum);
-    int d = s->at[vector] + place;
+    int cost = minimum[0], place = place_of(total, vectors, minimum);
+    int d = s->at[place / LANES] + place % LANES;
     for (int i = 0; i < vectors; i++) {
         int from = s->at[i] - d + LANES + 1;
         from = from > 0 ? from : 0;
@@ -450,22 +460,21 @@ INLINE void choose(const Matching *m, const Stretch *s, int vectors, int x, cons
         m->rival[x] = least_of_all(rival)[0];
     }
     second = second < PADDING ? second : MAX_COST;
-    /* Of equal costs that of the pixel farthest on the left: it comes last. */
-    if (m->partner[x + d] == -2 || cost <= m->partner_cost[x + d]) {
-        m->partner[x + d] = d;
-        m->partner_cost[x + d] = cost;
-    }
+    /* Without branches, which nothing foretells. Of equal costs that of the pixel farthest on the
+       left: it comes last. */
+    int *partner = m->partner + x + d, *partner_cost = m->partner_cost + x + d;
+    int better = cost <= *partner_cost;
+    *partner = better ? d : *partner;
+    *partner_cost = better ? cost : *partner_cost;
     float margin = (float)(second - cost), enough = m->penalties.min_share * second;
-    if (margin < (enough > m->penalties.min_margin ? enough : m->penalties.min_margin))
-        return;
-    m->best[x] = d;
+    enough = enough > m->penalties.min_margin ? enough : m->penalties.min_margin;
+    m->best[x] = margin < enough ? -1 : d;
     m->margin[x] = margin;
     int16_t costs[MAX_VECTORS * LANES];
     for (int i = 0; i < vectors; i++)
         store(costs + i * LANES, total[i]);
     /* Of a neighbour that was not looked at, the other one's cost. */
     int last = d % CHUNK == CHUNK - 1;
-    place += vector * LANES;
     int has_before = d % CHUNK > 0 || (d > 0 && s->set >> (d / CHUNK - 1) & 1);
     int has_after = !last || (d / CHUNK + 1 < m->chunks && s->set >> (d / CHUNK + 1) & 1);
     int16_t *around = m->around + 3 * x;
@@ -570,8 +579,10 @@ static void row_down(Matching *m, int y, ptrdiff_t offset)
             BY_NUMBER(s, go_forward(m, &s, vectors, y, offset, &across))
         offset += words_of(&s);
     }
-    for (int x = 0; x < width + m->view.count; x++)
+    for (int x = 0; x < width + m->view.count; x++) {
         m->partner[x] = -2;
+        m->partner_cost[x] = INT_MAX;
+    }
     for (int x = 0; x < width; x++)
         m->best[x] = -1;
     across.started = 0;

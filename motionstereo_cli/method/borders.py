@@ -56,10 +56,8 @@ def trimmed(
     disparity_px = checked_array(disparity_px, np.float32)
     right, left = (checked_array(view, np.uint8, disparity_px.shape) for view in (right, left))
     result = np.empty_like(disparity_px)
-    scene = loops.Scene(  # type: ignore[call-arg]
-        disparity_px, right.astype(np.int16), left.astype(np.int16)
-    )
-    loops.trim(scene, _LIMITS, result)
+    scene = loops.Scene(disparity_px, right, left)  # type: ignore[call-arg]
+    loops.trim(scene, _LIMITS, np.empty(right.shape[1], np.uint8), result)
     return result
 
 

@@ -92,7 +92,9 @@ def weights_of(
         checked_array(proposed_px, np.float32, keys.shape),
         keys,
         checked_array(fresh, np.bool_, keys.shape).view(np.uint8),
-        *(_END_PX, _FRESH, _OLD, weights),
+        *(_END_PX, _FRESH, _OLD),
+        *(np.zeros(keys.shape[1] + 2 * _END_PX, np.uint8), np.empty(keys.shape[1], np.uint8)),
+        weights,
     )
     return weights
 

@@ -146,7 +146,7 @@ def with_planes(
     loops.fit(disparity_px, weight, grey, moving, _AFAR, _WHERE_MOVING, samples, *found)
     loops.fit(disparity_px, weight, grey, need, _FAR, _WHERE_FAR, samples, *found)
     # A partner beyond the left view's border is not visible: only a reliable plane gives it.
-    loops.forget_unseen(error, _MAX_SMOOTH_ERROR_PX, result, share)
+    around.forget_unseen(error, _MAX_SMOOTH_ERROR_PX, result, share)
     need = wanted * (1 - smooth)
     weight *= checked_array(margin, np.float32, shape) >= _SURE
     loops.fit(result, weight, grey, need, _BESIDE, _WHERE_UNSEEN, samples, *found)
