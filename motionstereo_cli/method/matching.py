@@ -128,30 +128,25 @@ def _dense(right: Memory, left: Memory, settings: Settings) -> Found:
 def _proposed(keys: NDArray[np.uint16], left_keys: NDArray[np.uint16], settings: Settings) -> Real:
     """Return the disparity of trails, (rows, width) float32, NaN = none.
 
-    On fine texture they are matched in every second row; in the next one they propose where they
-    go on.
+    Fine texture tells its disparity by itself: there trails propose none.
 
     Args:
         keys, left_keys: match keys of every :data:`ROWS`-th row, (rows, width) uint16.
         settings: how trails are matched.
     """
     ends = np.count_nonzero(keys[:, 1:] != keys[:, :-1])
-    every = 2 if ends > _FINE * keys.size else 1
-    s, step = settings, every * ROWS
+    if ends > _FINE * keys.size:
+        return np.full(keys.shape, np.nan, np.float32)
+    s = settings
     found, _ = match_trails(
-        keys[::every],
-        left_keys[::every],
+        keys,
+        left_keys,
         s.max_disparity,
-        block_px=(max(s.vote_rows // step, 1), s.vote_columns),
+        block_px=(max(s.vote_rows // ROWS, 1), s.vote_columns),
         max_ratio=s.max_ratio,
-        min_votes=max(s.min_votes // step, 1),
+        min_votes=max(s.min_votes // ROWS, 1),
     )
-    if every == 1:
-        return found
-    proposed = np.repeat(found, every, axis=0)[: len(keys)]
-    following = proposed[1::2]
-    following[keys[1::2] != keys[::2][: len(following)]] = np.nan
-    return proposed
+    return found
 
 
 def _regions(right: Memory, left: Memory, settings: Settings) -> Found:
