@@ -124,6 +124,8 @@ def _fail(error: BaseException) -> int:
             message, exit_code = str(error), error.exit_code
         case _ if short_of := shortage(error):
             message, exit_code = short_of, 1
+        case FileNotFoundError(filename=None):  # of the current folder
+            message, exit_code = "the current folder has been removed: change to another", 1
         case OSError():
             message, exit_code = str(error) if error.filename else words_of(error), 1
         case _:

@@ -6,6 +6,7 @@ import contextlib
 import io
 import json
 import logging
+import os
 import struct
 import tracemalloc
 import zlib
@@ -19,13 +20,15 @@ import numpy as np
 import pytest
 from recordings import COUNT, FULL, cut, encode, folder, remux, scene
 
-from motionstereo_cli.__main__ import main
+from motionstereo_cli.__main__ import _fail, main
 from motionstereo_cli.commands.messages import printable
 from motionstereo_cli.errors import InputError, OutputError, opening, words_of
+from motionstereo_cli.evaluation.poses import evaluate_poses
 from motionstereo_cli.files.maps import read_map
 from motionstereo_cli.files.records import unpack
 from motionstereo_cli.files.stills import DamagedImageError, read_still
 from motionstereo_cli.files.video import VideoWriter
+from motionstereo_cli.report.batch_page import batch_page
 from motionstereo_cli.rig.calibration import read_calibration
 from motionstereo_cli.rig.poses import read_poses
 from motionstereo_cli.runs.checkpoint import read_checkpoint
@@ -476,6 +479,38 @@ def test_there_is_a_number_of_poses(tmp_path: Path, monkeypatch: pytest.MonkeyPa
         file.write("3 3 0 0 0 0 0 1\n")
     with pytest.raises(InputError, match="has more than 3 poses"):
         read_poses(path)
+    monkeypatch.undo()
+    monkeypatch.setattr("motionstereo_cli.evaluation.poses._MAX_POSES", 3)
+    with pytest.raises(InputError, match="has more than 3 poses"):
+        evaluate_poses(path, path)
+
+
+def test_there_is_a_number_of_recordings_on_a_page(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("motionstereo_cli.report.batch_page._MAX_ROWS", 3)
+    head, rows = "name,status\n", [f"{n},failed\n" for n in range(4)]
+    table = tmp_path / "batch.csv"
+    table.write_text(head + "".join(rows[:3]))
+    assert "3 recordings" in batch_page(tmp_path, tmp_path / "report.html")
+    table.write_text(head + "".join(rows))
+    with pytest.raises(InputError, match="has more than 3 recordings"):
+        batch_page(tmp_path, tmp_path / "report.html")
+
+
+def test_a_folder_that_is_gone(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    here = Path.cwd()
+    gone = tmp_path / "gone"
+    gone.mkdir()
+    os.chdir(gone)
+    try:
+        gone.rmdir()
+        with pytest.raises(FileNotFoundError) as raised:
+            Path.cwd()
+    finally:
+        os.chdir(here)
+    assert _fail(raised.value) == 1
+    assert capsys.readouterr().err.startswith("error: the current folder has been removed")
 
 
 @pytest.mark.parametrize("suffix", [".mp4", ".mkv"])

@@ -7,6 +7,7 @@ import contextlib
 import dataclasses
 import importlib.util
 import json
+import logging
 import sys
 import warnings
 from collections.abc import Callable, Iterator, Mapping
@@ -145,10 +146,11 @@ def _started(cluster: Cluster, tasks: int, say: Callable[[str, str], object]) ->
         say("note", f"{workers} workers share {cores} cores: more than one for each gains nothing")
     # A free port for Dask's dashboard, so that two batches do not collide.
     options = {"threads_per_worker": 1, "dashboard_address": "127.0.0.1:0"}
+    silent = logging.CRITICAL  # it would print tracebacks of processes that do not start
     for trial in range(_STARTS):
         try:
             with deaf_children():
-                local = LocalCluster(n_workers=workers, **options)
+                local = LocalCluster(n_workers=workers, silence_logs=silent, **options)
             break
         except Exception as error:  # such as a process that was killed before it was ready
             if trial == _STARTS - 1:

@@ -23,6 +23,10 @@ if TYPE_CHECKING:
 LENGTHS_M = (5, 10, 20, 30, 40, 50, 60, 70, 80, 90, 100)
 
 
+#: Limit of poses, each of which takes some kB: an hour at 80 in a second.
+_MAX_POSES = 300_000
+
+
 @dataclass(frozen=True, slots=True)
 class PoseReport:
     """What was measured.
@@ -69,6 +73,9 @@ def evaluate_poses(found: str | Path, true: str | Path) -> PoseReport:
             "writes TUM's by --save poses and KITTI's by --save poses-kitti)"
         )
     first, last = float(other.time_s[0]), float(other.time_s[-1])
+    for name, path in ((found, one), (true, other)):
+        if len(path.time_s) > _MAX_POSES:
+            raise InputError(f"{name} has more than {_MAX_POSES} poses: give a part of the path")
     inside = (one.time_s >= first - 1e-6) & (one.time_s <= last + 1e-6)
     truth = [other.at(time) for time in one.time_s[inside].tolist()]
     inside[inside] = [pose is not None for pose in truth]

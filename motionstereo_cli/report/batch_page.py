@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import csv
 import io
+import itertools
 from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
@@ -33,6 +34,9 @@ LOGS = ".batch/logs"
 STATUSES = ("failed", "lost", "interrupted", "damaged", "done")
 
 _MAX_BYTES = 64_000_000
+
+#: Limit of recordings on a page, which takes a minute with so many.
+_MAX_ROWS = 100_000
 
 #: Maximum number of recordings with a picture and a plot; more would make the page too large.
 _MAX_PICTURES = 400
@@ -100,10 +104,16 @@ def _rows(path: Path) -> list[Status]:
             raise InputError(f"{path} has no columns name and status: give a folder of batch")
         # An empty cell is unknown.
         rows = [
-            {name: cell_text(cell) for name, cell in row.items() if name and cell} for row in table
+            {name: cell_text(cell) for name, cell in row.items() if name and cell}
+            for row in itertools.islice(table, _MAX_ROWS + 1)
         ]
     except (OSError, csv.Error) as error:
         raise InputError(f"cannot read {path}: {error}") from error
+    if len(rows) > _MAX_ROWS:
+        raise InputError(
+            f"{path} has more than {_MAX_ROWS} recordings, the limit of a page: process them in "
+            "several batches"
+        )
     return [
         typed(row, Status, f"{path} row {number}", strict=False)
         for number, row in enumerate(rows, 2)

@@ -24,8 +24,8 @@ if TYPE_CHECKING:
 
     Reals = NDArray[np.float64]
 
-#: Limit of poses: 28 hours at 30 in a second.
-_MAX_POSES = 3_000_000
+#: Limit of poses, which keeps them in some hundred MB: 9 hours at 30 in a second.
+_MAX_POSES = 1_000_000
 
 #: Limit of numbers, so that their differences are finite.
 _LARGEST = 1e100

@@ -153,18 +153,22 @@ class _Model:
         options.log_severity_level = 4
         try:
             self._session = onnxruntime.InferenceSession(
-                content, options, providers=["CPUExecutionProvider"]
+                content,
+                options,
+                providers=["CPUExecutionProvider"],
+                enable_fallback=0,  # it would print errors, and try the same again
             )
+            inputs = self._session.get_inputs()
+            outputs = [each.name for each in self._session.get_outputs()]
+            self._shapes = {each.name: each.shape for each in inputs}
+            self._kinds = {each.name: each.type for each in inputs}
         except Exception as error:
             raise InputError(
                 f"{path} is no model that ONNX Runtime can run ({words_of(error)}): export it "
                 "as one file, with its weights"
             ) from error
         self._path, self._form = path, form
-        self._shapes = {each.name: each.shape for each in self._session.get_inputs()}
-        self._kinds = {each.name: each.type for each in self._session.get_inputs()}
         self._halves, self._inputs = self._named()
-        outputs = [each.name for each in self._session.get_outputs()]
         self._output = form.output or outputs[0]
         if self._output not in outputs:
             raise InputError(f"{path} has no output {self._output}, but {', '.join(outputs)}")
