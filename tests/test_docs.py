@@ -219,3 +219,11 @@ def test_run_it_again_gives_the_same(yours, tmp_path, monkeypatch, given):
     assert again.sums == record.sums
     assert (again.settings, again.input_settings) == (record.settings, record.input_settings)
     assert again.output_settings == record.output_settings
+
+
+def test_the_page_of_security_names_tests_that_are_there() -> None:
+    page = (ROOT / "motionstereo_cli/docs/security.md").read_text()
+    rows = re.findall(r"^\| .* \| ([a-z_, ]+) \|$", page, re.MULTILINE)
+    assert len(rows) > 10
+    for name in {name for row in rows[1:] for name in row.split(", ")}:
+        assert (ROOT / f"tests/test_{name}.py").is_file(), name
