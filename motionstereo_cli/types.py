@@ -137,7 +137,8 @@ class StereoFrame:
             index if the source has no times.
         time_s: the same in seconds, None if the source has no times.
         left, right: (height, width) uint8 grey levels 0..255; not to be written to.
-        number: number of the right image in its recording, from 0; None if unknown.
+        number: place of the right image in its recording, from 0, with missing ones counted where
+            names of files tell; None if unknown.
         colours: (height, width, 3) uint8 RGB of the requested view; None without colour.
         disparity_px: what another program found in the view that results are of, (height, width)
             float32 px, NaN = unknown; None where it is to be matched.

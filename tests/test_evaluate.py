@@ -401,6 +401,24 @@ def test_truth_of_another_unit_is_warned_of_and_can_be_told(sides, tmp_path):
     assert json.loads(done.stdout)["overall"]["bad_1"] == 0.1
 
 
+def test_frames_are_matched_by_their_places_in_the_recording(tmp_path):
+    images = [np.full((2, 4), 10.0 + number, np.float32) for number in range(8)]
+    disparity(tmp_path / "truth/disparity", *images)
+    disparity(tmp_path / "out/disparity", *images[2::3])
+    record = {
+        "input_settings": {"start": "0.2s", "every": 3},
+        "inputs": {"right": {"path": "right.mp4", "frame_rate": "10"}},
+        "counts": {"written": 2, "right": {"unpaired": 1}},
+    }
+    (tmp_path / "out/run.json").write_text(json.dumps(record))
+    done = called("out", "truth", "--json", "-", cwd=tmp_path)
+    report = json.loads(done.stdout)
+    assert [frame["frame"] for frame in report["frames"]] == [2, 5]
+    assert report["overall"]["mean_px"] == 0
+    assert "note: frame n of OUT is image 2 + 3 n of its recording" in done.stderr
+    assert "warning: 1 images of the recording were lost or had no partner" in done.stderr
+
+
 def test_dash_puts_csv_on_standard_output_alone(sides, tmp_path):
     disparity(sides[0] / "disparity", np.ones((2, 4), np.float32), first=9)
     done = called(*sides, "--csv", "-", cwd=tmp_path)

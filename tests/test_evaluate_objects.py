@@ -8,7 +8,7 @@ import pytest
 
 from motionstereo_cli.__main__ import main
 from motionstereo_cli.errors import InputError
-from motionstereo_cli.evaluation.objects import ObjectBox, compare, read_objects
+from motionstereo_cli.evaluation.objects import ObjectBox, compare, evaluate_objects, read_objects
 from motionstereo_cli.evaluation.settings import EvaluateSettings
 from motionstereo_cli.sinks.objects_table import HEADER
 
@@ -125,6 +125,15 @@ def test_the_command_compares_a_table_with_labels(tmp_path, capsys, form):
         assert dict(zip(head.split(","), row.split(","), strict=True))["true_boxes"] == "5"
     else:
         assert "found" in out
+
+
+def test_a_run_that_began_later_is_compared_from_there(tmp_path):
+    (tmp_path / "objects.csv").write_text(f"{HEADER}\n0,3,10,20,40,40,17.0,,,1.00,,,,\n")
+    record = {"input_settings": {"start": "3", "every": 2}, "counts": {"written": 1}}
+    (tmp_path / "run.json").write_text(json.dumps(record))
+    report = evaluate_objects(tmp_path / "objects.csv", labels(tmp_path / "0000.txt"))
+    assert (report.true_boxes, report.found, report.frames) == (1, 1, 1)
+    assert report.depth_error == 0
 
 
 @pytest.mark.parametrize(

@@ -161,6 +161,15 @@ def _say_what_is_not_scored(comparison: Comparison, report: Report) -> None:
     for side, count in (("OUT", report.only_out), ("TRUTH", report.only_truth)):
         if count:
             say("warning", f"{count} frames are only in {side} and not scored")
+    first, every, lost = comparison.numbering
+    if first or every > 1:
+        say("note", f"frame n of OUT is image {first} + {every} n of its recording, as in TRUTH")
+    if lost and report.only_truth:
+        say(
+            "warning",
+            f"{lost} images of the recording were lost or had no partner: behind each, frames are "
+            "compared with the truth of the image before",
+        )
     if None not in comparison.views and len(set(comparison.views)) > 1:
         out_view, truth_view = comparison.views
         say("warning", f"OUT is in the {out_view} view, but TRUTH in the {truth_view} one")

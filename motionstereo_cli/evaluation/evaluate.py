@@ -288,8 +288,10 @@ class Comparison:
         mask: folder of PNG files; only pixels where they are not 0 count.
 
     Attributes:
-        numbers: the frames that both sides have, in order.
+        numbers: the frames that both sides have, in order, by their places in the recording: those
+            of a run that began later, or left frames out, have other names.
         only_out, only_truth: the frames that only one side has.
+        numbering: that of the result.
         has_depth: whether a rig is known, so that there are errors in m.
         views: the cameras whose views both sides are in, None if unknown.
 
@@ -310,9 +312,13 @@ class Comparison:
             raise InputError(
                 "depth is converted to disparity by a rig, and none was found: give --rig"
             )
-        self.numbers = [number for number in truth.files if number in out.files]
-        self.only_out = sorted(out.files.keys() - truth.files.keys())
-        self.only_truth = sorted(truth.files.keys() - out.files.keys())
+        self.numbering = out.numbering
+        self._own, self._true = (
+            {side.numbering.of(number): number for number in side.files} for side in (out, truth)
+        )
+        self.numbers = [number for number in self._true if number in self._own]
+        self.only_out = sorted(self._own.keys() - self._true.keys())
+        self.only_truth = sorted(self._true.keys() - self._own.keys())
         if not self.numbers:
             raise InputError(
                 f"no frame number is common to {_span(out)} and {_span(truth)}: "
@@ -329,17 +335,19 @@ class Comparison:
         Raises:
             InputError: one side lacks the frame, a file cannot be read, or sizes differ.
         """
-        if not (number in self._out.files and number in self._truth.files):
+        if not (number in self._own and number in self._true):
             raise InputError(
                 f"frame {number} is not on both sides: {_span(self._out)}, {_span(self._truth)}"
             )
-        out, truth = self._out.read(number), self._truth.read(number)
-        self._check_size(self._out.files[number], out)
-        self._check_size(self._truth.files[number], truth)
+        own, true = self._own[number], self._true[number]
+        out, truth = self._out.read(own), self._truth.read(true)
+        out_path, truth_path = self._out.files[own], self._truth.files[true]
+        self._check_size(out_path, out)
+        self._check_size(truth_path, truth)
         if out.shape != truth.shape:
             raise InputError(
-                f"{self._out.files[number]} is {size_of(out)} but {self._truth.files[number]} is "
-                f"{size_of(truth)}: give results and truth of the same size"
+                f"{out_path} is {size_of(out)} but {truth_path} is {size_of(truth)}: give results "
+                "and truth of the same size"
             )
         if self._masks is not None:
             counted = read_mask(self._masks[number])

@@ -22,7 +22,7 @@ from motionstereo_cli.evaluation.settings import EvaluateSettings
 from motionstereo_cli.files.reading import MAX_RESULT_BYTES, open_regular, read_text
 from motionstereo_cli.robot.assignment import assignment
 from motionstereo_cli.sinks.outputs import RECORD
-from motionstereo_cli.sinks.read_back import Table, read_record, shortened
+from motionstereo_cli.sinks.read_back import Table, numbering_in, read_record, shortened
 from motionstereo_cli.sinks.records import Counts
 
 if TYPE_CHECKING:
@@ -120,7 +120,9 @@ def is_objects(path: Path) -> bool:
 def evaluate_objects(
     found: Path, true: Path, settings: EvaluateSettings | None = None
 ) -> ObjectReport:
-    """Compare two files of objects of the same frames in the same view.
+    """Compare two files of objects of the same recording in the same view.
+
+    Where a run.json lies beside what was found, only the frames that it had are compared.
 
     Raises:
         InputError: a file cannot be read as one, or neither has a row.
@@ -129,11 +131,18 @@ def evaluate_objects(
     mine, theirs = (read_objects(path, settings) for path in (found, true))
     record = found.parent / RECORD
     counts = read_record(record).counts if record.is_file() else None
-    return compare(mine, theirs, settings, counts.written if isinstance(counts, Counts) else None)
+    if not isinstance(counts, Counts):
+        return compare(mine, theirs, settings)
+    numbering = numbering_in(found.parent)
+    seen = {numbering.of(frame) for frame in range(counts.written)}
+    theirs = [box for box in theirs if box.frame in seen]
+    return compare(mine, theirs, settings, counts.written)
 
 
 def read_objects(path: Path, settings: EvaluateSettings) -> list[ObjectBox]:
     """Return the rows of a table of objects, or of KITTI's tracking labels.
+
+    Frames of a run are numbered as the images of its recording are.
 
     Raises:
         InputError: it is neither, or a row cannot be understood.
@@ -150,7 +159,10 @@ def read_objects(path: Path, settings: EvaluateSettings) -> list[ObjectBox]:
                 f"{path} is larger than {MAX_RESULT_BYTES} bytes, the limit of tables of objects: "
                 "evaluate parts of the recording, run with --start and --end"
             )
-    return list(_of_table(path) if is_table else _of_labels(path, settings.label_rate))
+    if not is_table:
+        return list(_of_labels(path, settings.label_rate))
+    numbering = numbering_in(path.parent)
+    return [replace(box, frame=numbering.of(box.frame)) for box in _of_table(path)]
 
 
 def _of_table(path: Path) -> Iterator[ObjectBox]:

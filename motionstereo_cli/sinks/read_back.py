@@ -10,8 +10,9 @@ import itertools
 import math
 import re
 from collections.abc import Iterator
+from fractions import Fraction
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +28,8 @@ from motionstereo_cli.sinks.outputs import OUTPUTS, RECORD
 from motionstereo_cli.sinks.records import RunRecord
 from motionstereo_cli.sinks.settings import OutputSettings
 from motionstereo_cli.sources.names import side_of
+from motionstereo_cli.sources.selection import place_near
+from motionstereo_cli.sources.settings import InputSettings
 from motionstereo_cli.types import Rig
 
 if TYPE_CHECKING:
@@ -51,6 +54,42 @@ _NAMED = {"disp": "disparity", "depth": "depth"}
 _KITTI_LEFT = re.compile(r"disp_(occ|noc)(_[01])?|image_0?2")
 
 
+class Numbering(NamedTuple):
+    """Which image of its recording a frame of a run is: ``first + every * frame``.
+
+    Attributes:
+        first, every: as --start and --every said.
+        lost: images that were missing, damaged or without a partner; what came after one of them
+            is numbered too low.
+    """
+
+    first: int = 0
+    every: int = 1
+    lost: int = 0
+
+    def of(self, frame: int) -> int:
+        """Return the place of a frame in its recording."""
+        return self.first + self.every * frame
+
+
+def numbering_in(folder: Path) -> Numbering:
+    """Return the numbering of the frames of a folder, by its run.json if there is one.
+
+    Raises:
+        InputError: the file cannot be read, or is not such a record.
+    """
+    path = folder / RECORD
+    if not path.is_file():
+        return Numbering()
+    record = read_record(path)
+    said = InputSettings(**record.values("input_settings"))
+    each = (record.inputs or {}).get("right")
+    rate = Fraction(each.frame_rate) if each and each.frame_rate else None
+    sides = (record.counts.left, record.counts.right) if record.counts else ()
+    lost = sum((side or {}).get(name) or 0 for side in sides for name in ("unpaired", "damaged"))
+    return Numbering(place_near(said.first, rate), said.every, lost)
+
+
 class Maps:
     """The disparity or depth images of a folder, by frame number.
 
@@ -70,6 +109,7 @@ class Maps:
         kind: ``disparity`` or ``depth``.
         files: the images by frame number, in order.
         rig: the rig in a rig.yaml or run.json beside them, None if there is none.
+        numbering: which images of their recording the frames are, by a run.json beside them.
         reference: the camera whose view they are in, ``right`` or ``left``, by the folder's name
             (such as disparity_left) or what lies beside it; None if unknown.
 
@@ -99,6 +139,7 @@ class Maps:
                 "give --out-kind or --truth-kind"
             )
         self.kind = kind
+        self.numbering = numbering_in(home)
         self.rig, reference, said_per_m = _said_in(home)
         name = real(images).name.lower()
         kitti = "left" if _KITTI_LEFT.fullmatch(name) else None

@@ -105,7 +105,12 @@ class FolderRecording(StillsRecording):
                 self.frame_rate = frame_rate
                 self.time_base = 1 / self.frame_rate
         self.names = [file.stem for file in self._files]
+        self._places = _places(self.names)
         self._start(self._read(), path)
+
+    def place_of(self, number: int) -> int:
+        """Return the place of an image by its name: a missing file leaves a gap."""
+        return self._places[number]
 
     @property
     def lost(self) -> int:
@@ -210,3 +215,12 @@ def _sums_of(path: Path) -> tuple[int, bytes] | None:
             return file.tell(), digest
     except OSError:
         return None
+
+
+def _places(names: list[str]) -> Sequence[int]:
+    """Return the place of each image in the whole recording, the first one's 0."""
+    numbers = file_numbers(names) if len(names) > 1 else None
+    if numbers is None:
+        return range(len(names))
+    step = min(map(operator.sub, numbers[1:], numbers[:-1]))
+    return [(number - numbers[0]) // step for number in numbers]

@@ -108,6 +108,10 @@ class Recording(ABC):
     def __iter__(self) -> Iterator[Image]:
         return self._images
 
+    def place_of(self, number: int) -> int:
+        """Return the place that an image has in the whole recording, where some may be missing."""
+        return number
+
     def _start(self, images: Iterator[Image], name: object, advice: str = "") -> None:
         """Set the images to deliver, and the size by the first.
 

@@ -492,8 +492,9 @@ class StereoSource:
                     if self._given is not None:
                         of_left = self._given.view == "left"
                         found = self._given.of((left if of_left else right).number)
+                    number = right_side.stream.place_of(right.number)
                     yield StereoFrame(
-                        *(place.frame, right.pts, time_s, *grey, right.number, seen, found)
+                        *(place.frame, right.pts, time_s, *grey, number, seen, found),
                     )
             self._to_the_end = place is None or not place.is_last
         if place is None or place.begun is None:
