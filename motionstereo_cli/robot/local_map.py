@@ -57,9 +57,8 @@ _LOW_THING = cv2.getStructuringElement(
 #: Evidence from which on a thing is believed to stand where no view reaches it; one that rises less
 #: than this length above what is no obstacle may be the floor, wrongly matched, and needs more.
 _SURE, _SURE_IF_LOW, _LOW_M = 0.9, 2.0, 0.25
-#: The upper side of a low thing: as near its top as this, nearer than this, seen by so many points
-#: of a bearing in each cell, and without a longer gap.
-_LEVEL_M, _LEVEL_REACH_M, _LEVEL_POINTS, _LEVEL_GAP_M = 0.12, 4.0, 2, 0.25
+#: The upper side of a low thing: as near its top as this, nearer than this, without a longer gap.
+_LEVEL_M, _LEVEL_REACH_M, _LEVEL_GAP_M = 0.12, 4.0, 0.45
 #: How far above the top of a thing a sight has to pass to be said to pass over it.
 _TOP_ERROR_M = 0.1
 
@@ -183,7 +182,7 @@ def _ends_m(ahead_m: Reals, bearing: NDArray[np.intp], front_m: Reals, bearings:
     count = np.bincount(bearing[inside] * cells + cell[inside], minlength=bearings * cells)
     at = np.arange(cells)
     first = np.nan_to_num(front_m / CELL_M, nan=cells).clip(0, cells - 1).astype(np.intp)[:, None]
-    filled = (count.reshape(bearings, cells) >= _LEVEL_POINTS) & (at > first)
+    filled = (count.reshape(bearings, cells) > 0) & (at > first)
     last = np.maximum.accumulate(np.where(filled, at, first), axis=1)
     joined = np.logical_and.accumulate((at - last) * CELL_M <= _LEVEL_GAP_M, axis=1)
     ends: Reals = (np.where(joined, last, 0).max(axis=1) + 1).astype(np.float32)
