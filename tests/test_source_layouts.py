@@ -820,8 +820,8 @@ def test_a_corrupt_image_and_a_gap_at_the_command_line(
         "repeated": 0,
         "unread": 0,
     }
-    said = [warning["text"] for warning in record["warnings"]]
-    assert said == [warnings[0].removeprefix("warning: ")]
+    assert [warning["code"] for warning in record["warnings"]] == ["recording", "no-heading"]
+    assert record["warnings"][0]["text"] == warnings[0].removeprefix("warning: ")
 
 
 def test_the_rig_of_a_run_follows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
