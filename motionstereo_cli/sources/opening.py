@@ -378,10 +378,12 @@ def _both_in(name: str) -> list[str]:
 
 
 def _alone(name: str) -> str:
-    known = f"no {' and '.join(PAIRS[0])}, {' and '.join(PAIRS[5])} or the like is in it: "
+    what, advice = "is one recording", "give RIGHT as well"
+    if Path(name).is_dir():
+        what = f"holds no {' and '.join(PAIRS[0])}, {' and '.join(PAIRS[5])} or the like"
+        advice = "give the folder that holds both sides, or RIGHT as well"
     return (
-        f"{name} is one recording: {known if Path(name).is_dir() else ''}give RIGHT as well, "
-        "or --layout side-by-side or top-bottom where it holds both views"
+        f"{name} {what}: {advice}, or --layout side-by-side or top-bottom where it holds both views"
     )
 
 
