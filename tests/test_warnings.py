@@ -19,6 +19,7 @@ from motionstereo_cli.__main__ import main
 from motionstereo_cli.batch.pieces import join_pieces, pieces_of, run_piece
 from motionstereo_cli.batch.status import format_statuses
 from motionstereo_cli.batch.work import _ended
+from motionstereo_cli.check import offset
 from motionstereo_cli.check.findings import RULES, CheckReport, Drift
 from motionstereo_cli.check.mounting import Mounting
 from motionstereo_cli.check.shortfall import without_heading
@@ -174,7 +175,7 @@ def test_each_warning_is_said_recorded_and_on_the_page(clips, tmp_path, capsys, 
     # How these two are measured has tests of its own.
     monkeypatch.setattr(disparity_offset, "disparity_offset_px", lambda *_: 0.7)
     if code == "sync-offset":
-        monkeypatch.setattr(runs, "with_offset", unsure_offset)
+        monkeypatch.setattr(offset, "with_offset", unsure_offset)
     out = tmp_path / "o"
     assert main(["run", *given(clips, code), "--save", "steering", "-o", str(out)]) == 0
     said = [
