@@ -182,6 +182,10 @@ _RECORDS = {
 }
 
 
+#: What tells the names that a command touches.
+Touched = Callable[[str], list[str]]
+
+
 def hostile(clip: Clip, folder: Path, trials: Sequence[int], seed: int) -> tuple[str, list[str]]:
     """Try it; each of ``trials`` is a number that tells what.
 
@@ -192,7 +196,7 @@ def hostile(clip: Clip, folder: Path, trials: Sequence[int], seed: int) -> tuple
     kinds = (_swapped, _changed, _killed_anywhere, _swapped, _changed, _planted, _offered, _killed)
     made = folder / "made"
     _make(clip, made)
-    touched = _touched(made, folder)
+    touched = functools.cache(functools.partial(_touched, made, folder))
     for number in tqdm(trials, desc="hostile", unit="trial", disable=None):
         chance = random.Random(f"{seed} {number}")
         place = folder / "trial"
@@ -203,22 +207,19 @@ def hostile(clip: Clip, folder: Path, trials: Sequence[int], seed: int) -> tuple
     return f"{len(lost)} lost in {len(trials)} trials", lost
 
 
-def _touched(made: Path, folder: Path) -> dict[str, list[str]]:
-    """Return the names that each command touches where nobody disturbs it."""
-    found = {}
-    for what, (command, _) in _WORK.items():
-        place = folder / "clean"
-        shutil.copytree(made, place)
-        log = folder / "touched"
-        ended = _in(place, command.split(), functools.partial(_watched, place, log))
-        if ended.exit_code not in (0, 4):
-            raise RuntimeError(f"{command}: {ended.said}")
-        noted = log.read_text().split("\0")
-        names = {name for name in noted if name and ".motionstereo-" not in name}
-        # Those that commands look for before they make them.
-        found[what] = sorted({*names, *(f"{name}.part" for name in names)})
-        shutil.rmtree(place)
-    return found
+def _touched(made: Path, folder: Path, what: str) -> list[str]:
+    """Return the names that a command touches where nobody disturbs it."""
+    command, _ = _WORK[what]
+    place, log = folder / "clean", folder / "touched"
+    shutil.copytree(made, place)
+    ended = _in(place, command.split(), functools.partial(_watched, place, log))
+    if ended.exit_code not in (0, 4):
+        raise RuntimeError(f"{command}: {ended.said}")
+    noted = log.read_text().split("\0")
+    shutil.rmtree(place)
+    names = {name for name in noted if name and ".motionstereo-" not in name}
+    # Those that commands look for before they make them.
+    return sorted({*names, *(f"{name}.part" for name in names)})
 
 
 def _watched(place: Path, log: Path) -> None:
@@ -276,14 +277,14 @@ def _all_sums(place: Path) -> dict[str, str]:
     }
 
 
-def _swapped(place: Path, chance: random.Random, touched: dict[str, list[str]]) -> Iterator[str]:
+def _swapped(place: Path, chance: random.Random, touched: Touched) -> Iterator[str]:
     """Have something else take a name that a command touches."""
     what = chance.choice(list(_WORK))
     command, replaced = _WORK[what]
     if chance.randrange(_BATCH_EVERY) == 0:
         command, replaced, names = _BATCH, (), list(_BATCH_NAMES)
     else:
-        names = touched[what]
+        names = touched(what)
     name = place / chance.choice(names)
     obstacle = chance.choice(list(_OBSTACLES))
     (place / "away").mkdir()
@@ -309,7 +310,7 @@ def _swapped(place: Path, chance: random.Random, touched: dict[str, list[str]]) 
     yield from (f"{shown}: {each}" for each in _missed(place, before))
 
 
-def _changed(place: Path, chance: random.Random, _: dict[str, list[str]]) -> Iterator[str]:
+def _changed(place: Path, chance: random.Random, _: Touched) -> Iterator[str]:
     """Change a value of a record, and give it to those that read it."""
     record = place / chance.choice([each for each in _RECORDS if (place / each).exists()])
     shown = str(record.relative_to(place))
@@ -358,7 +359,7 @@ def _change(said: Any, chance: random.Random) -> str:
     return f"{'.'.join(path)} = {str(said[key])[:40]!r}"
 
 
-def _killed_anywhere(place: Path, chance: random.Random, _: dict[str, list[str]]) -> Iterator[str]:
+def _killed_anywhere(place: Path, chance: random.Random, _: Touched) -> Iterator[str]:
     """Kill a command before it changes the disk; then the same has to work."""
     unkilled = ("report", "page", "reports", "status", "shard")  # the last has processes of its own
     what = chance.choice([each for each in _WORK if each not in unkilled])
@@ -463,7 +464,7 @@ def _killing(calls: int) -> Callable[[], None]:
     return prepare
 
 
-def _planted(place: Path, chance: random.Random, _: dict[str, list[str]]) -> Iterator[str]:
+def _planted(place: Path, chance: random.Random, _: Touched) -> Iterator[str]:
     """Kill a run, plant links at random names, and go on."""
     out, before = place / "out", _sums(place)
     _called(_run(place, out), _killing(chance.randrange(10, 90)))
@@ -486,7 +487,7 @@ def _planted(place: Path, chance: random.Random, _: dict[str, list[str]]) -> Ite
     yield from _gone(place, before)
 
 
-def _offered(place: Path, chance: random.Random, _: dict[str, list[str]]) -> Iterator[str]:
+def _offered(place: Path, chance: random.Random, _: Touched) -> Iterator[str]:
     """Offer a command one of its inputs as its output."""
     (command, targets), before = chance.choice(_COMMANDS), _sums(place)
     known = {name: place / name for name in ("golden", "golden2", "out")}
@@ -501,7 +502,7 @@ def _offered(place: Path, chance: random.Random, _: dict[str, list[str]]) -> Ite
     yield from _gone(place, before)
 
 
-def _killed(place: Path, chance: random.Random, _: dict[str, list[str]]) -> Iterator[str]:
+def _killed(place: Path, chance: random.Random, _: Touched) -> Iterator[str]:
     """Kill a run, or the replacing of one, before a random change; then the same has to work."""
     out, before = place / "out", _sums(place)
     option = chance.choice(["--resume", "--overwrite"])
