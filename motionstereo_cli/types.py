@@ -238,7 +238,8 @@ class Fix:
     """Quality of a pose that was found from the videos.
 
     Attributes:
-        lost: the motion of this frame is unknown; the last known one is assumed to continue.
+        lost: the motion of this frame is unknown, and the last one assumed to continue, or it is
+            very uncertain.
         sigma_m, sigma_rad: standard deviation of position and orientation, of errors that frames
             do not share.
         disparity_offset_px: constant error of disparity, positive = too small; 0 if unknown.

@@ -182,6 +182,18 @@ class TestMotion:
             wanted = np.linalg.inv(true[number - 3]) @ true[number - 2]
             assert np.allclose(found[number].before_from_now, wanted, atol=0.03)
 
+    def test_a_vague_motion_goes_into_the_path_and_is_said_to_be_lost(self, street):
+        rig, pairs, _ = street
+        found = motions(pairs[:4], lens_of(rig))
+        assert not any(motion.vague for motion in found)
+        path, _ = path_of(found[:3])
+        sure = travelled(path, found[3])
+        vague = travelled(path, replace(found[3], vague=True))
+        assert (sure.lost, vague.lost) == (0, 1)
+        np.testing.assert_allclose(vague.pose, sure.pose, atol=1e-3)
+        assert vague.covariance.trace() > sure.covariance.trace() + 0.1
+        assert travelled(vague, found[3]).lost == 0
+
     def test_of_a_blank_recording_is_unknown(self):
         blank = np.full((60, 80), 90, np.uint8)
         lens = Lens((70.0, 70.0), 39.5, 39.5, 29.5, 0.1)

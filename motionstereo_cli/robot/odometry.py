@@ -70,6 +70,10 @@ _ERROR_GAIN, _ERROR_FLOOR_PX = 0.1, 0.02
 NO_ERROR_SIGMA_PX = 0.001
 #: Less than the first of these is not told from none; from the second on it is taken as it is.
 _ERROR_TOLD_PX = 0.06, 0.12
+#: So it is where neither shift nor turn is known better than this, in px at the points' depth:
+#: before a blank wall, few edges agree with many motions. The likeliest one goes into the path all
+#: the same.
+_VAGUE_PX = 2.0, 1.0
 #: Standard deviations of shift and turn in a frame where the rig is lost.
 _LOST_M, _LOST_RAD = 0.2, 0.1
 #: Covariance of a motion over that of its equations, whose points share their errors likewise.
@@ -88,6 +92,7 @@ class Motion:
         measured_px, information: the constant error of disparity by this frame alone, and one over
             its variance; 0 where it does not say.
         score: share of the points whose grey agrees, 0..1.
+        vague: whether it is too uncertain to be a measurement.
     """
 
     before_from_now: Reals
@@ -97,6 +102,7 @@ class Motion:
     measured_px: float
     information: float
     score: float
+    vague: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,7 +167,7 @@ def step(
     if found is None or found.score < _MIN_SCORE:
         return _anew(keyframe(right, left, lens, range_px)), None
     new = number % BLOCK_FRAMES == 0 or found.seen < _MIN_SEEN
-    motion, per_error = _motion(before, found, certain, new=new)
+    motion, per_error = _motion(before, found, certain, lens, new=new)
     if new:
         key = keyframe(right, left, lens, range_px)
         # The start of a new block must not depend on earlier frames.
@@ -235,7 +241,8 @@ def _aligned(
             attempt(motion @ before.motion)
             sure &= _plausible(motion, depth_m)
             if sure and (best is None or best.score < _MIN_SCORE):
-                unknown = np.diag(np.full(11, 1.0))
+                shift, turn = (_COVARIANCE / sigma**2 for sigma in (_LOST_M, _LOST_RAD))
+                unknown = np.diag([shift] * 3 + [turn] * 3 + [1.0] * 5)
                 best = Alignment(motion @ before.motion, key.light, 0.0, _MIN_SCORE, 0.0, unknown)
     return best
 
@@ -294,7 +301,7 @@ def _flow_px(key: Keyframe, motion: Reals, lens: Lens) -> float:
 
 
 def _motion(
-    before: Odometry, found: Alignment, certain: float, *, new: bool
+    before: Odometry, found: Alignment, certain: float, lens: Lens, *, new: bool
 ) -> tuple[Motion, Reals]:
     """Return the motion since the last frame, and how the one since the keyframe heeds the error.
 
@@ -302,6 +309,7 @@ def _motion(
         before: what was known before.
         found: the alignment with the keyframe.
         certain: information on the error that it had before.
+        lens: the rig.
         new: the keyframe is at its end, so what it says of the error counts, once.
     """
     step_back = before.motion @ _inverse(found.motion)
@@ -313,6 +321,14 @@ def _motion(
     information = max(float(normal[10, 10] - normal[10, :10] @ by_error) - certain, 0.0)
     measured = found.error_px * (information + certain) / max(information, 1e-9)
     counts = new and moves and information > 0
+    assert before.key is not None
+    variance = np.diag(covariance)
+    sigma_m, sigma_rad = (float(np.sqrt(part.sum())) for part in (variance[:3], variance[3:]))
+    unsure = sigma_m / _depth_m(before.key, lens), sigma_rad
+    # Corners do not say how sure they are, but enough of them agree.
+    by_corners = found.score == _MIN_SCORE
+    is_unsure = bool((np.array(unsure) * lens.focal_px[0] > _VAGUE_PX).all())
+    vague = moves and is_unsure and not by_corners
     motion = Motion(
         before_from_now=step_back,
         covariance=covariance,
@@ -321,6 +337,7 @@ def _motion(
         measured_px=measured if counts else 0.0,
         information=information if counts else 0.0,
         score=found.score,
+        vague=vague,
     )
     return motion, per_error
 
@@ -376,7 +393,7 @@ class TravelledPath:
         error_px: constant error of disparity by all frames so far.
         information: one over its variance.
         last: (4, 4) the last motion that is known.
-        lost: frames since then.
+        lost: frames since one that was not lost.
     """
 
     pose: Reals
@@ -396,16 +413,18 @@ def travelled(path: TravelledPath, motion: Motion | None) -> TravelledPath:
     """Return the path a frame later.
 
     A motion is corrected, to first order, for the constant error of disparity estimated from all
-    frames. While the rig is lost the last motion is assumed to continue, which
-    :attr:`TravelledPath.lost` tells.
+    frames. While the rig is lost a vague motion is taken or else the last one is assumed to
+    continue, which :attr:`TravelledPath.lost` tells.
     """
-    if motion is None:
-        moved, unsure = path.last, np.diag([_LOST_M**2] * 3 + [_LOST_RAD**2] * 3)
+    if motion is None or motion.vague:
+        moved = path.last if motion is None else motion.before_from_now
+        unsure = np.diag([_LOST_M**2] * 3 + [_LOST_RAD**2] * 3)
         turned = adjoint(_inverse(moved))
         return replace(
             path,
             pose=path.pose @ moved,
             covariance=turned @ (path.covariance + unsure) @ turned.T,
+            last=moved,
             lost=path.lost + 1,
         )
     counted = min(_ERROR_GAIN * motion.information, _ERROR_FLOOR_PX**-2)
