@@ -525,3 +525,13 @@ def test_what_moves_by_itself_stands_on_ground(top, stands):
     )
     assert all(each.middle_x == 51.5 and each.middle_y == top + 11.5 for each in found)
     assert not Tracker(Settings(), rig).moving_regions(disparity, np.zeros_like(moved))
+
+
+@pytest.mark.parametrize(("inner_px", "count"), [(6.6, 1), (10, 2)])
+def test_a_part_of_what_moves_is_no_other_thing(inner_px, count):
+    disparity, moved = np.full((HEIGHT, WIDTH), 6, np.float32), np.zeros((HEIGHT, WIDTH), np.bool_)
+    moved[40:80, 40:100] = True
+    disparity[:40] = disparity[80:] = disparity[:, :40] = disparity[:, 100:] = np.nan
+    disparity[52:68, 60:76] = inner_px
+    found = Tracker(Settings(), RIG).moving_regions(disparity, moved)
+    assert [each.width for each in found] == [60, 16][:count]

@@ -45,6 +45,9 @@ MIN_SEEN = 3
 _AROUND_PX, _MIN_MOVING_SHARE, _MIN_MOVED, _MIN_MOVED_PX = 8, 0.0005, 0.05, 48
 #: Regions of what moves by itself end within so many px of it, gaps that are bridged included.
 _MARGIN_PX = 24
+#: A region is a part of another one if so much of its box is in the other's, and its nearness
+#: differs by at most this share.
+_PART_INSIDE, _PART_SHARE = 0.8, 0.15
 #: Nothing that moves by itself has its lower end farther above the camera.
 _MAX_UP_M = 2.0
 
@@ -132,7 +135,7 @@ class Tracker:
             )
             for each in found
         )
-        return tuple(each for each in placed if _holds(each, moved) and not self._hangs(each))
+        return _whole(each for each in placed if _holds(each, moved) and not self._hangs(each))
 
     def _hangs(self, region: Region) -> bool:
         """Return whether a region ends so far above the camera that it cannot stand on ground."""
@@ -206,6 +209,24 @@ class Tracker:
             sigma_mps=moves.sigma_mps if in_world and moves else None,
             by_itself=_by_itself(moves) if in_world and moves else None,
         )
+
+
+def _whole(found: Iterable[Region]) -> tuple[Region, ...]:
+    """Return regions without those that are parts of larger ones."""
+    kept: list[Region] = []
+    for each in sorted(found, key=lambda region: -region.width * region.height):
+        if not any(_is_part(each, other) for other in kept):
+            kept.append(each)
+    return tuple(kept)
+
+
+def _is_part(region: Region, other: Region) -> bool:
+    """Return whether a region lies in the box of another one, at about its depth."""
+    wide = min(region.x + region.width, other.x + other.width) - max(region.x, other.x)
+    high = min(region.y + region.height, other.y + other.height) - max(region.y, other.y)
+    inside = max(wide, 0) * max(high, 0) >= _PART_INSIDE * region.width * region.height
+    off_px = abs(region.nearness_px - other.nearness_px)
+    return inside and off_px <= _PART_SHARE * other.nearness_px
 
 
 def _holds(region: Region, moved: NDArray[np.bool_]) -> bool:
