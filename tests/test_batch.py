@@ -3,6 +3,7 @@
 import csv
 import dataclasses
 import json
+import re
 import shutil
 import signal
 import subprocess
@@ -161,6 +162,31 @@ def test_patterns_pair_what_differs(archive):
         matched(str(archive / "*/none.mp4"), None)
     assert [entry.name for entry in matched(str(archive / "a/left.mp4"), None)] == ["left"]
     assert main(["batch", "a.mp4", "b.mp4", "c.mp4"]) == 2  # as a shell makes of patterns
+    with pytest.raises(InputError, match="are no patterns: for one recording of two"):
+        matched(str(archive / "a/left.mp4"), str(archive / "a/right.mp4"))
+
+
+def test_a_folder_has_its_name_however_it_is_given(archive, monkeypatch, tmp_path, capsys):
+    monkeypatch.chdir(archive / "a")
+    for given in (".", "../a", str(archive / "a"), "../b/.."):
+        assert [entry.name for entry in matched(given, None)] == [
+            "a" if "b" not in given else archive.name
+        ]
+    assert main(["batch", "/", "-o", str(tmp_path / "x")]) == 1
+    assert "the batch has no recordings: give a manifest" in capsys.readouterr().err
+    assert main(["batch", ".", "-o", str(tmp_path / "x"), "--end", "3"]) in (0, 3)
+    assert (tmp_path / "x" / "a" / "run.json").is_file()
+
+
+def test_its_help_has_the_options_of_run_that_it_takes(capsys):
+    assert main(["batch", "--help-all"]) == 0
+    listed = re.sub(r"\s+", "", capsys.readouterr().out.partition("explains them:")[2])
+    assert "--max-disparity" in listed
+    assert main(["run", "--help-all"]) == 0
+    explained = capsys.readouterr().out
+    names = re.findall(r"--[a-z-]+[a-z]", listed.partition("Examples")[0])
+    assert [name for name in names if name not in explained] == []
+    assert "--overwrite" not in names
 
 
 def test_a_plan_survives_the_way_to_another_process():

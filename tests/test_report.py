@@ -272,6 +272,18 @@ def test_a_batch_has_a_row_for_each_recording_failures_first(batch):
     assert "3 of 5 not as they should be, 1 with warnings" in page
 
 
+def test_a_batch_that_was_interrupted_says_that_the_same_command_goes_on(tmp_path):
+    rows = "a,done\nb,interrupted\nc,waiting\nd,waiting\n"
+    (tmp_path / "batch.csv").write_text("name,status\n" + rows)
+    page = page_of(tmp_path)
+    found = re.findall(r'<tr data-status="(\w+)">(.*?)</tr>', page, re.DOTALL)
+    assert [status for status, _ in found] == ["interrupted", "waiting", "waiting", "done"]
+    assert all(f'"dot {status}"' in row for status, row in found)
+    assert "Not complete, 3 not finished" in page
+    assert "not as they should be" not in page
+    assert "3 of 4 recordings are not finished: the same" in page
+
+
 @pytest.mark.parametrize("content", ["", "a,b\n1,2\n", "name\nx\n"])
 def test_a_batch_table_of_another_kind_is_one_line(tmp_path, capsys, content):
     (tmp_path / "batch.csv").write_text(content)

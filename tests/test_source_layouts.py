@@ -875,3 +875,13 @@ def test_info(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> N
     Path("rig.yaml").write_text(Path("rig.yaml").read_text().replace("64", "640"))
     assert main([*args, "--rig", "rig.yaml"]) == 1
     assert "the rig is for 640x48 but the recordings are 64x48" in capsys.readouterr().err
+
+
+def test_a_folder_beside_that_of_both_cameras_is_told_which_it_is(tmp_path: Path) -> None:
+    whole = tmp_path / "kitti" / "sequences" / "00"
+    whole.mkdir(parents=True)
+    for side in ("image_0", "image_1"):
+        folder(whole / side, scene()[:2], ".png")
+    for path in (whole / "image_0", tmp_path / "kitti"):
+        with pytest.raises(SettingsError, match=r"not the folder of both cameras, but .*/00 is"):
+            open_stereo(path)

@@ -182,6 +182,8 @@ def matched(left: str, right: str | None) -> list[ManifestRow]:
     ]
     if not sides[0]:
         raise InputError(f"nothing matches {left}")
+    if wrong and not (glob.has_magic(left) or glob.has_magic(str(right))):
+        wrong = [f"{left} and {right} are no patterns: for one recording of two files, use run"]
     _refuse(left, list(dict.fromkeys(wrong)))
     return [
         ManifestRow(name, (), tuple(side[name] for side in sides), sides[0][name])
@@ -198,10 +200,15 @@ def _found(pattern: str) -> dict[str, str]:
         different = [part for part, each in zip(parts, wild, strict=False) if glob.has_magic(each)]
         name = "/".join(different) if len(parts) == len(wild) else path[start:].strip("/")
         # The suffix does not tell recordings apart.
-        found[
-            name if glob.has_magic(Path(pattern).parent.as_posix()) else Path(name or path).stem
-        ] = path
+        found[name if glob.has_magic(Path(pattern).parent.as_posix()) else _stem(name or path)] = (
+            path
+        )
     return found
+
+
+def _stem(path: str) -> str:
+    # That of "." is the name of the folder.
+    return Path(os.path.abspath(path)).stem
 
 
 def plans(
@@ -245,6 +252,10 @@ def plans(
         wrong += [(entry.place, f"there is no {path}") for path in missing]
         found[entry.name] = plan
     _refuse("the batch", _once(wrong))
+    if not found:
+        raise InputError(
+            "the batch has no recordings: give a manifest, or patterns that match them"
+        )
     return found
 
 

@@ -30,6 +30,10 @@ if TYPE_CHECKING:
     from motionstereo_cli.sinks.records import Status
 
 
+#: Options of ``run`` that a batch sets itself.
+_NOT_OF_BATCH = ("out", "overwrite", "resume")
+
+
 @click.command("run")
 @run_options
 def _plan(**given: Any) -> RunPlan:
@@ -78,7 +82,11 @@ class _BatchCommand(GroupedCommand):
     def _of_run(self) -> list[click.Option]:
         own = {name for each in self.params for name in each.opts}
         options = [each for each in _plan.params if isinstance(each, click.Option)]
-        return [each for each in options if own.isdisjoint(each.opts)]
+        return [
+            each
+            for each in options
+            if own.isdisjoint(each.opts) and not each.hidden and each.name not in _NOT_OF_BATCH
+        ]
 
 
 @click.command(
@@ -320,7 +328,7 @@ def _entries(inputs: Sequence[str], shared: Sequence[str]) -> list[ManifestRow]:
             for option in _plan.params
             if isinstance(option, click.Option)
             for flag in option.opts
-            if flag.startswith("--") and option.name not in ("out", "overwrite", "resume")
+            if flag.startswith("--") and option.name not in _NOT_OF_BATCH
         }
         found = read_manifest(
             inputs[0],

@@ -31,7 +31,10 @@ TABLE = "batch.csv"
 LOGS = ".batch/logs"
 
 #: The statuses of a recording, worst first; unknown ones come before these.
-STATUSES = ("failed", "lost", "interrupted", "damaged", "done")
+STATUSES = ("failed", "lost", "damaged", "interrupted", "running", "waiting", "done")
+
+#: Those of recordings that the same command goes on with.
+OPEN = ("interrupted", "running", "waiting")
 
 _MAX_BYTES = 64_000_000
 
@@ -88,7 +91,8 @@ def batch_page(out: Path, page: Path) -> str:
         name=real(out).name,
         recordings=recordings,
         counts=sorted(counts.items(), key=lambda item: _rank(item[0])),
-        bad=sum(each.rank < STATUSES.index("done") for each in recordings),
+        bad=sum(row.status != "done" and row.status not in OPEN for row in rows),
+        unfinished=sum(row.status in OPEN for row in rows),
         warned=sum(bool(each.status.warnings) for each in recordings),
         frames=sum(each.status.frames for each in recordings),
         seconds=sum(each.status.seconds for each in recordings),

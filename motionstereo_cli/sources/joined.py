@@ -49,7 +49,8 @@ def parts_of(name: str, files: Sequence[Path]) -> list[Path]:
         listed = ", ".join(sorted(recordings))
         raise InputError(
             f"{name} holds several recordings, of the numbers {listed}: give the chapters of one, "
-            f"as a pattern such as 'G???{min(recordings)}.MP4'"
+            f"as a pattern such as 'G???{min(recordings)}.MP4'; if these are of the two "
+            "cameras, those of each as LEFT and RIGHT"
         )
     forms = {
         re.sub(r"\d+", "#", each.stem) + each.suffix.lower(): each.name for each in sorted(videos)

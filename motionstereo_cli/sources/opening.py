@@ -378,6 +378,8 @@ def _both_in(name: str) -> list[str]:
 
 
 def _alone(name: str) -> str:
+    if (whole := _whole_beside(Path(name))) is not None:
+        return f"{name} is not the folder of both cameras, but {whole} is: give that"
     what, advice = "is one recording", "give RIGHT as well"
     if Path(name).is_dir():
         what = f"holds no {' and '.join(PAIRS[0])}, {' and '.join(PAIRS[5])} or the like"
@@ -385,6 +387,20 @@ def _alone(name: str) -> str:
     return (
         f"{name} {what}: {advice}, or --layout side-by-side or top-bottom where it holds both views"
     )
+
+
+def _whole_beside(path: Path) -> Path | None:
+    """Return a folder of both cameras that a folder is in, or that is in it; None without one."""
+    if not path.is_dir():
+        return None
+    inside = sorted(each for form in ("*", "*/*") for each in path.glob(form) if each.is_dir())
+    for folder in (*path.absolute().parents[:3], *inside):
+        for pair in PAIRS:
+            if all((folder / part).is_dir() for part in pair) and (
+                folder in inside or path.absolute() in [folder / part for part in pair]
+            ):
+                return folder
+    return None
 
 
 #: Suffixes of other recordings, and how to convert them.
