@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
-import select
+import selectors
 import sys
 import threading
 import time
@@ -12,6 +12,10 @@ from pathlib import Path
 
 from motionstereo_cli.errors import InputError
 from motionstereo_cli.files.reading import open_fifo
+
+#: Unlike select(), poll() takes descriptors over 1,023, which a process with many files has; unlike
+#: epoll(), it takes regular files, to which standard input may be redirected.
+_Waiting = getattr(selectors, "PollSelector", selectors.SelectSelector)
 
 #: Interval in s at which a wait for data checks whether it should end.
 _GLANCE_S = 0.2
@@ -67,12 +71,14 @@ class Pipe:
 
     def _wait(self) -> bool:
         begun_s = time.monotonic()
-        while not self._stopped.is_set():
-            if select.select([self._descriptor], [], [], _GLANCE_S)[0]:
-                return True
-            if self._fifo is not None and time.monotonic() - begun_s > PATIENCE_S:
-                self.silent = True
-                self.stop()
+        with _Waiting() as waiting:
+            waiting.register(self._descriptor, selectors.EVENT_READ)
+            while not self._stopped.is_set():
+                if waiting.select(_GLANCE_S):
+                    return True
+                if self._fifo is not None and time.monotonic() - begun_s > PATIENCE_S:
+                    self.silent = True
+                    self.stop()
         return False
 
     def stop(self) -> None:
