@@ -191,6 +191,17 @@ class TestMap:
         assert evidence_at(known, 3.0, 0) == 0
         assert evidence_at(known, 1.5, 0) == 0
 
+    def test_between_walls_the_way_ahead_is_free_where_nothing_shifts(self):
+        """Straight driving leaves no trails around the point where it leads."""
+        leftward = (39.5 - np.arange(BEARINGS)) * WIDTH / BEARINGS / RIG.focal_px
+        walls = (FB / 1.0 * np.abs(leftward)).astype(np.float32)  # 1 m to the left and right
+        walls[30:49] = NAN  # 16 degrees
+        assert evidence_at(after(2, walls), 3.0, 0) < -CERTAIN
+        aside = wall_ahead(3.0)
+        aside[58:77] = NAN
+        known = after(2, aside)
+        assert evidence_at(known, 1.55, -0.75) == 0
+
     def test_moves_along_and_keeps_what_is_in_reach_in_its_place(self):
         known = after(2, wall_ahead(3.0))
         there = moved(known, 2.55, -1.3)

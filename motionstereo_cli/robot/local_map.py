@@ -63,8 +63,10 @@ _LEVEL_M, _LEVEL_REACH_M, _LEVEL_GAP_M = 0.12, 4.0, 0.45
 _TOP_ERROR_M = 0.1
 
 #: Bearings without points are interpolated: up to this angle as free, up to this length as
-#: occupied.
+#: occupied. Straight ahead, between points that are far, little shifts in the images while the rig
+#: drives there, and a wider gap may be free.
 _BRIDGED_RAD = math.radians(10)
+_BRIDGED_AHEAD_RAD, _FAR_M = math.radians(20), 6.0
 _BRIDGED_M = 1.5
 
 
@@ -391,10 +393,13 @@ def _bridged(near_px: Reals, view: FloorView, width: int) -> tuple[Reals, NDArra
     near = np.interp(bearing, points, near_px[points])
     pixels = width / len(near_px)
     gap_rad = (high - low) * pixels / view.focal_px
-    between = (low <= bearing) & (bearing <= high) & (gap_rad <= _BRIDGED_RAD)
     depth_low, depth_high = (view.focal_baseline / near_px[ends] for ends in (low, high))
+    ahead = view.cx_px / pixels
+    is_far_ahead = (low <= ahead) & (ahead <= high) & (np.minimum(depth_low, depth_high) > _FAR_M)
+    most_rad = np.where(is_far_ahead, _BRIDGED_AHEAD_RAD, _BRIDGED_RAD)
+    between = (low <= bearing) & (bearing <= high) & (gap_rad <= most_rad)
     gap_m = np.hypot(depth_high - depth_low, gap_rad * (depth_low + depth_high) / 2)
-    solid: NDArray[np.bool_] = between & (gap_m <= _BRIDGED_M)
+    solid: NDArray[np.bool_] = between & (gap_rad <= _BRIDGED_RAD) & (gap_m <= _BRIDGED_M)
     return np.where(between, near, np.nan).astype(np.float32), solid
 
 
