@@ -417,6 +417,9 @@ def test_frames_are_matched_by_their_places_in_the_recording(tmp_path):
     assert report["overall"]["mean_px"] == 0
     assert "note: frame n of OUT is image 2 + 3 n of its recording" in done.stderr
     assert "warning: 1 images of the recording were lost or had no partner" in done.stderr
+    done = called("out", "truth", "--picture", "1", cwd=tmp_path)
+    assert "frame 1 is not on both sides, by its place in the recording: out" in done.stderr
+    assert "(2 to 5)" in done.stderr
 
 
 def test_dash_puts_csv_on_standard_output_alone(sides, tmp_path):

@@ -54,7 +54,12 @@ _TABLE = click.Path(dir_okay=False, allow_dash=True, path_type=Path)
 @click.option(
     "--json", "json_path", type=_TABLE, help="Write the report as JSON. - is standard output."
 )
-@click.option("--picture", type=int, metavar="FRAME", help="Draw the errors of this frame.")
+@click.option(
+    "--picture",
+    type=int,
+    metavar="FRAME",
+    help="Draw the errors of this frame, by its place in the recording, as TRUTH has it.",
+)
 @click.option(
     "-o",
     "--picture-out",

@@ -337,7 +337,8 @@ class Comparison:
         """
         if not (number in self._own and number in self._true):
             raise InputError(
-                f"frame {number} is not on both sides: {_span(self._out)}, {_span(self._truth)}"
+                f"frame {number} is not on both sides, by its place in the recording: "
+                f"{_span(self._out)}, {_span(self._truth)}"
             )
         own, true = self._own[number], self._true[number]
         out, truth = self._out.read(own), self._truth.read(true)
@@ -449,4 +450,5 @@ def _ratio(part: float, whole: int) -> float:
 def _span(maps: Maps) -> str:
     first, *_ = maps.files
     *_, last = maps.files
-    return f"{maps.files[first].parent} ({first} to {last})"
+    of = maps.numbering.of
+    return f"{maps.files[first].parent} ({of(first)} to {of(last)})"
