@@ -422,6 +422,18 @@ def test_frames_are_matched_by_their_places_in_the_recording(tmp_path):
     assert "(2 to 5)" in done.stderr
 
 
+@pytest.mark.parametrize(
+    ("said", "code", "words"),
+    [({"of_another_version": 1}, 0, ""), ({"start": "abc"}, 1, "run.json: --start cannot be")],
+)
+def test_a_record_tells_only_where_a_run_began(sides, tmp_path, said, code, words):
+    (sides[0] / "run.json").write_text(json.dumps({"input_settings": said}))
+    done = called(*sides, cwd=tmp_path)
+    assert done.returncode == code
+    assert words in done.stderr
+    assert "internal" not in done.stderr
+
+
 def test_dash_puts_csv_on_standard_output_alone(sides, tmp_path):
     disparity(sides[0] / "disparity", np.ones((2, 4), np.float32), first=9)
     done = called(*sides, "--csv", "-", cwd=tmp_path)

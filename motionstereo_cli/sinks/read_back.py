@@ -6,6 +6,7 @@ The encodings are those of :mod:`~motionstereo_cli.sinks.images`.
 from __future__ import annotations
 
 import csv
+import functools
 import itertools
 import math
 import re
@@ -17,7 +18,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from motionstereo_cli.errors import InputError
+from motionstereo_cli.errors import InputError, SettingsError
 from motionstereo_cli.files.maps import SUFFIXES, numbered_files, read_map
 from motionstereo_cli.files.reading import read_lines, real
 from motionstereo_cli.files.records import read_json, typed
@@ -82,12 +83,17 @@ def numbering_in(folder: Path) -> Numbering:
     if not path.is_file():
         return Numbering()
     record = read_record(path)
-    said = InputSettings(**record.values("input_settings"))
+    said = record.values("input_settings")  # those of another version may have other names
+    try:
+        used = InputSettings(**{name: said[name] for name in ("start", "every") if name in said})
+        place = used.first
+    except SettingsError as error:
+        raise InputError(f"{path}: {error}") from None
     each = (record.inputs or {}).get("right")
     rate = Fraction(each.frame_rate) if each and each.frame_rate else None
     sides = (record.counts.left, record.counts.right) if record.counts else ()
     lost = sum((side or {}).get(name) or 0 for side in sides for name in ("unpaired", "damaged"))
-    return Numbering(place_near(said.first, rate), said.every, lost)
+    return Numbering(place_near(place, rate), used.every, lost)
 
 
 class Maps:
@@ -109,7 +115,6 @@ class Maps:
         kind: ``disparity`` or ``depth``.
         files: the images by frame number, in order.
         rig: the rig in a rig.yaml or run.json beside them, None if there is none.
-        numbering: which images of their recording the frames are, by a run.json beside them.
         reference: the camera whose view they are in, ``right`` or ``left``, by the folder's name
             (such as disparity_left) or what lies beside it; None if unknown.
 
@@ -139,12 +144,21 @@ class Maps:
                 "give --out-kind or --truth-kind"
             )
         self.kind = kind
-        self.numbering = numbering_in(home)
+        self._home = home
         self.rig, reference, said_per_m = _said_in(home)
         name = real(images).name.lower()
         kitti = "left" if _KITTI_LEFT.fullmatch(name) else None
         self.reference = side_of(name) or kitti or reference
         self._png_per_unit = DISPARITY_PER_PX if kind == "disparity" else per_m or said_per_m
+
+    @functools.cached_property
+    def numbering(self) -> Numbering:
+        """Which images of their recording the frames are, by a run.json beside them.
+
+        Raises:
+            InputError: as of :func:`numbering_in`.
+        """
+        return numbering_in(self._home)
 
     def read(self, number: int) -> Real:
         """Return a frame's disparity in px or depth in m, (height, width) float32, NaN = unknown.
