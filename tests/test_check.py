@@ -407,6 +407,9 @@ def test_command(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["check", *sample("left", "right"), "--rig", str(SAMPLE / "rig.yaml")]) == 0
     out = capsys.readouterr().out
     assert "advised: --max-disparity 32" in out
+    assert re.search(
+        r"^motion: +[\d.]+% of the image changes from one frame to the next, ", out, re.M
+    )
     assert out.endswith("nothing wrong found\n")
     assert main(["check", *sample("right", "left"), "--json"]) == 1
     report = json.loads(capsys.readouterr().out)
@@ -424,7 +427,7 @@ def test_run_warns_and_goes_on(tmp_path: Path, capsys: pytest.CaptureFixture[str
     assert len(warnings) == 2
     assert "left and right are swapped" in warnings[0]
     # At the end it says what came of it, and why.
-    assert "of what is charged was matched: left and right seem to be swapped" in warnings[1]
+    assert "of what moved lately was matched: left and right seem to be swapped" in warnings[1]
     assert main([*run, str(tmp_path / "unchecked"), "--no-check"]) == 0
     assert "are swapped" not in capsys.readouterr().err
     tables = [(tmp_path / out / "steering.csv").read_bytes() for out in ("checked", "unchecked")]

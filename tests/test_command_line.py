@@ -34,6 +34,7 @@ from motionstereo_cli.method.settings import Settings
 from motionstereo_cli.params import param, params
 from motionstereo_cli.runs.plan import RunPlan
 from motionstereo_cli.runs.run import run as run_library
+from motionstereo_cli.sinks.objects_table import ObjectsFile
 from motionstereo_cli.sinks.outputs import OUTPUTS
 
 COMMAND = [sys.executable, "-m", "motionstereo_cli"]
@@ -233,7 +234,7 @@ def test_a_shorter_side_ends_the_run_with_a_warning_and_exit_code_3(run_args, ca
     # The flat images of the short side find no partner, which is said as well, and why.
     warnings = [line for line in lines if line.startswith("warning: ")]
     assert warnings[0].startswith("warning: only ")
-    assert "of what is charged was matched; the left view is 40 grey levels" in warnings[0]
+    assert "of what moved lately was matched; the left view is 40 grey levels" in warnings[0]
     assert [f"warning: {line}" for line in record["damage"]] == warnings[1:]
 
 
@@ -818,6 +819,22 @@ def test_the_summary_says_how_much_of_the_image_has_depth(run_args, tmp_path, ca
     assert main([*run_args, "-o", str(tmp_path / "o")]) == 0
     said = capsys.readouterr().err
     assert re.search(r"disparity for \d+% of the image \(\d+% moved lately\)", said)
+
+
+@pytest.mark.parametrize(
+    ("ids", "said"),
+    [("", "no moving objects"), ("4", "1 moving object"), ("474", "2 moving objects")],
+)
+def test_the_summary_says_how_many_objects_were_found(
+    run_args, tmp_path, monkeypatch, capsys, ids, said
+):
+    def write(self, step):
+        n = step.time.index
+        self.add(f"{n},{each},1,1,9,9,,,,0.50,,,," for each in ids[n : n + 1])
+
+    monkeypatch.setattr(ObjectsFile, "write", write)
+    assert main([*run_args, "-o", str(tmp_path / "o"), "--save", "objects"]) == 0
+    assert f"note: {said} found\n" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -83,6 +83,11 @@ def steering():
     return block("steering", (DOCS / "outputs.md").read_text(encoding="utf-8"))[2]
 
 
+def start():
+    """The first commands, as the page start has them."""
+    return block("first commands", (DOCS / "start.md").read_text(encoding="utf-8"))[2]
+
+
 def figures():
     """What the pages of measurements say in one sentence each."""
     lines = []
@@ -142,6 +147,7 @@ GENERATED = {
     (DOCS / "reliability.md", "workflow"): workflow,
     (README, "commands"): commands,
     (README, "default outputs"): lambda: outputs(DEFAULT_OUTPUTS, with_name=False),
+    (README, "start"): start,
     (README, "steering"): steering,
     (README, "topics"): topics,
     (README, "figures"): figures,
@@ -231,6 +237,7 @@ def test_make_help_prints_the_targets():
 def test_help_prints_every_page_and_every_commands_help(capsys):
     assert main(["help"]) == 0
     listed = capsys.readouterr().out
+    assert listed.splitlines()[1].startswith("  start ")
     assert not pages().keys() & cli.commands.keys()
     for topic, page in pages().items():
         assert f"  {topic} " in listed

@@ -204,6 +204,17 @@ def test_objects_are_bars_by_their_time_to_contact():
     assert (shown[0]["contact_frame"], shown[0]["nearest_frame"]) == (2, 0)
 
 
+@pytest.mark.parametrize(("by_itself", "told"), [("", True), ("0", False), ("1", False)])
+def test_the_page_says_where_the_rigs_own_motion_is_unknown(copy, by_itself, told):
+    header = (copy / "objects.csv").read_text().splitlines()[0]
+    rows = [f"{n},7,40,20,12,12,4.000,,,0.50,,,,{by_itself}" for n in range(12, 20)]
+    (copy / "objects.csv").write_text("\n".join([header, *rows]) + "\n")
+    page = run_page(copy, copy / "report.html")
+    assert (
+        "The rig's own motion is unknown: if the camera moves" in " ".join(page.split())
+    ) == told
+
+
 def test_the_histogram_counts_known_pixels(copy):
     import cv2
 

@@ -225,6 +225,25 @@ def test_what_is_missing_or_cut_is_named(half_done, tmp_path, capsys):
     assert "steering.csv.part was cut" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("checkpoint", [True, False])
+def test_the_page_of_the_interrupted_run_is_not_removed_silently(
+    command, tmp_path, capsys, checkpoint
+):
+    out = tmp_path / "out"
+    save = command.index("--save") + 1
+    args = [*command[:save], "steering", *command[save + 1 :], "-o", str(out)]
+    subprocess.run([sys.executable, "-c", KILLED, "14", *args], check=False)
+    assert main(["report", str(out)]) == 0
+    if not checkpoint:
+        (out / CHECKPOINT).unlink()
+    assert (out / "report.html").exists()
+    capsys.readouterr()
+    assert main([*args, "--resume"]) == 0
+    note = f"note: {out}/report.html of the interrupted run was removed"
+    assert (note in capsys.readouterr().err) == (not (out / "report.html").exists())
+    assert (out / "report.html").exists() == checkpoint
+
+
 def test_the_table_of_somebody_else_is_not_taken_for_ours(command, tmp_path, capsys):
     (tmp_path / "table.csv").write_text("mine")
     args = ["-o", str(tmp_path / "out"), "--csv", str(tmp_path / "table.csv"), "--resume"]

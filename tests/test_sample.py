@@ -12,6 +12,7 @@ import pytest
 
 from motionstereo_cli.evaluation.compare import compare
 from motionstereo_cli.evaluation.compare_report import format_table
+from motionstereo_cli.evaluation.figure import titles_of
 
 SAMPLE = Path(__file__).parent.parent / "sample_data"
 COMMAND = Path(sys.executable).with_name("motionstereo")
@@ -88,6 +89,12 @@ def test_figure_makes_a_row_a_frame(tmp_path):
     assert set(np.unique(memory)) <= {0, *range(15, 256, 16)}
     assert 0.2 < (depth > 0).mean() < 0.6
     assert (depth > 0)[memory == 0].mean() == 0
+
+
+@pytest.mark.parametrize(("in_metres", "name"), [(True, "depth"), (False, "disparity")])
+def test_without_a_rig_the_figure_has_disparity(in_metres, name):
+    titles = titles_of("left", in_metres=in_metres)
+    assert titles[::3] == ["(a) left image", f"(d) {name}, near = bright"]
 
 
 @pytest.mark.parametrize(

@@ -57,7 +57,7 @@ def shortfall(
         max_disparity: as the run has it, px.
         advised: a larger one that a check has advised, px, which is then the reason; 0: none.
     """
-    said = f"only {matched / charged:.0%} of what is charged was matched"
+    said = f"only {matched / charged:.0%} of what moved lately was matched"
     if advised:
         near = f"objects are nearer than --max-disparity {max_disparity} reaches"
         return f"{said}: {near}: try {advised}"

@@ -147,8 +147,8 @@ def _table(report: CheckReport) -> str:
         f"{'brighter' if report.grey_difference >= 0 else 'darker'}",
         "motion": "unknown"
         if report.moving is None
-        else f"{report.moving:.1%} of the image, {report.repeated_left} left and "
-        f"{report.repeated_right} right images repeated",
+        else f"{report.moving:.1%} of the image changes from one frame to the next, "
+        f"{report.repeated_left} left and {report.repeated_right} right images repeated",
         "step": "unknown"
         if report.ahead_frames is None
         else f"right {report.ahead_frames:+.2f} frames ahead of left",

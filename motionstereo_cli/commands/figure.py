@@ -68,8 +68,9 @@ def figure(
     """Draw some frames stage by stage on one sheet.
 
     Figures 2 and 3 of the paper have this form: one row for each frame, with the right image (the
-    left one with --reference left), its bands, its permanency memory, and its depth, bright where
-    near and black where unknown. Images that are not rectified need --rig.
+    left one with --reference left), its bands, its permanency memory, and its depth (without
+    a rig disparity), bright where near and black where unknown. Images that are not rectified need
+    --rig.
     """
     from motionstereo_cli.evaluation.figure import draw_figure
     from motionstereo_cli.files.encode import encode_png
@@ -83,7 +84,8 @@ def figure(
             say("warning", line)
         inputs = (*source.paths, *rig, *config_files())
         check_target(out, inputs)
-        write_output(out, encode_png(draw_figure(source, numbers, settings)), inputs)
+        sheet = draw_figure(source, numbers, settings, in_metres=calibration is not None)
+        write_output(out, encode_png(sheet), inputs)
         damage = source.damage
     for line in damage:
         say("warning", line)

@@ -21,9 +21,9 @@ _TABLE = re.compile(r"(?:^\|.*\n)+", re.MULTILINE)
 
 
 def pages() -> dict[str, str]:
-    """Return the Markdown text of each page of the documentation, by its topic."""
+    """Return the Markdown text of each page of the documentation, by its topic; start is first."""
     folder = resources.files("motionstereo_cli") / "docs"
-    found = sorted(folder.iterdir(), key=lambda page: page.name)
+    found = sorted(folder.iterdir(), key=lambda page: (page.name != "start.md", page.name))
     return {
         page.name.removesuffix(".md"): _COMMENT.sub(
             "", read_text(str(page), "a page", _MAX_PAGE_BYTES)

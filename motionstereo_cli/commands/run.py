@@ -177,8 +177,18 @@ def _summarise(plan: RunPlan, report: RunReport) -> int:
         say("error", f"interrupted after {frames}{kept if plan.folder else ''}")
         return INTERRUPTED_EXIT_CODE
     if plan.folder:
+        if "objects.csv" in report.outputs:
+            say("note", _found(plan.folder))
         say("note", f"results in {plan.folder}: {', '.join((*report.outputs, 'run.json'))}")
     return DAMAGED_EXIT_CODE if report.damage else 0
+
+
+def _found(folder: Path) -> str:
+    """Return in words how many moving objects a run found."""
+    from motionstereo_cli.report.run_folder import read_results
+
+    count = len({row["id"] for row in read_results(folder).objects() or ()})
+    return f"{count or 'no'} moving object{'' if count == 1 else 's'} found"
 
 
 def _shares_terminal(plan: RunPlan) -> bool:

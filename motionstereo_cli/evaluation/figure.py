@@ -16,7 +16,7 @@ from motionstereo_cli.types import FrameResult, StereoFrame
 if TYPE_CHECKING:
     from motionstereo_cli.types import Grey, Real
 
-COLUMNS = ("(a) {} image", "(b) bands", "(c) {} memory", "(d) depth, near = bright")
+COLUMNS = ("(a) {} image", "(b) bands", "(c) {} memory", "(d) {}, near = bright")
 
 _GAP_PX = 4
 _HEAD_PX = 24
@@ -27,7 +27,13 @@ _TEXT_PX = 14
 _FARTHEST = 40
 
 
-def draw_figure(frames: Iterable[StereoFrame], numbers: Sequence[int], settings: Settings) -> Grey:
+def draw_figure(
+    frames: Iterable[StereoFrame],
+    numbers: Sequence[int],
+    settings: Settings,
+    *,
+    in_metres: bool = False,
+) -> Grey:
     """Return a sheet with one row for each numbered frame, (height, width) uint8.
 
     The columns are the reference camera's image (the right one's), its bands and permanency
@@ -37,6 +43,7 @@ def draw_figure(frames: Iterable[StereoFrame], numbers: Sequence[int], settings:
         frames: the stereo stream from its first frame; read up to the last number.
         numbers: numbers of the frames to show, from 0, in the order of the rows.
         settings: parameters of the processing.
+        in_metres: whether there is a rig; without one the last column is called disparity.
 
     Raises:
         InputError: the stream ends before the last of the numbers.
@@ -52,8 +59,16 @@ def draw_figure(frames: Iterable[StereoFrame], numbers: Sequence[int], settings:
     if last < max(numbers):
         raise InputError(f"there is no frame {max(numbers)}: the recording ends with {last}")
     nearest = max(_nearest(result.disparity_px) for result in shown.values())
-    titles = [title.format(settings.reference) for title in COLUMNS]
-    return _sheet(titles, [(str(n), _row(shown[n], settings, nearest)) for n in numbers])
+    return _sheet(
+        titles_of(settings.reference, in_metres=in_metres),
+        [(str(n), _row(shown[n], settings, nearest)) for n in numbers],
+    )
+
+
+def titles_of(reference: str, *, in_metres: bool) -> list[str]:
+    """Return the titles of the columns."""
+    names = (reference, "", reference, "depth" if in_metres else "disparity")
+    return [title.format(name) for title, name in zip(COLUMNS, names, strict=True)]
 
 
 def _nearest(disparity_px: Real) -> float:

@@ -32,6 +32,7 @@ from motionstereo_cli.files.reading import real
 from motionstereo_cli.files.targets import check_target, is_stream, open_stream
 from motionstereo_cli.method.settings import FOREVER, GIVEN
 from motionstereo_cli.pipeline import State, steps
+from motionstereo_cli.report import PAGE, is_report
 from motionstereo_cli.rig.calibration import Calibration, rectify_source
 from motionstereo_cli.rig.poses import Trajectory, read_poses
 from motionstereo_cli.rig.settings import NO_RIG
@@ -132,8 +133,12 @@ def run(plan: RunPlan, watcher: Watcher | None = None, stdout: BinaryIO | None =
         sinks = _sinks(job)
         started_s = time.perf_counter()
         resumed = 0
+        page = plan.folder / PAGE if plan.folder and plan.resume else None
+        had_page = page is not None and "report" not in job.save and is_report(page)
         try:
             with sinks:
+                if page is not None and had_page and not is_report(page):
+                    watcher.say("note", f"{page} of the interrupted run was removed")
                 if sinks.finished is not None:
                     return report_of(sinks.finished, plan)
                 resumed = sinks.totals.frames
@@ -477,7 +482,7 @@ def warn_of_what_is_missing(
     told = totals.frames == 1 or "still" in said  # nothing moves there
     steers = "steering" in job.save or job.plan.to_stdout or job.plan.table
     if short and everything and s.matcher == GIVEN:
-        what = f"only {matched / charged:.0%} of what is charged has a disparity: what"
+        what = f"only {matched / charged:.0%} of what moved lately has a disparity: what"
         why = "says elsewhere, if anything, does not agree with the images; see --max-residual"
         job.warned.warn("unmatched", f"{what} {job.plan.disparity} {why}", numbers)
     elif short and everything:
