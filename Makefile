@@ -29,7 +29,7 @@ lint: $(READY)  ## check style, types and spelling
 sample: $(READY)  ## render sample_data again, and what a run gives of it now
 	$(BIN)/motionstereo simulate out/sample --overwrite --frames 310:410 --noise-sigma 1.5
 	cp out/sample/left.mp4 out/sample/right.mp4 out/sample/rig.yaml sample_data/
-	$(BIN)/motionstereo figure sample_data/left.mp4 sample_data/right.mp4 \
+	$(BIN)/motionstereo figure sample_data/left.mp4 sample_data/right.mp4 --rig sample_data/rig.yaml \
 		--frames 20,54,72 --out sample_data/corridor.png
 	$(BIN)/motionstereo run sample_data/left.mp4 sample_data/right.mp4 \
 		--rig sample_data/rig.yaml --save $(GOLDEN) --out out/golden --overwrite
@@ -83,9 +83,9 @@ own-motion: $(READY)  ## measure own motion and what moves by itself, and draw t
 
 figures: $(READY)  ## render the paper's figures 2 and 3
 	$(BIN)/motionstereo simulate out/corridor --overwrite --frames 381 --noise-sigma 1.5
-	$(BIN)/motionstereo figure out/corridor/left.mp4 out/corridor/right.mp4 \
+	$(BIN)/motionstereo figure out/corridor/left.mp4 out/corridor/right.mp4 --rig out/corridor/rig.yaml \
 		--frames 350,355,360,365,370,375,380 --out out/figure2.png
-	$(BIN)/motionstereo figure out/corridor/left.mp4 out/corridor/right.mp4 \
+	$(BIN)/motionstereo figure out/corridor/left.mp4 out/corridor/right.mp4 --rig out/corridor/rig.yaml \
 		--frames 265,280,300,320,335,350 --out out/figure3.png
 
 presets: $(READY)  ## draw what the presets make of the same frames, sample_data/presets.jpg

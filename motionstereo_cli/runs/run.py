@@ -28,6 +28,7 @@ from motionstereo_cli.errors import (
     SettingsError,
 )
 from motionstereo_cli.files.atomic import reported
+from motionstereo_cli.files.folders import remove
 from motionstereo_cli.files.reading import real
 from motionstereo_cli.files.targets import check_target, is_stream, open_stream
 from motionstereo_cli.method.settings import FOREVER, GIVEN
@@ -137,10 +138,12 @@ def run(plan: RunPlan, watcher: Watcher | None = None, stdout: BinaryIO | None =
         had_page = page is not None and "report" not in job.save and is_report(page)
         try:
             with sinks:
-                if page is not None and had_page and not is_report(page):
-                    watcher.say("note", f"{page} of the interrupted run was removed")
                 if sinks.finished is not None:
                     return report_of(sinks.finished, plan)
+                if page is not None and had_page:
+                    with reported(page):
+                        remove(page.parent, [page])
+                    watcher.say("note", f"{page} of the interrupted run was removed")
                 resumed = sinks.totals.frames
                 _open(sinks, job, stdout)
                 _write(sinks, job, watcher)
