@@ -121,6 +121,18 @@ class TestRegions:
         assert not uncovered(now, fresh, [now + np.float32(1)], 0.0).any()  # it drew back a little
         assert not uncovered(now, fresh, [was], 200.0).any()  # 12 px are a small share of 208
 
+    @given(
+        arrays(np.float32, (3, 5, 7), elements=st.sampled_from([np.nan, 0.5, 4, 5, 5.5, 40, 43])),
+        arrays(np.bool_, (5, 7)),
+        st.sampled_from([0.0, 3.5]),
+    )
+    def test_uncovered_is_as_its_formula_says(self, disparity, fresh, doffs_px):
+        now, *earlier = disparity
+        with np.errstate(invalid="ignore"):
+            before = np.fmax(*earlier)
+            wanted = fresh & (before - now > np.maximum(1, np.float32(0.06) * (now + doffs_px)))
+        assert np.array_equal(uncovered(now, fresh, earlier, doffs_px), wanted)
+
     def test_what_reaches_across_the_image_is_none(self):
         assert found(scene((0, 40, 160, 56, 10))) == ()
         assert len(found(scene((8, 40, 152, 56, 10)))) == 1

@@ -264,14 +264,19 @@ def level_surface(
     """
     far_px = float(quantiles(nearness_px, 1, _FARTHEST_SHARE, min_share=MIN_KNOWN_SHARE)[0])
     level_px = _LEVEL * far_px + _LEVEL_PX
-    in_strip = quantiles(nearness_px, strips, _STRIP_SHARE)
-    known, known_strips = (np.count_nonzero(~np.isnan(each)) for each in (nearness_px, in_strip))
+    with np.errstate(invalid="ignore"):
+        # First what takes least time.
+        if np.count_nonzero(nearness_px < level_px) < _LEVEL_SHARE * _known(nearness_px):
+            return None
+        in_strip = quantiles(nearness_px, strips, _STRIP_SHARE)
+        known_strips, level_strips = _known(in_strip), np.count_nonzero(in_strip < level_px)
     if not known_strips or known_strips < min_known * strips:
         return None
-    with np.errstate(invalid="ignore"):
-        fills = np.count_nonzero(in_strip < level_px) >= _LEVEL_STRIPS * known_strips
-        is_most = np.count_nonzero(nearness_px < level_px) >= _LEVEL_SHARE * known
-    return level_px if fills and is_most else None
+    return level_px if level_strips >= _LEVEL_STRIPS * known_strips else None
+
+
+def _known(values: NDArray[np.float32]) -> int:
+    return int(np.count_nonzero(values == values))  # noqa: PLR0124
 
 
 def nearest(nearness_px: NDArray[np.float32]) -> float | None:

@@ -152,24 +152,29 @@ def uncovered(
         earlier_px: disparity in the last frames.
         doffs_px: nearness less disparity.
     """
-    where = np.flatnonzero(fresh)
-    now, before = disparity_px.ravel()[where], np.full(len(where), -np.inf, np.float32)
+    before = np.full(fresh.shape, -np.inf, np.float32)
     for each in earlier_px:
-        np.fmax(before, each.ravel()[where], out=before)
-    result = np.zeros(fresh.size, np.bool_)
-    hidden_px = np.maximum(np.float32(_HIDDEN_PX), _HIDDEN_SHARE * (now + np.float32(doffs_px)))
-    result[where] = before - now > hidden_px
-    return result.reshape(fresh.shape)
+        loops.take_larger(checked_array(each, np.float32, fresh.shape), before)
+    result = np.empty(fresh.shape, np.bool_)
+    loops.hidden_before(
+        checked_array(disparity_px, np.float32, fresh.shape),
+        *(checked_array(fresh, np.bool_).view(np.uint8), before),
+        *(doffs_px, _HIDDEN_PX, _HIDDEN_SHARE, result.view(np.uint8)),
+    )
+    return result
 
 
-def _in_cells(nearness_px: Reals, fresh: NDArray[np.bool_]) -> tuple[Reals, Reals]:
-    """Return the known share of each cell and its mean nearness, NaN = unknown or mixed."""
+def _in_cells(
+    nearness_px: Reals, fresh: NDArray[np.bool_], wanted: NDArray[np.bool_] | None = None
+) -> tuple[Reals, Reals]:
+    """Return the known share of wanted cells and their mean nearness, NaN = unknown or mixed."""
     shape = tuple(max(size // CELL_PX, 1) for size in nearness_px.shape)
     share, mean = np.empty(shape, np.float32), np.empty(shape, np.float32)
+    wanted = np.ones(shape, np.bool_) if wanted is None else wanted
     loops.in_cells(
         checked_array(nearness_px, np.float32),
         checked_array(fresh, np.bool_, nearness_px.shape).view(np.uint8),
-        *(CELL_PX, _MIN_SHARE, _JUMP_PX, _JUMP_SHARE, share, mean),
+        *(CELL_PX, _MIN_SHARE, _JUMP_PX, _JUMP_SHARE, wanted.view(np.uint8), share, mean),
     )
     return share, mean
 
@@ -213,8 +218,12 @@ def _neighbours(
     left, right = labels[:, :-1][other], labels[:, 1:][other]
     left_is_near = near[:, :-1][other] > near[:, 1:][other]
     behind, sides = np.where(left_is_near, right, left), np.concatenate([left, right])
-    _, all_cells = _in_cells(nearness_px, np.ones(nearness_px.shape, np.bool_))
-    known = np.where(near > 0, near, all_cells)
+    beside = np.zeros(labels.shape, np.bool_)
+    beside[:, :-1] = other
+    beside[:, 1:] |= other
+    beside &= near <= 0
+    _, still = _in_cells(nearness_px, np.ones(nearness_px.shape, np.bool_), beside)
+    known = np.where(near > 0, near, still)
     one, two = known[:, :-1][other], known[:, 1:][other]
     jump = np.maximum(np.float32(_JUMP_PX), _JUMP_SHARE * np.concatenate([one, two]))
     before = sides[np.concatenate([one - two, two - one]) > jump]

@@ -100,6 +100,8 @@ class Tracker:
             near, doffs_px = self.rig.nearness_px(disparity_px), self.rig.doffs
         fresh = fresh & ~uncovered(disparity_px, fresh, earlier_px, doffs_px)
         found = regions(near, fresh, MIN_KNOWN_SHARE)
+        if not found:
+            return ()
         strips = min(self.settings.steer_strips, near.shape[1])
         surface_px = level_surface(near, strips, min_known=_SURFACE_STRIPS)
         if surface_px is None:
