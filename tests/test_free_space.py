@@ -13,6 +13,7 @@ from motionstereo_cli.robot.course import steadied
 from motionstereo_cli.robot.free_space import (
     FreeSpace,
     Ground,
+    StripValues,
     find_ground,
     free_space,
     nearest,
@@ -56,7 +57,7 @@ def road(*boxes, ground=GROUND, walls=None):
 
 
 def place_of(near, ground=GROUND, strips=48):
-    return way_ahead(free_space(near, ground, strips), FOCAL, CX)[0]
+    return way_ahead(free_space(StripValues.of(near, strips), ground), FOCAL, CX)[0]
 
 
 def noisy(near, seed, share=0.5, wrong=0.05, sigma=0.4):
@@ -72,7 +73,7 @@ class TestGround:
     def test_is_found_among_things_and_noise(self, slope, horizon):
         ground = Ground(slope, horizon)
         near = road((-6, -2, 6, 0, 2), (1, 3, 9, 0, 1.2), ground=ground, walls=(-8, 7))
-        found = find_ground(noisy(near, 1), CY)
+        found = find_ground(StripValues.of(noisy(near, 1), 1), CY)
         bottom = [g.slope * (HEIGHT - g.horizon) for g in (found, ground)]
         assert bottom[0] == pytest.approx(bottom[1], rel=0.12)
         assert found.horizon == pytest.approx(horizon, abs=8)
@@ -81,14 +82,14 @@ class TestGround:
         near = road(walls=(-1.5, 1.5))
         v = np.arange(HEIGHT)[:, None]
         near[np.abs(near - SLOPE * (v - CY)) < 0.2] = NAN
-        found = find_ground(near, CY)
+        found = find_ground(StripValues.of(near, 1), CY)
         assert found.slope * (HEIGHT - found.horizon) == pytest.approx(SLOPE * 80, rel=0.25)
 
     def test_a_wall_has_none_and_nothing_has_none(self):
-        assert find_ground(np.full((HEIGHT, WIDTH), NAN, np.float32), CY) is None
+        assert find_ground(StripValues.of(np.full((HEIGHT, WIDTH), NAN, np.float32), 1), CY) is None
         wall = np.full((HEIGHT, WIDTH), 12, np.float32)
         wall[120:] = NAN
-        found = find_ground(wall, CY)
+        found = find_ground(StripValues.of(wall, 1), CY)
         assert found is None or found.slope * (HEIGHT - found.horizon) > 12
 
     def test_the_fit_of_a_line_is_what_lies_on_it_less_twice_what_lies_below(self):
@@ -115,7 +116,7 @@ class TestGround:
 class TestFreeSpace:
     def test_only_what_stands_in_the_way_counts(self):
         board, branch, sign = (-9, 9, 5, 0, 0.1), (-9, 9, 6, 1.6, 3), (-9, 9, 10, 0, 1)
-        seen = free_space(road(board, branch, sign), GROUND, 12)
+        seen = free_space(StripValues.of(road(board, branch, sign), 12), GROUND)
         assert seen.standing_px == pytest.approx(FOCAL * SLOPE / 10, rel=1e-3)
         assert seen.ground_px == pytest.approx(FOCAL * SLOPE / 10, rel=0.2)
         assert (seen.slope, seen.width) == (SLOPE, WIDTH)
@@ -123,15 +124,17 @@ class TestFreeSpace:
     def test_a_strip_is_as_near_as_all_but_a_fifth_of_it_and_unknown_where_little_is_known(self):
         near = np.full((10, 4), NAN, np.float32)
         near[:, 0] = np.arange(1, 11)
-        seen = free_space(near, None, 2)
+        seen = free_space(StripValues.of(near, 2), None)
         assert seen.standing_px[0] == pytest.approx(8.2)
         assert np.isnan(seen.standing_px[1])
         assert np.isnan(seen.ground_px).all()
 
     def test_thinned_images_give_the_same(self):
         near = road((-20, 20, 6, 0, 1.2))
-        thinned = free_space(near[::2, ::3], Ground(2 * SLOPE, CY / 2), 12, row_px=2, column_px=3)
-        whole = free_space(near, GROUND, 12)
+        thinned = free_space(
+            StripValues.of(near[::2, ::3], 12), Ground(2 * SLOPE, CY / 2), row_px=2, column_px=3
+        )
+        whole = free_space(StripValues.of(near, 12), GROUND)
         assert (thinned.slope, thinned.width) == (whole.slope, whole.width)
         assert thinned.standing_px == pytest.approx(whole.standing_px)
 
@@ -177,7 +180,10 @@ class TestWayAhead:
         assert place_of(hidden) == pytest.approx(place_of(near), abs=0.02)
         hidden[:, :140] = NAN  # and a side of which nothing is known
         assert place_of(hidden) > 0.55
-        assert way_ahead(free_space(np.full_like(near, NAN), None, 48), FOCAL, CX)[0] is None
+        assert (
+            way_ahead(free_space(StripValues.of(np.full_like(near, NAN), 48), None), FOCAL, CX)[0]
+            is None
+        )
 
     def test_without_a_ground_it_heads_for_the_farthest(self):
         near = np.full((HEIGHT, WIDTH), 12, np.float32)
@@ -239,7 +245,7 @@ def test_steadied_goes_a_share_of_the_way():
 def test_the_nearest_thing_is_not_one_stray_pixel():
     near = np.full((20, 20), 4, np.float32)
     near[0, 0] = 60
-    assert nearest(near) == 4
+    assert nearest(StripValues.of(near, 1)) == 4
     near[:3] = 30
-    assert nearest(near) == 30
-    assert nearest(np.full((4, 4), NAN, np.float32)) is None
+    assert nearest(StripValues.of(near, 1)) == 30
+    assert nearest(StripValues.of(np.full((4, 4), NAN, np.float32), 1)) is None

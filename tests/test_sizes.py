@@ -26,7 +26,7 @@ from motionstereo_cli.method.residual import residual
 from motionstereo_cli.method.settings import Settings
 from motionstereo_cli.method.trails import match_trails
 from motionstereo_cli.pipeline import process
-from motionstereo_cli.robot.free_space import find_ground, free_space, quantiles
+from motionstereo_cli.robot.free_space import StripValues, find_ground, free_space
 from motionstereo_cli.robot.objects import regions
 from motionstereo_cli.sinks.drawing import depth_levels
 from motionstereo_cli.sinks.images import disparity_png
@@ -118,7 +118,8 @@ def stage_calls(shape, reach, seed):
     far = reals(1e30)
     block = {"block_px": tuple(random.integers(1, 20, 2).tolist()), "min_votes": 1}
     strips = int(random.integers(1, shape[1] + 1))
-    ground = find_ground(reals(), shape[0] / 2)
+    near, near_far = StripValues.of(reals(), strips), StripValues.of(far, strips)
+    ground = find_ground(near, shape[0] / 2)
     weights = random.integers(0, 14, shape).astype(np.int16)
     proposed = np.where(weights > 0, np.nan_to_num(reals()), np.float32(np.nan))
     proposed, weights = proposed.astype(np.float32), np.where(weights > 0, weights, np.int16(0))
@@ -135,10 +136,11 @@ def stage_calls(shape, reach, seed):
         (confidence_by_margin, [reals(), reals(), far], {}),
         (match_keys, [grey(), 0, grey()], {}),
         (match_keys, [grey(), 3], {}),
-        (quantiles, [far, strips, share], {}),
-        (find_ground, [reals(), -3.0], {}),
-        (find_ground, [far, 1e3], {}),
-        (free_space, [reals(), ground, strips], {}),
+        (StripValues.of, [far, strips], {}),
+        (near_far.quantiles, [share], {}),
+        (find_ground, [near, -3.0], {}),
+        (find_ground, [near_far, 1e3], {}),
+        (free_space, [near, ground], {}),
         (regions, [reals(), mask(), 0.01], {}),
         (disparity_png, [far], {}),
         (depth_levels, [far, DepthScale(max(reach, 2.0), 1.0, None, "turbo")], {}),

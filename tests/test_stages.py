@@ -13,7 +13,7 @@ from motionstereo_cli.method.match_keys import match_keys
 from motionstereo_cli.method.motion import motion
 from motionstereo_cli.method.residual import residual
 from motionstereo_cli.pipeline import depth_of
-from motionstereo_cli.robot.free_space import quantiles, strip_borders
+from motionstereo_cli.robot.free_space import StripValues, strip_borders
 from motionstereo_cli.types import Rig
 
 NAN = float("nan")
@@ -240,7 +240,7 @@ class TestQuantiles:
     )
     def test_they_are_those_of_the_sorted_values(self, near, strips):
         strips = min(strips, near.shape[1])
-        found = quantiles(near, strips, 0.8, min_share=0.1)
+        found = StripValues.of(near, strips).quantiles(0.8, min_share=0.1)
         borders = strip_borders(near.shape[1], strips)[1:-1]
         for part, got in zip(np.split(near, borders, axis=1), found, strict=True):
             known = part[~np.isnan(part)]

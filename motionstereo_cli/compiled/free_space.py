@@ -4,39 +4,96 @@ import cython
 import numpy as np
 
 NAN = cython.declare(cython.float, np.nan)
-BUCKETS = cython.declare(cython.int, 256)  # one more for the unknown
-LAST = cython.declare(cython.float, 255)
-UNKNOWN = cython.declare(cython.float, 256)
-PER_PX = cython.declare(cython.float, 2)  # buckets in a px
+UNKNOWN = cython.declare(cython.int, 255)  # the bucket of what is unknown
 ZERO = cython.declare(cython.float, 0)
 ONE = cython.declare(cython.float, 1)
+NO_BUCKET = cython.declare(cython.float, 255)
 
 
-@cython.cclass
-class Workspace:
-    """Reusable buffers for a frame.
+def bucket(
+    nearness: cython.const[cython.float][:, ::1],
+    bucket_px: cython.float,
+    last: cython.float,
+    buckets: cython.uchar[:, ::1],
+) -> None:
+    """Fill in the bucket of each value, from 0 to ``last``, which is open; unknown ones have 255.
 
     Args:
-        height, width: size of the images in px.
+        nearness: (height, width) float32, NaN = unknown.
+        bucket_px: width of a bucket.
+        last: the last bucket, below 255.
+        buckets: (height, width) uint8.
     """
-
-    counts: cython.int[::1]  # of the known values of a strip by bucket
-    values: cython.float[::1]  # these values
-    bucket: cython.ushort[::1]  # and their buckets
-
-    def __init__(self, height, width):
-        self.counts = np.empty(257, np.int32)
-        self.values = np.empty(height * width + 1, np.float32)
-        self.bucket = np.empty(height * width + 1, np.uint16)
+    y: cython.Py_ssize_t
+    with cython.nogil:
+        for y in range(nearness.shape[0]):
+            bucket_row(nearness[y], bucket_px, last, buckets[y])
 
 
-@cython.locals(strip=cython.int)
-def quantiles(
-    nearness: cython.const[cython.float][:, ::1],
+# Compilers vectorise loops over arrays that are arguments of a separate function.
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def bucket_row(
+    nearness: cython.const[cython.float][::1],
+    bucket_px: cython.float,
+    last: cython.float,
+    buckets: cython.uchar[::1],
+) -> cython.void:
+    """Fill in the buckets of a row."""
+    x: cython.Py_ssize_t
+    for x in range(buckets.shape[0]):
+        value: cython.float = nearness[x]
+        place: cython.float = value / bucket_px
+        place = place if place > ZERO else ZERO
+        place = place if place < last else last
+        place = place if value == value else NO_BUCKET  # noqa: PLR0124
+        buckets[x] = cython.cast(cython.int, place)
+
+
+def count(
+    buckets: cython.const[cython.uchar][:, ::1],
+    top: cython.const[cython.int][::1],
     begin: cython.const[cython.int][::1],
+    four: cython.int[:, ::1],
+    counts: cython.int[:, :, ::1],
+) -> None:
+    """Fill in how many pixels of each block of an image are in each bucket.
+
+    Args:
+        buckets: (height, width) uint8.
+        top: first row of the blocks and, at the end, the height.
+        begin: first column of the blocks and, at the end, the width.
+        four: buffer, (4, 256) int32.
+        counts: (blocks down, blocks across, 256) int32.
+    """
+    i: cython.Py_ssize_t
+    j: cython.Py_ssize_t
+    k: cython.Py_ssize_t
+    x: cython.Py_ssize_t
+    y: cython.Py_ssize_t
+    with cython.nogil:
+        for i in range(counts.shape[0]):
+            for j in range(counts.shape[1]):
+                four[:, :] = 0
+                for y in range(top[i], top[i + 1]):
+                    for x in range(begin[j], begin[j + 1]):
+                        # Neighbours are often in one bucket: no count waits for the one before.
+                        four[x & 3, buckets[y, x]] += 1
+                for k in range(256):
+                    counts[i, j, k] = (four[0, k] + four[1, k]) + (four[2, k] + four[3, k])
+
+
+def quantiles(
+    values: cython.const[cython.float][:, ::1],
+    buckets: cython.const[cython.uchar][:, ::1],
+    begin: cython.const[cython.int][::1],
+    counts: cython.const[cython.int][:, ::1],
     share: cython.double,
     min_share: cython.double,
-    work: Workspace,
+    found: cython.float[::1],
     result: cython.float[::1],
 ) -> None:
     """Fill in the quantile of the known values in each strip, NaN where too few are known.
@@ -44,20 +101,114 @@ def quantiles(
     Exact: finally the values of its bucket are sorted.
 
     Args:
-        nearness: (height, width) float32, NaN = unknown.
+        values: (height, width) float32.
+        buckets: bucket of each, (height, width) uint8; monotonic in the values, 255 = unknown.
         begin: first column of each strip and, at the end, the width.
+        counts: pixels of each strip by bucket, (strips, 256) int32.
         share: which quantile, 0..1; between two values it is interpolated linearly.
         min_share: share of a strip that has to be known.
-        work: workspace for this size.
+        found: buffer, one larger than there are values.
         result: quantile of each strip, (strips,) float32.
     """
+    strip: cython.Py_ssize_t
     with cython.nogil:
-        for strip in range(cython.cast(cython.int, result.shape[0])):
-            known: cython.int = gather(nearness, begin[strip], begin[strip + 1], work)
-            width: cython.int = begin[strip + 1] - begin[strip]
-            result[strip] = NAN
-            if known > min_share * (width * nearness.shape[0]):
-                result[strip] = quantile(known, share, work)
+        for strip in range(result.shape[0]):
+            result[strip] = quantile(
+                values,
+                buckets,
+                begin,
+                counts,
+                strip,
+                strip + 1,
+                counts[strip],
+                share,
+                min_share,
+                found,
+            )
+
+
+def quantile_of_all(
+    values: cython.const[cython.float][:, ::1],
+    buckets: cython.const[cython.uchar][:, ::1],
+    begin: cython.const[cython.int][::1],
+    counts: cython.const[cython.int][:, ::1],
+    totals: cython.const[cython.int][::1],
+    share: cython.double,
+    min_share: cython.double,
+    found: cython.float[::1],
+) -> cython.double:
+    """Return the quantile of all known values, see :func:`quantiles`.
+
+    Args:
+        values, buckets, begin, counts, share, min_share, found: see there.
+        totals: pixels of the image by bucket, (256,) int32.
+    """
+    result: cython.float
+    with cython.nogil:
+        result = quantile(
+            values,
+            buckets,
+            begin,
+            counts,
+            0,
+            counts.shape[0],
+            totals,
+            share,
+            min_share,
+            found,
+        )
+    return result
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+@cython.locals(k=cython.int, bucket=cython.int, value=cython.float, strip=cython.Py_ssize_t)
+def quantile(
+    values: cython.const[cython.float][:, ::1],
+    buckets: cython.const[cython.uchar][:, ::1],
+    begin: cython.const[cython.int][::1],
+    counts: cython.const[cython.int][:, ::1],
+    first: cython.Py_ssize_t,
+    end: cython.Py_ssize_t,
+    totals: cython.const[cython.int][::1],
+    share: cython.double,
+    min_share: cython.double,
+    found: cython.float[::1],
+) -> cython.float:
+    """Return the quantile of strips ``first`` to ``end``, whose ``totals`` are given."""
+    known: cython.int = 0
+    for k in range(255):
+        known += totals[k]
+    if known <= min_share * ((begin[end] - begin[first]) * values.shape[0]):
+        return NAN
+    place: cython.double = (known - 1) * share
+    number: cython.int = cython.cast(cython.int, place)
+    part: cython.float = cython.cast(cython.float, place - number)
+    bucket = 0
+    while totals[bucket] <= number:
+        number -= totals[bucket]
+        bucket += 1
+    following: cython.int = bucket  # the bucket of the next value, if there is one
+    if number == totals[bucket] - 1:
+        following += 1
+        while following < UNKNOWN and totals[following] == 0:
+            following += 1
+        following = following if following < UNKNOWN else bucket
+    size: cython.int = 0
+    for strip in range(first, end):
+        wanted: cython.int = size + counts[strip, bucket]
+        wanted += counts[strip, following] if following != bucket else 0
+        size = gather(
+            values, buckets, begin[strip], begin[strip + 1], bucket, following, wanted, size, found
+        )
+    value = select(found, size, number)
+    if number + 1 == size:
+        return value
+    after: cython.float = found[number + 1]
+    for k in range(number + 2, size):
+        after = found[k] if found[k] < after else after
+    return value + (after - value) * part if part > 0 else value
 
 
 @cython.cfunc
@@ -65,59 +216,25 @@ def quantiles(
 @cython.exceptval(check=False)
 @cython.locals(x=cython.Py_ssize_t, y=cython.Py_ssize_t)
 def gather(
-    nearness: cython.const[cython.float][:, ::1],
+    values: cython.const[cython.float][:, ::1],
+    buckets: cython.const[cython.uchar][:, ::1],
     begin: cython.Py_ssize_t,
     end: cython.Py_ssize_t,
-    work: Workspace,
+    bucket: cython.int,
+    following: cython.int,
+    wanted: cython.int,
+    size: cython.int,
+    found: cython.float[::1],
 ) -> cython.int:
-    """Copy the known values of some columns, count them by bucket, and return their number."""
-    known: cython.int = 0
-    work.counts[:] = 0
-    for y in range(nearness.shape[0]):
+    """Append the values of two buckets in some columns until there are as many as wanted."""
+    y = 0
+    while size < wanted:
         for x in range(begin, end):
-            value: cython.float = nearness[y, x]
-            # Buckets are monotonic in the values.
-            place: cython.float = value * PER_PX
-            place = place if place > ZERO else ZERO
-            place = place if place < LAST else LAST
-            place = place if value == value else UNKNOWN  # noqa: PLR0124
-            bucket: cython.int = cython.cast(cython.int, place)
-            work.values[known] = value
-            work.bucket[known] = bucket
-            work.counts[bucket] += 1
-            known += bucket < BUCKETS  # without a branch, which could not be predicted
-    return known
-
-
-@cython.cfunc
-@cython.nogil
-@cython.exceptval(check=False)
-@cython.locals(k=cython.int, bucket=cython.int, value=cython.float)
-def quantile(known: cython.int, share: cython.double, work: Workspace) -> cython.float:
-    """Return the quantile of the values gathered; their order is lost."""
-    place: cython.double = (known - 1) * share
-    number: cython.int = cython.cast(cython.int, place)
-    part: cython.float = cython.cast(cython.float, place - number)
-    bucket = 0
-    while work.counts[bucket] <= number:
-        number -= work.counts[bucket]
-        bucket += 1
-    following: cython.int = bucket  # the bucket of the next value, if there is one
-    if number == work.counts[bucket] - 1:
-        following += 1
-        while following < BUCKETS and work.counts[following] == 0:
-            following += 1
-    size: cython.int = 0
-    for k in range(known):
-        work.values[size] = work.values[k]
-        size += (work.bucket[k] == bucket) | (work.bucket[k] == following)
-    value = select(work.values, size, number)
-    if number + 1 == size:
-        return value
-    after: cython.float = work.values[number + 1]
-    for k in range(number + 2, size):
-        after = work.values[k] if work.values[k] < after else after
-    return value + (after - value) * part if part > 0 else value
+            found[size] = values[y, x]
+            # Without a branch, which could not be predicted.
+            size += (buckets[y, x] == bucket) | (buckets[y, x] == following)
+        y += 1
+    return size
 
 
 @cython.cfunc
@@ -153,32 +270,6 @@ def select(values: cython.float[::1], count: cython.int, k: cython.int) -> cytho
         else:
             break
     return values[k]
-
-
-def count_in_rows(
-    nearness: cython.const[cython.float][:, ::1],
-    bin_px: cython.float,
-    counts: cython.int[:, ::1],
-) -> None:
-    """Count the known values in each of some groups of rows by bins, the last of which is open.
-
-    Args:
-        nearness: (height, width) float32, NaN = unknown.
-        bin_px: width of a bin.
-        counts: (groups of rows, bins) int32, 0 at first.
-    """
-    x: cython.Py_ssize_t
-    y: cython.Py_ssize_t
-    last: cython.float = cython.cast(cython.float, counts.shape[1] - 1)
-    with cython.nogil:
-        for y in range(nearness.shape[0]):
-            group: cython.Py_ssize_t = y * counts.shape[0] // nearness.shape[0]
-            for x in range(nearness.shape[1]):
-                place: cython.float = nearness[y, x] / bin_px
-                if place == place:  # noqa: PLR0124
-                    place = place if place > ZERO else ZERO
-                    place = place if place < last else last
-                    counts[group, cython.cast(cython.int, place)] += 1
 
 
 def fit_lines(
@@ -245,36 +336,66 @@ def share_before(
 
 def split(
     nearness: cython.const[cython.float][:, ::1],
+    buckets: cython.const[cython.uchar][:, ::1],
     slope: cython.float,
     horizon: cython.float,
     error_px: cython.float,
     ground_share: cython.float,
     ground_up: cython.float,
     overhead_up: cython.float,
-    standing: cython.float[:, ::1],
-    lying: cython.float[:, ::1],
+    standing: cython.uchar[:, ::1],
+    lying: cython.uchar[:, ::1],
 ) -> None:
-    """Fill in the nearness of what stands on a level ground, and of the ground, NaN elsewhere.
+    """Fill in the buckets of what stands on a level ground, and of the ground, 255 elsewhere.
 
     Args:
         nearness: (height, width) float32, NaN = unknown.
+        buckets: the bucket of each, (height, width) uint8.
         slope, horizon: the ground's nearness is ``slope * (row - horizon)`` px.
         error_px: of nearness; it counts as at least so much.
         ground_share: error of the ground's own height, in camera heights as all heights are.
         ground_up, overhead_up: what stands is in part between these heights.
-        standing, lying: (height, width) float32.
+        standing, lying: (height, width) uint8.
     """
-    x: cython.Py_ssize_t
     y: cython.Py_ssize_t
     with cython.nogil:
         for y in range(nearness.shape[0]):
-            at_horizon: cython.float = slope * (cython.cast(cython.float, y) - horizon)
-            for x in range(nearness.shape[1]):
-                value: cython.float = nearness[y, x]
-                near: cython.float = value if value > error_px else error_px  # also where unknown
-                # Height over the ground: it is 1 at the camera's own, that of the horizon.
-                up: cython.float = ONE - at_horizon / near
-                error: cython.float = error_px / near
-                stands: cython.bint = (up > ground_up + error) & (up < overhead_up)
-                standing[y, x] = value if stands else NAN
-                lying[y, x] = value if abs(up) < ground_share + error else NAN
+            split_row(
+                nearness[y],
+                buckets[y],
+                slope * (cython.cast(cython.float, y) - horizon),
+                error_px,
+                ground_share,
+                ground_up,
+                overhead_up,
+                standing[y],
+                lying[y],
+            )
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def split_row(
+    nearness: cython.const[cython.float][::1],
+    buckets: cython.const[cython.uchar][::1],
+    at_horizon: cython.float,
+    error_px: cython.float,
+    ground_share: cython.float,
+    ground_up: cython.float,
+    overhead_up: cython.float,
+    standing: cython.uchar[::1],
+    lying: cython.uchar[::1],
+) -> cython.void:
+    """Fill in a row, in which the ground has the nearness ``at_horizon``."""
+    x: cython.Py_ssize_t
+    for x in range(standing.shape[0]):
+        near: cython.float = nearness[x]
+        near = near if near > error_px else error_px  # also where it is unknown
+        # Height over the ground: it is 1 at the camera's own, that of the horizon.
+        up: cython.float = ONE - at_horizon / near
+        error: cython.float = error_px / near
+        stands: cython.bint = (up > ground_up + error) & (up < overhead_up)
+        lies: cython.bint = abs(up) < ground_share + error
+        standing[x] = buckets[x] if stands else UNKNOWN
+        lying[x] = buckets[x] if lies else UNKNOWN

@@ -20,6 +20,9 @@ from motionstereo_cli.compiled import free_space as loops
 MIN_KNOWN_SHARE = 0.002
 _MIN_STRIP_SHARE = 0.01
 
+#: Width of the buckets by which quantiles are found.
+_BUCKET_PX = 0.5
+
 #: Share of standing pixels in a strip that may be nearer than its nearness: noise.
 _NEARER_SHARE = 0.2
 #: Share of ground pixels in a strip that may be farther than the farthest ground.
@@ -97,24 +100,94 @@ class FreeSpace:
     width: int
 
 
-def find_ground(nearness_px: NDArray[np.float32], middle_row: float) -> Ground | None:
+@dataclass(frozen=True, slots=True)
+class StripValues:
+    """The values of an image, sorted into buckets for quantiles of it and of its vertical strips.
+
+    Attributes:
+        values: (height, width) float32, NaN = unknown.
+        borders: those of the strips, see :func:`strip_borders`, int32.
+        buckets: the bucket of each value, (height, width) uint8, 255 = unknown.
+        counts: pixels of each strip in each bucket, (strips, 256) int32.
+    """
+
+    values: NDArray[np.float32]
+    borders: NDArray[np.int32]
+    buckets: NDArray[np.uint8]
+    counts: NDArray[np.int32]
+
+    @classmethod
+    def of(cls, values: NDArray[np.float32], strips: int) -> StripValues:
+        """Sort the values of an image.
+
+        Args:
+            values: (height, width) float32, NaN = unknown.
+            strips: number of strips, at most the width.
+        """
+        values = checked_array(values, np.float32)
+        width = values.shape[1]
+        borders = strip_borders(width, checked_number("strips", strips, 1, width))
+        return cls._counted(values, borders.astype(np.int32), _buckets(values, _BUCKET_PX, 254))
+
+    @classmethod
+    def _counted(
+        cls, values: NDArray[np.float32], borders: NDArray[np.int32], buckets: NDArray[np.uint8]
+    ) -> StripValues:
+        rows = np.array([0, len(values)], np.int32)
+        return cls(values, borders, buckets, _counts(buckets, rows, borders)[0])
+
+    def split(self, ground: Ground) -> tuple[StripValues, StripValues]:
+        """Return the same of what stands on a ground, and of the ground."""
+        stands, lies = np.empty_like(self.buckets), np.empty_like(self.buckets)
+        heights = (_GROUND_SHARE, _GROUND_UP, _OVERHEAD_UP)
+        line = (ground.slope, ground.horizon)
+        loops.split(self.values, self.buckets, *line, _GROUND_PX, *heights, stands, lies)
+        parts = (self._counted(self.values, self.borders, each) for each in (stands, lies))
+        standing, lying = parts
+        return standing, lying
+
+    def quantile(self, share: float) -> float:
+        """Return a quantile of all known values; NaN where too few are known."""
+        totals = self.counts.sum(axis=0, dtype=np.int32)
+        values, buckets, borders, counts = self.values, self.buckets, self.borders, self.counts
+        found = reused(_buffer, values.size + 1)
+        of_all = (counts, totals, share, MIN_KNOWN_SHARE, found)
+        return float(loops.quantile_of_all(values, buckets, borders, *of_all))
+
+    def quantiles(
+        self, share: float, *, min_share: float = _MIN_STRIP_SHARE
+    ) -> NDArray[np.float32]:
+        """Return a quantile of the known values of each strip, (strips,) float32.
+
+        Args:
+            share: which quantile, 0..1.
+            min_share: share of a strip that has to be known, else NaN.
+        """
+        result = np.empty(len(self.counts), np.float32)
+        values, buckets, borders, counts = self.values, self.buckets, self.borders, self.counts
+        found = reused(_buffer, values.size + 1)
+        loops.quantiles(values, buckets, borders, counts, share, min_share, found, result)
+        return result
+
+
+def find_ground(near: StripValues, middle_row: float) -> Ground | None:
     """Return the ground in an image: the line from row to nearness that most of the image fits.
 
     Nothing is below the ground, so pixels below a line count against it (compare Labayrade et al.
     2002, v-disparity). None if no line fits.
 
     Args:
-        nearness_px: disparity + doffs, (height, width) float32, NaN = unknown.
+        near: nearness in px, disparity + doffs.
         middle_row: where the horizon would be if the camera were level.
     """
-    nearness_px = checked_array(nearness_px, np.float32)
-    height, width = nearness_px.shape
-    far_px = float(quantiles(nearness_px, 1, _FULL_SCALE, min_share=MIN_KNOWN_SHARE)[0])
+    height, width = near.values.shape
+    far_px = near.quantile(_FULL_SCALE)
     if math.isnan(far_px):
         return None
     bin_px = max(far_px, 1.0) * 1.1 / _BINS
-    counts = np.zeros((_ROWS, _BINS), np.int32)
-    loops.count_in_rows(nearness_px, bin_px, counts)
+    top = -(-np.arange(_ROWS + 1, dtype=np.int32) * height // _ROWS)
+    columns = np.array([0, width], np.int32)
+    counts = _counts(_buckets(near.values, bin_px, _BINS - 1), top, columns)[:, 0, :_BINS]
     # Rows have equal weight, but less with few known pixels.
     few = 0.02 * width * height / _ROWS
     farther = np.zeros((_ROWS, _BINS + 1))
@@ -135,9 +208,8 @@ def find_ground(nearness_px: NDArray[np.float32], middle_row: float) -> Ground |
 
 
 def free_space(
-    nearness_px: NDArray[np.float32],
+    near: StripValues,
     ground: Ground | None,
-    strips: int,
     *,
     row_px: float = 1.0,
     column_px: int = 1,
@@ -147,27 +219,18 @@ def free_space(
     What is flat on the ground or high above it is not an obstacle. Without a ground everything is.
 
     Args:
-        nearness_px: disparity + doffs, (height, width) float32, NaN = unknown.
+        near: nearness in px, disparity + doffs.
         ground: the ground in it.
-        strips: number of vertical strips, at most the width.
         row_px, column_px: px of the camera's image for each row and column of these; rows as if
             pixels were square.
     """
-    nearness_px = checked_array(nearness_px, np.float32)
-    width = nearness_px.shape[1] * column_px
-    nothing = np.full(strips, np.nan, np.float32)
+    width = near.values.shape[1] * column_px
     if ground is None:
-        standing = quantiles(nearness_px, strips, 1 - _NEARER_SHARE)
-        return FreeSpace(standing, nothing, math.nan, width)
-    stands, lies = np.empty_like(nearness_px), np.empty_like(nearness_px)
-    heights = (_GROUND_SHARE, _GROUND_UP, _OVERHEAD_UP)
-    loops.split(nearness_px, ground.slope, ground.horizon, _GROUND_PX, *heights, stands, lies)
-    return FreeSpace(
-        quantiles(stands, strips, 1 - _NEARER_SHARE),
-        quantiles(lies, strips, _FARTHER_SHARE),
-        ground.slope / row_px,
-        width,
-    )
+        standing_px = near.quantiles(1 - _NEARER_SHARE)
+        return FreeSpace(standing_px, np.full_like(standing_px, np.nan), math.nan, width)
+    standing, lying = near.split(ground)
+    farther = standing.quantiles(1 - _NEARER_SHARE), lying.quantiles(_FARTHER_SHARE)
+    return FreeSpace(*farther, ground.slope / row_px, width)
 
 
 def way_ahead(
@@ -249,66 +312,64 @@ def _lengths(
     return np.maximum(arc, share * free(slant[:, None] * ahead))
 
 
-def level_surface(
-    nearness_px: NDArray[np.float32], strips: int, *, min_known: float = 0.0
-) -> float | None:
+def level_surface(near: StripValues, *, min_known: float = 0.0) -> float | None:
     """Return up to which nearness one surface reaches that fills the view, None if none does.
 
     A wall, or the floor for a camera that looks down, lies across the line of sight: then no
     direction is farther than another.
 
     Args:
-        nearness_px: disparity + doffs, (height, width) float32, NaN = unknown.
-        strips: number of vertical strips, at most the width.
+        near: nearness in px, disparity + doffs.
         min_known: share of the strips of which something has to be known.
     """
-    far_px = float(quantiles(nearness_px, 1, _FARTHEST_SHARE, min_share=MIN_KNOWN_SHARE)[0])
-    level_px = _LEVEL * far_px + _LEVEL_PX
+    level_px = _LEVEL * near.quantile(_FARTHEST_SHARE) + _LEVEL_PX
     with np.errstate(invalid="ignore"):
         # First what takes least time.
-        if np.count_nonzero(nearness_px < level_px) < _LEVEL_SHARE * _known(nearness_px):
+        known = int(near.counts[:, :-1].sum())
+        if np.count_nonzero(near.values < level_px) < _LEVEL_SHARE * known:
             return None
-        in_strip = quantiles(nearness_px, strips, _STRIP_SHARE)
-        known_strips, level_strips = _known(in_strip), np.count_nonzero(in_strip < level_px)
-    if not known_strips or known_strips < min_known * strips:
+        in_strip = near.quantiles(_STRIP_SHARE)
+        known_strips = np.count_nonzero(~np.isnan(in_strip))
+        level_strips = np.count_nonzero(in_strip < level_px)
+    if not known_strips or known_strips < min_known * len(in_strip):
         return None
     return level_px if level_strips >= _LEVEL_STRIPS * known_strips else None
 
 
-def _known(values: NDArray[np.float32]) -> int:
-    return int(np.count_nonzero(values == values))  # noqa: PLR0124
-
-
-def nearest(nearness_px: NDArray[np.float32]) -> float | None:
+def nearest(near: StripValues) -> float | None:
     """Return the nearness of the nearest obstacle in px; None where too little is known.
 
     All but a hundredth of the known pixels are farther.
 
     Args:
-        nearness_px: disparity + doffs, (height, width) float32, NaN = unknown.
+        near: nearness in px, disparity + doffs.
     """
-    found = float(quantiles(nearness_px, 1, _NEAREST_SHARE, min_share=MIN_KNOWN_SHARE)[0])
+    found = near.quantile(_NEAREST_SHARE)
     return None if math.isnan(found) else found
 
 
-def quantiles(
-    values: NDArray[np.float32], strips: int, share: float, *, min_share: float = _MIN_STRIP_SHARE
-) -> NDArray[np.float32]:
-    """Return a quantile of each vertical strip of an image, (strips,) float32.
+def _buckets(values: NDArray[np.float32], bucket_px: float, last: int) -> NDArray[np.uint8]:
+    """Return the bucket of each value, 255 where it is unknown."""
+    buckets = np.empty(values.shape, np.uint8)
+    loops.bucket(values, bucket_px, last, buckets)
+    return buckets
 
-    Args:
-        values: (height, width) float32, NaN = unknown.
-        strips: number of strips, at most the width.
-        share: which quantile of the known values, 0..1.
-        min_share: share of a strip that has to be known, else NaN.
-    """
-    values = checked_array(values, np.float32)
-    height, width = values.shape
-    begin = strip_borders(width, checked_number("strips", strips, 1, width))
-    result = np.empty(strips, np.float32)
-    work = reused(loops.Workspace, height, width)
-    loops.quantiles(values, begin.astype(np.int32), share, min_share, work, result)
-    return result
+
+def _counts(
+    buckets: NDArray[np.uint8], rows: NDArray[np.int32], columns: NDArray[np.int32]
+) -> NDArray[np.int32]:
+    """Return the pixels in each bucket in the blocks between rows and columns, of int32."""
+    counts = np.empty((len(rows) - 1, len(columns) - 1, 256), np.int32)
+    loops.count(buckets, rows, columns, reused(_buffer_of_counts), counts)
+    return counts
+
+
+def _buffer(size: int) -> NDArray[np.float32]:
+    return np.empty(size, np.float32)
+
+
+def _buffer_of_counts() -> NDArray[np.int32]:
+    return np.empty((4, 256), np.int32)
 
 
 def strip_borders(width: int, strips: int) -> NDArray[np.int64]:

@@ -27,6 +27,7 @@ from motionstereo_cli.robot.course import (
 from motionstereo_cli.robot.free_space import (
     VEHICLE,
     FreeSpace,
+    StripValues,
     find_ground,
     free_space,
     level_surface,
@@ -190,14 +191,14 @@ class ImageGuide:
     def profile(self, disparity_px: Real, _: NDArray[np.bool_]) -> ImageProfile:
         """Return what is taken from a frame, see :meth:`Guide.profile`."""
         step = _thinning(disparity_px)
-        near = disparity_px[:: step[0], :: step[1]]
-        near = self.rig.nearness_px(near) if self.rig else near
+        near_px = disparity_px[:: step[0], :: step[1]]
+        near_px = self.rig.nearness_px(near_px) if self.rig else near_px
+        near = StripValues.of(near_px, min(self.settings.steer_strips, near_px.shape[1]))
         middle_row = self.rig.cy if self.rig else (len(disparity_px) - 1) / 2
         ground = find_ground(near, middle_row / step[0])
-        strips = min(self.settings.steer_strips, near.shape[1])
         row_px = step[0] * (self.rig.focal_px / self.rig.fy_px if self.rig else 1.0)
-        space = free_space(near, ground, strips, row_px=row_px, column_px=step[1])
-        return ImageProfile(space, nearest(near), level_surface(near, strips) is not None)
+        space = free_space(near, ground, row_px=row_px, column_px=step[1])
+        return ImageProfile(space, nearest(near), level_surface(near) is not None)
 
     def steer(
         self,
@@ -337,9 +338,9 @@ class MapGuide:
         image = None
         if self._is_far_sighted:
             image = ImageGuide(s, self.rig).profile(disparity_px, fresh)
-        strips = min(s.steer_strips, thin.shape[1])
-        level = image.level if image else level_surface(thin, strips) is not None
-        return MapProfile(bearings, nearest(thin), (width, height), level, image)
+        near = StripValues.of(thin, min(s.steer_strips, thin.shape[1]))
+        level = image.level if image else level_surface(near) is not None
+        return MapProfile(bearings, nearest(near), (width, height), level, image)
 
     def steer(
         self,

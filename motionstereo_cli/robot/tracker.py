@@ -12,7 +12,7 @@ import numpy as np
 
 from motionstereo_cli.method.settings import Settings
 from motionstereo_cli.robot.approach import MAX_CONTACT_S
-from motionstereo_cli.robot.free_space import MIN_KNOWN_SHARE, level_surface
+from motionstereo_cli.robot.free_space import MIN_KNOWN_SHARE, StripValues, level_surface
 from motionstereo_cli.robot.objects import (
     CELL_PX,
     Movement,
@@ -102,8 +102,8 @@ class Tracker:
         found = regions(near, fresh, MIN_KNOWN_SHARE)
         if not found:
             return ()
-        strips = min(self.settings.steer_strips, near.shape[1])
-        surface_px = level_surface(near, strips, min_known=_SURFACE_STRIPS)
+        strips = StripValues.of(near, min(self.settings.steer_strips, near.shape[1]))
+        surface_px = level_surface(strips, min_known=_SURFACE_STRIPS)
         if surface_px is None:
             return found
         # What moves on a surface that fills the view is a shadow, or its light.
