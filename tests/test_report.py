@@ -134,6 +134,21 @@ def test_a_run_without_most_outputs_says_what_is_missing(copy):
     assert data_in(page)["run"] == {}
 
 
+@pytest.mark.parametrize(
+    ("row", "said"),
+    [
+        ("12,z,40,20,12,12,4,,,0.5,,,,1", "id of frame 12 is 'z' and no number"),
+        ("12,7,40,20,12,12,4..1,,,0.5,,,,1", "depth_m of frame 12 is '4..1' and no number"),
+        ("12,7,40,20,12,12,4,,,0.5,q,,,1", "over_ground_mps of frame 12 is 'q' and no number"),
+    ],
+)
+def test_a_wrong_cell_of_objects_is_named(copy, capsys, row, said):
+    header = (copy / "objects.csv").read_text().splitlines()[0]
+    (copy / "objects.csv").write_text(f"{header}\n{row}\n")
+    assert main(["report", str(copy)]) == 1
+    assert f"objects.csv: {said}: write it again" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("content", [None, b"[]", b"{", b'{"program": "other"}'])
 def test_a_folder_that_no_run_wrote_is_one_line(tmp_path, capsys, content):
     if content:

@@ -264,7 +264,7 @@ def _objects(run: Results, steering: SteeringTable) -> dict[str, Any] | None:
     x_of = dict(zip(steering.frames.tolist(), places.tolist(), strict=True))
     try:
         return tracks(rows, x_of, step)._asdict()
-    except (KeyError, ValueError) as error:
+    except ValueError as error:
         raise InputError(f"cannot show {run.path / 'objects.csv'}: {error}") from error
 
 

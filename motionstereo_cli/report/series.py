@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
+import math
 from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from motionstereo_cli.report.run_folder import FRAME_S, SteeringTable
+from motionstereo_cli.sinks.read_back import shortened
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -119,17 +122,17 @@ def tracks(
         in m/s; None if unknown.
 
     Raises:
-        KeyError, ValueError: a row is damaged, or there are too many.
+        ValueError: a row is damaged, or there are too many.
     """
     found: dict[int, dict[str, Any]] = {}
     count = 0
     for row in rows:
-        number, frame = int(row["id"]), int(row["frame"])
+        frame = int(row["frame"])
         if frame not in x_of:
             continue
+        number = int(_number(row, "id") or 0)
         contact, depth, closing = (
-            float(row[name]) if row[name] else None
-            for name in ("time_to_contact_s", "depth_m", "closing_mps")
+            _number(row, name) for name in ("time_to_contact_s", "depth_m", "closing_mps")
         )
         level = 2 if contact is None or contact > LATER_S else 1 if contact > SOON_S else 0
         kind = level, int(row.get("by_itself") == "1")
@@ -170,7 +173,13 @@ def tracks(
 
 
 def _number(row: Mapping[str, str], name: str) -> float | None:
-    return float(row[name]) if row.get(name) else None
+    if not row.get(name):
+        return None
+    with contextlib.suppress(ValueError):
+        if math.isfinite(value := float(row[name])):
+            return value
+    wrong = f"{name} of frame {row['frame']} is {shortened(row[name])}"
+    raise ValueError(f"{wrong} and no number: write it again")
 
 
 def _urgency(track: Mapping[str, Any]) -> tuple[float, float]:
