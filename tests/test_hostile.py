@@ -212,6 +212,14 @@ def test_part_files_of_others_stay(recording, capsys):
     assert not [path for path in Path().iterdir() if is_left_over(path)]
 
 
+def test_a_circle_of_links_is_not_replaced(recording, capsys):
+    Path("one").symlink_to("other")
+    Path("other").symlink_to("one")
+    assert main(["figure", "left", "right", "--frames", "4", "-o", "one"]) == 1
+    assert "cannot write one: Too many levels of symbolic links" in capsys.readouterr().err
+    assert Path("one").is_symlink()
+
+
 @pytest.mark.parametrize(
     "record",
     ['{"program": "motionstereo"}', '{"program": "motionstereo", "outputs": {}}', "{", "[1]"],

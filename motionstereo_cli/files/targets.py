@@ -49,7 +49,9 @@ def _place_of(path: Path) -> _Place:
     name = os.path.realpath(path)
     try:
         status = os.stat(name)
-    except OSError:
+    except OSError as error:
+        if error.errno == errno.ELOOP:
+            raise
         return _Place(name, None, is_folder=False)
     return _Place(name, (status.st_dev, status.st_ino), stat.S_ISDIR(status.st_mode))
 
@@ -62,7 +64,7 @@ def check_target(path: Path, inputs: Iterable[Path]) -> None:
         inputs: files and folders that are read.
 
     Raises:
-        OutputError: it is one of them, under any name, or inside one.
+        OutputError: it is one of them, under any name, or inside one, or a circle of links.
     """
     check_targets((path,), inputs)
 

@@ -75,6 +75,7 @@ def prepare() -> None:
     from the system costs a page fault for every page. At the end nothing is collected: the process
     gives all of it back anyway.
     """
+    atexit.unregister(gc.freeze)  # once, however often this is called
     atexit.register(gc.freeze)
     for name in ("OPENBLAS_NUM_THREADS", "OPENCV_FOR_THREADS_NUM"):
         os.environ.setdefault(name, "1")
