@@ -429,13 +429,14 @@ def with_movers(
     images, summary = found
     if context.mover_finder is None or after.right is None or after.left is None:
         return after, found
-    movers, moved = context.mover_finder.see(
+    movers, moved, velocity_mps = context.mover_finder.see(
         *(before.movers, after.right.grey, after.left.grey),
         *(images.disparity_px, summary.motion, images.motion),
+        time_s=summary.time.clock_s,
     )
     charge = charged(before.own_charge, moved, context.settings)
     if context.tracker is not None and not stands(summary.motion):
-        regions = context.tracker.moving_regions(images.disparity_px, moved)
+        regions = context.tracker.moving_regions(images.disparity_px, moved, velocity_mps)
         summary = replace(summary, regions=regions)
     if summary.points is not None and context.rig is not None:
         s = context.settings

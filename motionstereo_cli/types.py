@@ -126,6 +126,11 @@ class FrameTime:
     time_s: float | None
     number: int | None = None
 
+    @property
+    def clock_s(self) -> float:
+        """Time in s, the number of the frame where the source has no times."""
+        return float(self.index) if self.time_s is None else self.time_s
+
 
 @dataclass(frozen=True, slots=True)
 class StereoFrame:

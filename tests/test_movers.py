@@ -166,6 +166,8 @@ def test_an_oncoming_car_is_seen_and_what_is_passed_is_not(reference):
     assert moved > 10 * fresh.mean()  # the plain memory has the whole street
     boxes = [(each.x, each.y, each.width, each.height) for each in last.objects]
     assert boxes
+    speeds = [each.over_ground_mps for each in last.objects if each.over_ground_mps is not None]
+    assert speeds == pytest.approx([8.0] * len(speeds), abs=1)
     for x, y, width, height in boxes:
         assert near[y : y + height, x : x + width].any()
 
@@ -192,13 +194,14 @@ def test_a_thing_has_to_move_on_as_it_did(even):
     rng = np.random.default_rng(3)
     wall, card = rough(rng, (120, 200), 2), rough(rng, (40, 40), 2)
     eye, movers, found = Eye((150.0, 150.0), 99.5, 59.5, 99.5, 1, 15.0, 0.0, 24), Movers(), []
-    for place in (60, 64, 68, 72) if even else (60, 64, 60, 64):
+    for number, place in enumerate((60, 64, 68, 72) if even else (60, 64, 60, 64)):
         view, other = wall.copy(), np.roll(wall, 4, axis=1)
         view[40:80, place : place + 40] = card
         other[40:80, place + 12 : place + 52] = card
         disparity = np.full(wall.shape, 4.0, np.float32)
         disparity[40:80, place : place + 40] = 12
-        movers, moved = see(movers, Moment(pyramid(view, other), disparity, np.eye(4)), eye)
+        now = Moment(pyramid(view, other), disparity, np.eye(4), 0.1 * number)
+        movers, moved, velocity_mps = see(movers, now, eye)
         found.append(moved)
     assert not found[0].any()
     assert not found[1].any()  # nothing is known of the frame before
@@ -206,3 +209,7 @@ def test_a_thing_has_to_move_on_as_it_did(even):
     inside[36:84, place - 4 : place + 44] = True
     assert not (found[-1] & ~inside).any()
     assert (found[-1].sum() > 600) == even
+    told = velocity_mps[np.isfinite(velocity_mps[..., 0])]
+    assert 16 * len(told) == found[-1].sum()
+    if even:  # 40 px a second at 1.25 m, with 150 px a radian
+        assert np.median(told, axis=0) == pytest.approx((1 / 3, 0, 0), abs=0.01)

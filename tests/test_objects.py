@@ -4,6 +4,7 @@ import csv
 import itertools
 import math
 from collections import Counter
+from dataclasses import replace
 from fractions import Fraction
 
 import cv2
@@ -34,7 +35,15 @@ from motionstereo_cli.robot.tracker import MAX_CONTACT_S, Tracker, Tracks
 from motionstereo_cli.simulate.settings import SimulateSettings
 from motionstereo_cli.sinks.outputs import OUTPUTS
 from motionstereo_cli.sinks.sink import RunContext
-from motionstereo_cli.types import MovingObject, Pose, Rig, Steering, Step, StereoFrame
+from motionstereo_cli.types import (
+    FrameTime,
+    MovingObject,
+    Pose,
+    Rig,
+    Steering,
+    Step,
+    StereoFrame,
+)
 
 WIDTH = 160
 HEIGHT = 96
@@ -247,6 +256,28 @@ class TestMovement:
         assert movement(self.track([(1.0, 0.0)] * 5)) is None
         assert movement(self.track([(1.0, 0.0)] * 6)).from_camera_mps == (0, 0)
 
+    def test_velocities_of_single_frames_weigh_the_less_the_older_and_the_less_sure(self):
+        """Positions that slide along a body do not count then."""
+        told = [((1.0, 0.0), 0.1, 0.0), ((2.0, 1.0), 0.2, 0.1)]
+        observations = tuple(
+            Observation(
+                time_s,
+                replace(region(60), sigma_mps=sigma_mps),
+                (2.0 - 3 * time_s, 0.0),
+                (4.0 - 5 * time_s, 0.0),
+                velocity_mps,
+            )
+            for velocity_mps, sigma_mps, time_s in told
+        )
+        moves = movement(Track(1, observations, 3))
+        older, newer = 1 / (0.1**2 + (2.0 * 0.1) ** 2), 1 / 0.2**2
+        ahead = (older + 2 * newer) / (older + newer)
+        assert moves.over_ground_mps == pytest.approx((ahead, newer / (older + newer)))
+        # The camera goes back at 2 m/s.
+        assert moves.from_camera_mps == pytest.approx((ahead + 2, newer / (older + newer)))
+        assert moves.sigma_mps == pytest.approx((older + newer) ** -0.5)
+        assert movement(Track(1, observations[:1], 2)) is None
+
     def test_trust_by_hand(self):
         half_known = Region(0, 0, 20, 20, 10, 10, 10.0, 0.5)
         track = Track(1, (observation(0.0, where=half_known),), seen=3)
@@ -272,7 +303,7 @@ def coming(depths_m, *, rig=RIG, poses=None, timed=True, columns=None):
         near = scene((x, 36, 24, 24, FB / depth_m))
         moment = frame(index, index / 10 if timed else None)
         regions = tracker.regions(near, everywhere)
-        tracks, seen = tracker.follow(tracks, regions, moment, poses and poses[index])
+        tracks, seen = tracker.follow(tracks, regions, moment.time, poses and poses[index])
     return seen
 
 
@@ -351,7 +382,7 @@ class TestTracker:
         regions = tracker.regions(scene((68, 36, 24, 24, 9)), everywhere)
         tracks, ids = Tracks(), []
         for n, time_s in enumerate(times_s):
-            tracks, seen = tracker.follow(tracks, regions, frame(n, time_s))
+            tracks, seen = tracker.follow(tracks, regions, frame(n, time_s).time)
             ids.append([one.id for one in seen])
         assert ids == [[], [], [1], [], [], [2]]
 
@@ -537,6 +568,25 @@ def test_what_moves_by_itself_stands_on_ground(top, stands):
     )
     assert all(each.middle_x == 51.5 and each.middle_y == top + 11.5 for each in found)
     assert not Tracker(Settings(), rig).moving_regions(disparity, np.zeros_like(moved))
+
+
+@pytest.mark.parametrize("driven_m", [0.0, 0.1])
+def test_the_velocity_of_a_region_is_the_median_of_its_cells(driven_m):
+    """Half of the cells tell it, a fifth of these wrongly; the rig has turned left, and drives."""
+    disparity, moved = np.full((HEIGHT, WIDTH), NAN), np.zeros((HEIGHT, WIDTH), np.bool_)
+    disparity[40:80, 40:100] = 6
+    moved[40:80, 40:100] = True
+    velocity_mps = np.full((HEIGHT // 4, WIDTH // 4, 3), NAN)
+    velocity_mps[10:20, 10:25:2] = (-0.5, 9.0, 1.0)
+    velocity_mps[10:20, 10] = (3.0, 0.0, 4.0)
+    tracker, tracks = Tracker(Settings(), RIG), Tracks()
+    for number in range(2):
+        found = tracker.moving_regions(disparity, moved, velocity_mps)
+        assert found[0].velocity_mps == (1.0, 0.5)
+        pose = Pose(0, driven_m * number, 0, 0, 0, math.sqrt(0.5), math.sqrt(0.5))
+        tracks, seen = tracker.follow(tracks, found, FrameTime(number, number, number / 10), pose)
+    assert seen[0].velocity_mps == pytest.approx((-0.5, 1.0))
+    assert seen[0].closing_mps == pytest.approx(10 * driven_m - 1)
 
 
 @pytest.mark.parametrize(("inner_px", "count"), [(6.6, 1), (10, 2)])

@@ -39,10 +39,11 @@ class MoverFinder:
         disparity_px: Real,
         motion: Motion | None,
         changed: NDArray[np.bool_] | None,
-    ) -> tuple[Movers, NDArray[np.bool_]]:
-        """Return the state after a frame, and where something moved by itself.
+        time_s: float,
+    ) -> tuple[Movers, NDArray[np.bool_], Real]:
+        """Return the state after a frame, where something moved by itself, and how fast.
 
-        For a rig at rest that is all that changed.
+        See :func:`~motionstereo_cli.robot.movers.see`. For a rig at rest it is all that changed.
 
         Args:
             movers: the state before; None at the first frame.
@@ -50,17 +51,18 @@ class MoverFinder:
             disparity_px: of the reference view, NaN = unknown.
             motion: of the rig, from this frame to the one before; None where unknown.
             changed: where the band of grey has changed in the reference view.
+            time_s: time of the frame.
         """
         if motion is None:  # there is no earlier frame to compare with
             movers, step = None, np.eye(4)
         else:
             step = self._of_reference(motion.before_from_now)
         view, other = (right, left) if self.reference == "right" else (left, right)
-        now = Moment(pyramid(view, other), disparity_px, step)
-        after, found = see(movers or Movers(), now, self.eye)
+        now = Moment(pyramid(view, other), disparity_px, step, time_s)
+        after, found, velocity_mps = see(movers or Movers(), now, self.eye)
         if stands(motion) and changed is not None:
             found = changed
-        return after, found
+        return after, found, velocity_mps
 
     @property
     def eye(self) -> Eye:

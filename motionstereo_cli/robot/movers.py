@@ -96,6 +96,13 @@ class Eye:
     doffs_px: float
     range_px: int
 
+    def places_m(self, x_px: NDArray[Any], y_px: NDArray[Any], near_px: NDArray[Any]) -> Reals:
+        """Return places in space before the camera, (n, 3), from those in its view, (n,) each."""
+        depth_m = self.focal_baseline / np.asarray(near_px, np.float64)
+        across = (x_px - self.cx_px) / self.focal_px[0]
+        down = (y_px - self.cy_px) / self.focal_px[1]
+        return np.stack([across * depth_m, down * depth_m, depth_m], axis=1)
+
     def at(self, level: int) -> Any:
         """Return the camera of a pyramid level for the loops."""
         q = 0.5**level
@@ -113,11 +120,13 @@ class Moment:
         views: at each level, grey of the camera and of the other one, (2, height, width) uint8.
         disparity_px: of the camera's view, NaN = unknown.
         before_from_now: (4, 4) takes places in the camera then to those in the one a frame before.
+        time_s: time in s.
     """
 
     views: tuple[Grey, ...]
     disparity_px: Real
     before_from_now: Reals
+    time_s: float
 
     def levels(self) -> list[Any]:
         """Return the moment at each level for the loops."""
@@ -155,8 +164,12 @@ def pyramid(view: Grey, other: Grey) -> tuple[Grey, ...]:
     return tuple(levels)
 
 
-def see(movers: Movers, now: Moment, eye: Eye) -> tuple[Movers, NDArray[np.bool_]]:
-    """Return what is known after a frame, and where something moved by itself, (height, width).
+def see(movers: Movers, now: Moment, eye: Eye) -> tuple[Movers, NDArray[np.bool_], Real]:
+    """Return what is known after a frame, where something moved by itself, and how fast.
+
+    The second is (height, width) bool. The third is the velocity over ground of cells of
+    :data:`CELL_PX`, to the right, down and ahead of the camera, (rows, columns, 3) m/s, NaN =
+    unknown.
 
     Args:
         movers: what was known before.
@@ -166,29 +179,33 @@ def see(movers: Movers, now: Moment, eye: Eye) -> tuple[Movers, NDArray[np.bool_
     shape = now.disparity_px.shape
     rows, columns = (side // CELL_PX for side in shape)
     moving, lasting = None, np.zeros((rows, columns), np.bool_)
+    velocity_mps = np.full((rows, columns, 3), np.nan, np.float32)
     if movers.moments:
         now = replace(now, disparity_px=_filled(now, eye))
         gap, levels = _gap(movers, now, eye), now.levels()
-        shifts = _shifts(levels, _motion(movers, now, gap), movers.moments[-gap], eye, math.inf)
-        farther = min(_FARTHER * gap, len(movers.moments))
-        short_px = _SHORT_WAY * shape[1]
-        far = None
-        if farther != gap:
-            motion = _motion(movers, now, farther)
-            far = _shifts(levels, motion, movers.moments[-farther], eye, short_px)
         near = np.nan_to_num(_in_cells(now.disparity_px) + np.float32(eye.doffs_px))
-        moved = _moved(shifts, near)
-        shifts[..., :3] /= gap
-        if far is not None:
-            slow = _moved(far, near) & ~moved
-            shifts[slow] = far[slow] / np.float32(farther)
-            moved |= slow
+        farther = min(_FARTHER * gap, len(movers.moments))
+        moved, shifts = (
+            np.zeros((rows, columns), np.bool_),
+            np.empty((rows, columns, 3), np.float32),
+        )
+        ways_px = {farther: _SHORT_WAY * shape[1], gap: math.inf}
+        for back in sorted(ways_px):
+            then, motion = movers.moments[-back], _motion(movers, now, back)
+            found = _shifts(levels, motion, then, eye, ways_px[back])
+            new = _moved(found, near) & ~moved
+            shifts[new] = found[new][:, :3] / np.float32(back)
+            velocity_mps[new] = _velocity_mps(
+                new, found[new], near[new], motion, eye, now.time_s - then.time_s
+            )
+            moved |= new
         count, things = _things(moved, shifts, near)
         moving = np.where((things > 0)[..., None], shifts[..., :3], np.float32(np.nan))
         if movers.moving is not None:
             lasting = _lasting(count, things, moving, movers.moving)
     kept = (*movers.moments, now)[-GAPS:]
-    return Movers(kept, moving), _in_pixels(lasting, shape)
+    velocity_mps[~lasting] = np.nan
+    return Movers(kept, moving), _in_pixels(lasting, shape), velocity_mps
 
 
 def _gap(movers: Movers, now: Moment, eye: Eye) -> int:
@@ -311,6 +328,36 @@ def _moved(shifts: Real, near: Real) -> NDArray[np.bool_]:
         & (np.abs(shift[:, 2]) < _MAX_NEARER * n)
     )
     return moved
+
+
+def _velocity_mps(
+    where: NDArray[np.bool_], shift: Real, near: Real, motion: Reals, eye: Eye, apart_s: float
+) -> Reals:
+    """Return how fast cells moved over ground, right, down and ahead of the camera, (n, 3) m/s.
+
+    A patch is a place in space now by its disparity, and another one then by where its grey was and
+    the disparity that it had there.
+
+    Args:
+        where: the cells, (rows, columns).
+        shift, near: how they moved since then, and their nearness now, (n, fields) and (n,).
+        motion: (4, 4) takes places in the camera of now to those in the earlier one.
+        eye: the camera.
+        apart_s: time since then in s.
+    """
+    row, column = np.nonzero(where)
+    half = CELL_PX // 2
+    here = eye.places_m(column * CELL_PX + half, row * CELL_PX + half, near)
+    stood = here @ motion[:3, :3].T + motion[:3, 3]
+    (fx, fy), ahead = eye.focal_px, stood[:, 2]
+    there = eye.places_m(
+        eye.cx_px + fx * stood[:, 0] / ahead + shift[:, 0],
+        eye.cy_px + fy * stood[:, 1] / ahead + shift[:, 1],
+        eye.focal_baseline / ahead + shift[:, 2],
+    )
+    moved_m = here - (there - motion[:3, 3]) @ motion[:3, :3]
+    known = (there[:, 2] > 0) & (apart_s > 0)
+    return np.where(known[:, None], moved_m / (apart_s or 1), np.nan)
 
 
 def _things(moved: NDArray[np.bool_], shifts: Real, near: Real) -> tuple[int, NDArray[np.int32]]:

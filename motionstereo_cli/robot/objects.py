@@ -51,6 +51,10 @@ _MAX_MISSED = 30
 _FITTED = 12
 _MIN_FITTED = 6
 _LATER, _EARLIER = np.tril_indices(_FITTED, -1)
+#: Of velocities by single frames: fewest cells that tell one; cells whose patches overlap; least
+#: standard deviation; how much a velocity may change in a second.
+_MIN_CELLS, _CELLS_ALIKE = 3, 5.0
+_LEAST_SIGMA_MPS, _ACCELERATION_MPS2 = 0.03, 2.0
 #: Standard deviation over median absolute deviation of what is normally distributed.
 _NORMAL = 1.4826
 #: A fit that misses the nearness by so much, on average, is worth half.
@@ -67,6 +71,9 @@ class Region:
         nearness_px: median of disparity + doffs in it.
         known: share of its pixels whose disparity is known and fresh, 0..1.
         before: frames before that it is known to have moved in.
+        velocity_mps: over ground, ahead and to the left of the camera; None where it is not
+            measured in this frame alone.
+        sigma_mps: standard deviation of that.
     """
 
     x: int
@@ -78,6 +85,8 @@ class Region:
     nearness_px: float
     known: float
     before: int = 0
+    velocity_mps: tuple[float, float] | None = None
+    sigma_mps: float = math.inf
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,12 +98,14 @@ class Observation:
         region: its region in the image.
         offset_m: from the camera to it, along the x and y axes of the world.
         place_m: its position in the world, x and y.
+        velocity_mps: over ground along these axes, by this frame alone; None if unknown.
     """
 
     time_s: float
     region: Region
     offset_m: tuple[float, float]
     place_m: tuple[float, float]
+    velocity_mps: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,7 +125,12 @@ class Track:
     missed: int = 0
 
 
-def regions(nearness_px: Reals, fresh: NDArray[np.bool_], min_share: float) -> tuple[Region, ...]:
+def regions(
+    nearness_px: Reals,
+    fresh: NDArray[np.bool_],
+    min_share: float,
+    velocity_mps: Reals | None = None,
+) -> tuple[Region, ...]:
     """Return the regions of an image that may be objects.
 
     Background, as of a turning camera, is left out, and so are regions that reach from the left
@@ -124,6 +140,8 @@ def regions(nearness_px: Reals, fresh: NDArray[np.bool_], min_share: float) -> t
         nearness_px: disparity + doffs, (height, width) float32, NaN = unknown.
         fresh: where something has just moved, (height, width) bool.
         min_share: share of the image, 0..1, that a region has to have.
+        velocity_mps: of cells over ground, right, down and ahead of the camera, (rows or more,
+            columns or more, 3), NaN = unknown.
     """
     share, cells = _in_cells(nearness_px, fresh)
     bridged = _bridged(cells)
@@ -136,7 +154,7 @@ def regions(nearness_px: Reals, fresh: NDArray[np.bool_], min_share: float) -> t
     wanted &= boxes[:, 2] - boxes[:, 0] < cells.shape[1]
     wanted[0] = False  # the unknown
     return tuple(
-        _region(labels, label, boxes[label].tolist(), cells, share)
+        _region(labels, label, boxes[label].tolist(), cells, share, velocity_mps)
         for label in np.flatnonzero(wanted).tolist()
     )
 
@@ -246,12 +264,16 @@ def _region(
     box: tuple[int, int, int, int],
     cells: Reals,
     share: Reals,
+    velocity_mps: Reals | None,
 ) -> Region:
     left, top, right, bottom = box
     inside = slice(top, bottom), slice(left, right)
     row, column = np.nonzero(labels[inside] == label)
     weight = share[inside][row, column]
     total = float(weight.sum())
+    speed, sigma_mps = None, math.inf
+    if velocity_mps is not None:
+        speed, sigma_mps = _median_velocity(velocity_mps[inside][row, column])
     return Region(
         x=left * CELL_PX,
         y=top * CELL_PX,
@@ -261,7 +283,22 @@ def _region(
         middle_y=(top + float(weight @ row) / total + 0.5) * CELL_PX - 0.5,
         nearness_px=float(_median(cells[inside][row, column])),
         known=total / len(weight),
+        velocity_mps=speed,
+        sigma_mps=sigma_mps,
     )
+
+
+def _median_velocity(velocity_mps: Reals) -> tuple[tuple[float, float] | None, float]:
+    """Return the velocity ahead and to the left that cells (n, 3) agree on, and its sigma."""
+    known = velocity_mps[np.isfinite(velocity_mps[:, 0])].astype(np.float64)
+    if len(known) < _MIN_CELLS:
+        return None, math.inf
+    each = known[:, 2::-2] * (1, -1)
+    middle = _median(each)
+    spread = float(np.hypot(*(_NORMAL * _median(np.abs(each - middle)))))
+    own = max(len(known) / _CELLS_ALIKE, 1.0)
+    ahead, left = middle.tolist()
+    return (ahead, left), max(spread / math.sqrt(own), _LEAST_SIGMA_MPS)
 
 
 def follow(
@@ -343,27 +380,53 @@ class Movement:
 def movement(track: Track) -> Movement | None:
     """Return the motion of an object; None while unknown.
 
-    Speeds are the median of the slopes between all pairs of observations (Theil and Sen).
+    The mean of its velocities by single frames, the less weight the older; where there are none,
+    the median of the slopes between all pairs of observations (Theil and Sen).
     """
-    if len(track.observations) < _MIN_FITTED:
-        return None
     time_s = np.array([observation.time_s for observation in track.observations])
     places = np.array([(*s.offset_m, *s.place_m) for s in track.observations])
-    count = len(time_s) * (len(time_s) - 1) // 2
-    later, earlier = _LATER[:count], _EARLIER[:count]
-    apart_s = (time_s[later] - time_s[earlier])[:, None]
-    speed = _median((places[later] - places[earlier]) / apart_s)
+    measured = _mean_velocity(track.observations)
+    if measured is not None and len(time_s) > 1:
+        velocity_mps, sigma = measured
+        camera_m = (places[:, 2:] - places[:, :2])[-_WAY_SIGHTINGS:]
+        camera_mps = (camera_m[-1] - camera_m[0]) / (time_s[-1] - time_s[-len(camera_m)])
+        speed = np.concatenate([velocity_mps - camera_mps, velocity_mps])
+    elif len(time_s) >= _MIN_FITTED:
+        count = len(time_s) * (len(time_s) - 1) // 2
+        later, earlier = _LATER[:count], _EARLIER[:count]
+        apart_s = (time_s[later] - time_s[earlier])[:, None]
+        speed = _median((places[later] - places[earlier]) / apart_s)
+        sigma = _slope_sigma(time_s, places[:, 2:] - speed[2:] * time_s[:, None])
+    else:
+        return None
     offset = places[:, :2]
     off = offset - speed[:2] * time_s[:, None]
     off = np.abs(off - _median(off)).sum(axis=1)
     residual = float(_median(off)) / float(np.abs(offset).sum(axis=1).min())
     x, y, ground_x, ground_y = speed.tolist()
-    left = places[:, 2:] - speed[2:] * time_s[:, None]
-    left = np.abs(left - _median(left))
-    spread = float(np.hypot(*(_NORMAL * _median(left))))
-    along_s = time_s - time_s.mean()
-    sigma = spread / float(np.sqrt(along_s @ along_s))
     return Movement((x, y), (ground_x, ground_y), residual, sigma)
+
+
+def _mean_velocity(
+    observations: Sequence[Observation],
+) -> tuple[NDArray[np.float64], float] | None:
+    """Return the weighted mean of the velocities by single frames, (2,), and its sigma."""
+    known = [each for each in observations if each.velocity_mps is not None]
+    if not known:
+        return None
+    age_s = observations[-1].time_s - np.array([each.time_s for each in known])
+    sigma_mps = np.array([each.region.sigma_mps for each in known])
+    weight = 1 / (sigma_mps**2 + (_ACCELERATION_MPS2 * age_s) ** 2)
+    velocity_mps = weight @ np.array([each.velocity_mps for each in known]) / weight.sum()
+    return velocity_mps, 1 / math.sqrt(weight.sum())
+
+
+def _slope_sigma(time_s: NDArray[np.float64], left_m: NDArray[np.float64]) -> float:
+    """Return the standard deviation of a slope over (n,) times, from what it leaves, (n, 2)."""
+    off_m = np.abs(left_m - _median(left_m))
+    spread = float(np.hypot(*(_NORMAL * _median(off_m))))
+    along_s = time_s - time_s.mean()
+    return spread / float(np.sqrt(along_s @ along_s))
 
 
 def trust(track: Track, moves: Movement | None) -> float:

@@ -109,12 +109,16 @@ class Tracker:
         # What moves on a surface that fills the view is a shadow, or its light.
         return tuple(each for each in found if each.nearness_px > surface_px)
 
-    def moving_regions(self, disparity_px: Real, moved: NDArray[np.bool_]) -> tuple[Region, ...]:
+    def moving_regions(
+        self, disparity_px: Real, moved: NDArray[np.bool_], velocity_mps: Real | None = None
+    ) -> tuple[Region, ...]:
         """Return the regions of a frame that moved by themselves, in this frame and the last one.
 
         Args:
             disparity_px: (height, width) float32, NaN = unknown.
             moved: where something moved by itself, (height, width) bool: parts of it.
+            velocity_mps: of cells of :data:`~motionstereo_cli.robot.objects.CELL_PX` over ground,
+                right, down and ahead of the camera, (rows, columns, 3), NaN = unknown.
         """
         x, y, width, height = cv2.boundingRect(moved.view(np.uint8))
         if not width:
@@ -125,7 +129,9 @@ class Tracker:
         near = np.asarray(cv2.dilate(moved[part].view(np.uint8), around)).view(np.bool_)
         nearness = np.ascontiguousarray(disparity_px[part])
         nearness = self.rig.nearness_px(nearness) if self.rig else nearness
-        found = regions(nearness, near, _MIN_MOVING_SHARE * moved.size / near.size)
+        if velocity_mps is not None:
+            velocity_mps = velocity_mps[top // CELL_PX :, left // CELL_PX :]
+        found = regions(nearness, near, _MIN_MOVING_SHARE * moved.size / near.size, velocity_mps)
         placed = (
             replace(
                 each,
@@ -162,7 +168,7 @@ class Tracker:
             frame: which it is.
             pose: where the rig is; None where it is not known.
         """
-        time_s = float(frame.index) if frame.time_s is None else frame.time_s
+        time_s = frame.clock_s
         # If time goes back, another recording begins.
         before = tracks.each if time_s > tracks.time_s else ()
         observations = [self._observation(region, time_s, pose) for region in found]
@@ -183,10 +189,12 @@ class Tracker:
         left_m = (cx_px - region.middle_x) / self.rig.focal_px * ahead_m
         if pose is None:
             return Observation(time_s, region, (ahead_m, left_m), (ahead_m, left_m))
-        cos, sin = math.cos(pose.yaw_rad), math.sin(pose.yaw_rad)
-        x_m, y_m = cos * ahead_m - sin * left_m, sin * ahead_m + cos * left_m
+        x_m, y_m = _turned(ahead_m, left_m, pose)
         camera_x_m, camera_y_m = self.rig.camera_on_floor(pose, self.settings.reference)
-        return Observation(time_s, region, (x_m, y_m), (camera_x_m + x_m, camera_y_m + y_m))
+        place_m = camera_x_m + x_m, camera_y_m + y_m
+        speed = region.velocity_mps
+        velocity_mps = None if speed is None else _turned(*speed, pose)
+        return Observation(time_s, region, (x_m, y_m), place_m, velocity_mps)
 
     def _object(self, track: Track, pose: Pose | None, *, timed: bool) -> MovingObject:
         last, moves = track.observations[-1], movement(track) if timed else None
@@ -211,6 +219,12 @@ class Tracker:
             sigma_mps=moves.sigma_mps if in_world and moves else None,
             by_itself=_by_itself(moves) if in_world and moves else None,
         )
+
+
+def _turned(ahead: float, left: float, pose: Pose) -> tuple[float, float]:
+    """Return along the x and y axes of the world what is ahead and to the left of a pose."""
+    cos, sin = math.cos(pose.yaw_rad), math.sin(pose.yaw_rad)
+    return cos * ahead - sin * left, sin * ahead + cos * left
 
 
 def _whole(found: Iterable[Region]) -> tuple[Region, ...]:

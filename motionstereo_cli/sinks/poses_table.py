@@ -42,7 +42,7 @@ class TumFile(TableFile):
         """Append the line of a frame."""
         if step.place is not None:
             time = step.time
-            time_s = float(time.index) if time.time_s is None else time.time_s
+            time_s = time.clock_s
             self.add([format_pose(time_s, step.place).rstrip("\n")])
 
 

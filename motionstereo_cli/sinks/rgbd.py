@@ -54,7 +54,7 @@ class RgbdTables:
         if step.place is None:
             return
         time = step.time
-        time_s = float(time.index) if time.time_s is None else time.time_s
+        time_s = time.clock_s
         shown, depth = (f"{time_s:.6f} {name}/{time.index:06d}.png" for name in ("rgb", "depth"))
         matrix = optical_matrix(step.place, self._rig.left_of_middle_m(self._camera))
         turn = quaternions(matrix[None, :3, :3])[0]

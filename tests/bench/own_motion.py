@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -27,7 +27,8 @@ from motionstereo_cli.types import Pose, StereoFrame
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from motionstereo_cli.types import FrameResult, Grey
+    from motionstereo_cli.simulate.scenes import SceneFrame
+    from motionstereo_cli.types import FrameResult
 
 #: Scenes, by the name in the table; those that are held out had no part in the choice of values.
 SCENES: dict[str, dict[str, Any]] = {
@@ -55,6 +56,7 @@ class Score:
         large, small: things of :data:`_LARGE_PX` or more and of :data:`_SMALL_PX` or more, summed
             over the frames: found, and all.
         false: rows that are no thing's, a frame.
+        speeds_off_mps: errors of the speed over ground of what was found.
         path: of the poses.
     """
 
@@ -62,6 +64,7 @@ class Score:
     small: list[int]
     false: float
     path: PoseReport
+    speeds_off_mps: list[float] = field(default_factory=list)
 
 
 def measure(given: dict[str, Any], picture: Path | None = None) -> Score:
@@ -83,7 +86,7 @@ def measure(given: dict[str, Any], picture: Path | None = None) -> Score:
         if picture is not None and area > largest:
             shown, largest = result, area
         if result.frame.index >= _FIRST_FRAME:
-            false += _scored(score, result, shot.mover)
+            false += _scored(score, result, shot)
     score.false = false / max(len(shots) - _FIRST_FRAME, 1)
     score.path = compare(_matrices(poses), _matrices([shot.pose.rig_pose for shot in shots]))
     if picture is not None and shown is not None:
@@ -98,21 +101,24 @@ def _matrices(poses: Sequence[Pose]) -> NDArray[np.float64]:
     return result
 
 
-def _scored(score: Score, result: FrameResult, mover: Grey | None) -> int:
+def _scored(score: Score, result: FrameResult, shot: SceneFrame) -> int:
     """Add a frame to the score, and return how many of its rows are no thing's."""
     boxes = [(o.x, o.y, o.x + o.width, o.y + o.height) for o in result.objects]
-    if mover is None:
-        return len(boxes)
-    mine = set()
-    for number in np.unique(mover[mover > 0]).tolist():
-        y, x = np.nonzero(mover == number)
-        thing = int(x.min()), int(y.min()), int(x.max()) + 1, int(y.max()) + 1
-        found = {index for index, box in enumerate(boxes) if _overlap(box, thing) > _MIN_OVERLAP}
+    mine = set[int]()
+    for true in shot.objects:
+        thing = true.x, true.y, true.x + true.width, true.y + true.height
+        shares = [_overlap(box, thing) for box in boxes]
+        found = {index for index, share in enumerate(shares) if share > _MIN_OVERLAP}
         mine |= found
-        if len(x) >= _SMALL_PX:
-            counts = score.large if len(x) >= _LARGE_PX else score.small
+        shown_px = np.count_nonzero(shot.mover == true.id)
+        if shown_px >= _SMALL_PX:
+            counts = score.large if shown_px >= _LARGE_PX else score.small
             counts[0] += bool(found)
             counts[1] += 1
+        if found and shown_px >= _SMALL_PX:
+            speed_mps = result.objects[int(np.argmax(shares))].over_ground_mps
+            if speed_mps is not None and true.over_ground_mps is not None:
+                score.speeds_off_mps.append(abs(speed_mps - true.over_ground_mps))
     return len(boxes) - len(mine)
 
 
@@ -162,7 +168,9 @@ def main(args: Sequence[str]) -> None:
                 "{} of {}".format(*score.large),
                 "{} of {}".format(*score.small),
                 f"{score.false:.2f}",
+                f"{np.median(score.speeds_off_mps):.2f}" if score.speeds_off_mps else "-",
             ]
         )
     head = ["scene", "drift, %", "deg/m", "800 px and more", "150 to 800 px", "false rows a frame"]
+    head.append("error of speed over ground, m/s")
     print(table(head, rows))
