@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from motionstereo_cli.compiled import checked_array, pictures
 from motionstereo_cli.errors import SettingsError
 from motionstereo_cli.method.confidence import sigma_px
 from motionstereo_cli.method.matching import Match, match
@@ -557,6 +558,7 @@ def depth_of(disparity_px: Real, rig: Rig | None) -> Real | None:
     """
     if rig is None:
         return None
-    depth_m = np.full_like(disparity_px, np.nan)
-    nearness_px = rig.nearness_px(disparity_px) if rig.doffs else disparity_px
-    return np.divide(np.float32(rig.focal_baseline), nearness_px, depth_m, where=nearness_px > 0)
+    disparity_px = checked_array(disparity_px, np.float32)
+    depth_m = np.empty_like(disparity_px)
+    pictures.depth(disparity_px, rig.doffs, rig.focal_baseline, depth_m)
+    return depth_m

@@ -80,7 +80,7 @@ def test_both_readers_find_what_the_run_found(results, tmp_path):
         assert depth.header.stamp.nanosec == stamp_ns
         assert depth.encoding == "16UC1"
         image = depth.data.view(np.uint16).reshape(48, 64)
-        np.testing.assert_array_equal(image, depth_png(result.depth_m))
+        np.testing.assert_array_equal(image, depth_png(result.disparity_px, RIG))
     last, (_, disparity) = results[-1], found["/disparity"][-1]
     values = disparity.image.data.view(np.float32).reshape(48, 64)
     known = ~np.isnan(last.disparity_px)

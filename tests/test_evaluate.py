@@ -317,13 +317,14 @@ def test_a_missing_or_misshapen_mask_is_refused(sides, tmp_path):
 
 
 DEPTH_M = np.float32([[1.25, 2.5, NAN, 5], [3, 4, 5, 6]])
+WITH_DOFFS = dataclasses.replace(RIG, doffs=2)
 DISPARITY_PX = 100 * 0.2 / DEPTH_M - 2
 
 
 @pytest.mark.parametrize(
     ("name", "content"),
     [
-        ("depth/000000.png", encode_png(depth_png(DEPTH_M, 5000))),
+        ("depth/000000.png", encode_png(depth_png(DISPARITY_PX, WITH_DOFFS, 5000))),
         ("depth-pfm/000000.pfm", encode_pfm(DEPTH_M)),
         ("depth-tiff/000000.tiff", encode_tiff(DEPTH_M)),
         ("disparity/000000.png", encode_png(disparity_png(DISPARITY_PX))),
@@ -331,8 +332,7 @@ DISPARITY_PX = 100 * 0.2 / DEPTH_M - 2
     ],
 )
 def test_every_format_of_a_run_is_read_by_itself(tmp_path, name, content):
-    rig = dataclasses.replace(RIG, doffs=2)
-    record = {"rig": dataclasses.asdict(rig), "output_settings": {"depth_scale": 5000}}
+    record = {"rig": dataclasses.asdict(WITH_DOFFS), "output_settings": {"depth_scale": 5000}}
     (tmp_path / name).parent.mkdir()
     (tmp_path / name).write_bytes(content)
     (tmp_path / "run.json").write_text(json.dumps(record))

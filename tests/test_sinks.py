@@ -181,9 +181,10 @@ def test_a_full_disk_is_named_and_a_gone_reader_is_no_failure():
 
 
 def test_depth_in_mm_by_hand():
-    depth_m = np.float32([[NAN, 2.71, 0.0, 0.0004], [65.535, 65.536, np.inf, -1.0]])
-    expected = [[0, 2710, 1, 1], [65535, 0, 0, 0]]
-    np.testing.assert_array_equal(depth_png(depth_m), np.uint16(expected))
+    nearness_px = np.float32([[NAN, 1 / 2.71, np.inf, 2500], [1 / 65.53, 1 / 65.54, 0.0, -1.0]])
+    expected = [[0, 2710, 1, 1], [65530, 0, 0, 0]]
+    rig = Rig(4, 2, focal_px=10, baseline_m=0.1, cx=1.5, cy=0.5, doffs=2)
+    np.testing.assert_array_equal(depth_png(nearness_px - 2, rig), np.uint16(expected))
 
 
 def test_disparity_as_kitti_has_it_by_hand():
@@ -205,21 +206,23 @@ def test_numbered_images_read_back(tmp_path):
     out = tmp_path / "with {braces}"
     out.mkdir()
     values = np.linspace(0.5, 60, 24, dtype=np.float32).reshape(4, 6)
-    result = frame_result(7, disparity_px=values, depth_m=values)
-    depth_mm = cv2.imread(str(saved(out, "depth", result, index=7)), cv2.IMREAD_UNCHANGED)
+    result = frame_result(7, disparity_px=values)
+    stream = RunContext(Fraction(1, 25), Settings(), RIG)
+    depth_png = saved(out, "depth", result, index=7, stream=stream)
+    depth_mm = cv2.imread(str(depth_png), cv2.IMREAD_UNCHANGED)
     disparity = cv2.imread(str(saved(out, "disparity", result, index=7)), cv2.IMREAD_UNCHANGED)
     assert depth_mm.dtype == disparity.dtype == np.uint16
-    np.testing.assert_array_equal(depth_mm, np.rint(values * 1000))
+    np.testing.assert_array_equal(depth_mm, np.rint(RIG.depth_m(values) * 1000))
     np.testing.assert_array_equal(disparity, np.rint(values * 256))
     assert len(list(out.rglob("*"))) == 4
 
 
 def test_another_depth_scale_holds_for_image_and_video(tmp_path):
-    depth_m = np.float32([[NAN, 2.7111, 13.107, 13.108]])
+    depth_m = np.float32([[NAN, 2.7112, 13.1068, 13.108]])
     stream = RunContext(Fraction(1, 25), Settings(), RIG, OutputSettings(depth_scale=5000))
-    result = frame_result(depth_m=depth_m)
+    result = frame_result(disparity_px=RIG.disparity_px(depth_m))
     image = cv2.imread(str(saved(tmp_path, "depth", result, stream=stream)), cv2.IMREAD_UNCHANGED)
-    assert image.tolist() == [[0, 13556, 65535, 0]]
+    assert image.tolist() == [[0, 13556, 65534, 0]]
     video = saved(tmp_path, "depth-mkv", result, stream=stream)
     with av.open(str(video)) as container:
         [frame] = container.decode(video=0)
@@ -228,8 +231,10 @@ def test_another_depth_scale_holds_for_image_and_video(tmp_path):
 
 def test_the_lossless_depth_video_gives_every_level_back(tmp_path):
     levels = np.arange(65536, dtype=np.uint16).reshape(255 + 1, 256)[:, :255]  # odd width
+    with np.errstate(divide="ignore"):
+        disparity_px = RIG.disparity_px(np.float32(levels) / 1000)
     results = [
-        frame_result(index, pts=40 * index, depth_m=np.float32(np.roll(levels, index)) / 1000)
+        frame_result(index, pts=40 * index, disparity_px=np.roll(disparity_px, index))
         for index in range(3)
     ]
     stream = RunContext(Fraction(1, 1000), Settings(), RIG)

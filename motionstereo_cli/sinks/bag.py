@@ -227,7 +227,7 @@ class _Messages:
             yield "/tf", self._rig_in_world(step.pose, stamp_ns)
         yield "/view/image_rect/compressed", self._view(optical, images)
         yield "/view/camera_info", self._camera_info(optical)
-        depth_mm = depth_png(known_depth_m(images), _MM_PER_M)
+        depth_mm = depth_png(images.disparity_px, self._rig, _MM_PER_M)
         yield "/depth/image_rect", self._image(optical, depth_mm, "16UC1")
         yield "/depth/camera_info", self._camera_info(optical)
         yield "/disparity", self._disparity(optical, images)

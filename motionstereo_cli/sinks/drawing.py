@@ -74,18 +74,21 @@ def depth_levels(
     per_px, table = _level_table(scale)
     levels = np.empty(disparity_px.shape, np.uint8)
     view = checked_array(view, np.uint8, disparity_px.shape)
-    levels_of(disparity_px, scale.doffs, per_px, table, view, FARTHEST, levels)
+    entry = np.empty(disparity_px.shape[1], np.int32)
+    levels_of(disparity_px, scale.doffs, per_px, table, view, entry, levels)
     return levels
 
 
 @functools.lru_cache(maxsize=8)
 def _level_table(scale: DepthScale) -> tuple[float, NDArray[np.uint8]]:
-    """Return the number of entries per px, and the level of each disparity from 0 px on."""
+    """Return the entries per px, and the level of each disparity from 0 px on and of each grey."""
     per_px = min(_LEVELS_PER_PX, _MAX_LEVELS / scale.near_px)
     disparity_px = np.arange(math.ceil(scale.near_px * per_px) + 1) / per_px
     nearness = np.log(np.maximum(disparity_px / scale.far_px, 1))
     step = (255 - FARTHEST) / math.log(scale.near_px / scale.far_px)
-    return per_px, np.minimum(FARTHEST + nearness * step, 255).astype(np.uint8)
+    levels = np.minimum(FARTHEST + nearness * step, 255)
+    greys = np.arange(256) * FARTHEST >> 8
+    return per_px, np.concatenate([levels, greys]).astype(np.uint8)
 
 
 @functools.lru_cache(maxsize=8)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 
 from motionstereo_cli.compiled import checked_array
-from motionstereo_cli.compiled.pictures import to_uint16
+from motionstereo_cli.compiled import pictures as loops
 from motionstereo_cli.files.encode import encode_pfm, encode_png, encode_tiff
 from motionstereo_cli.sinks.writers import FilesMark, NumberedFiles
 from motionstereo_cli.types import FrameImages
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from motionstereo_cli.sinks.sink import RunContext
-    from motionstereo_cli.types import Real
+    from motionstereo_cli.types import Real, Rig
 
 _Pixel = TypeVar("_Pixel", bound=np.generic)
 
@@ -30,19 +30,26 @@ DEPTH_PER_M = 5000
 DISPARITY_PER_PX = 256
 
 
-def depth_png(depth_m: Real, per_m: int = 1000) -> NDArray[np.uint16]:
+def depth_png(disparity_px: Real, rig: Rig | None, per_m: int = 1000) -> NDArray[np.uint16]:
     """Return depth in units of 1 / ``per_m`` m; 0 = unknown or over 65535 units.
 
     The default is mm, as in REP 118.
 
     Args:
-        depth_m: (height, width) float32, NaN = unknown.
+        disparity_px: (height, width) float32, NaN = unknown.
+        rig: the camera, which there is where an output needs it.
         per_m: units per metre.
 
     Returns:
         (height, width) uint16; a known depth that rounds to 0 is 1.
     """
-    return _to_uint16(depth_m, per_m)
+    assert rig is not None
+    disparity_px = checked_array(disparity_px, np.float32)
+    result = np.empty(disparity_px.shape, np.uint16)
+    row = np.empty(disparity_px.shape[1], np.float32)
+    units = (per_m, _UINT16_MAX / per_m)
+    loops.depth_uint16(disparity_px, rig.doffs, rig.focal_baseline, *units, row, result)
+    return result
 
 
 def disparity_png(disparity_px: Real) -> NDArray[np.uint16]:
@@ -54,7 +61,10 @@ def disparity_png(disparity_px: Real) -> NDArray[np.uint16]:
     Returns:
         (height, width) uint16; a known disparity that rounds to 0 is 1.
     """
-    return _to_uint16(disparity_px, DISPARITY_PER_PX)
+    values = checked_array(disparity_px, np.float32)
+    result = np.empty(values.shape, np.uint16)
+    loops.to_uint16(values, DISPARITY_PER_PX, _UINT16_MAX / DISPARITY_PER_PX, result)
+    return result
 
 
 def confidence_png(confidence: Real) -> NDArray[np.uint8]:
@@ -83,13 +93,6 @@ def asked_for(image: NDArray[_Pixel] | None) -> NDArray[_Pixel]:
 def known_depth_m(images: FrameImages) -> Real:
     """Return the depth of a frame, which is there because the run has a rig."""
     return asked_for(images.depth_m)
-
-
-def _to_uint16(values: Real, per_unit: int) -> NDArray[np.uint16]:
-    values = checked_array(values, np.float32)
-    result = np.empty(values.shape, np.uint16)
-    to_uint16(values, per_unit, _UINT16_MAX / per_unit, result)
-    return result
 
 
 _ENCODE: dict[str, Callable[[Any], bytes]] = {
@@ -142,8 +145,10 @@ def _images(image: Callable[[FrameImages, RunContext], NDArray[Any]]) -> partial
     return partial(NumberedImages, image=image)
 
 
-depth = _images(lambda images, stream: depth_png(known_depth_m(images), stream.output.depth_scale))
-rgbd_depth = _images(lambda images, _: depth_png(known_depth_m(images), DEPTH_PER_M))
+depth = _images(
+    lambda images, stream: depth_png(images.disparity_px, stream.rig, stream.output.depth_scale)
+)
+rgbd_depth = _images(lambda images, stream: depth_png(images.disparity_px, stream.rig, DEPTH_PER_M))
 rgbd_view = _images(
     lambda images, _: images.look[..., ::-1] if images.look.ndim == 3 else images.look
 )

@@ -170,7 +170,6 @@ OUTPUTS = {
         "images.depth",
         needs_rig=True,
         kind="depth",
-        extras=_DEPTH,
         without_rig="disparity",
     ),
     "depth-pfm": Output(
@@ -195,7 +194,6 @@ OUTPUTS = {
         "lossless video (FFV1, gray16le) of the images of depth; times in whole ms",
         "videos.depth_lossless",
         needs_rig=True,
-        extras=_DEPTH,
     ),
     "depth-video": Output(
         "depth.mp4",
@@ -415,7 +413,6 @@ OUTPUTS = {
         "uint16 depth in 1/5000 m, reference view; 0 = unknown or over 13.1 m",
         "images.rgbd_depth",
         needs_rig=True,
-        extras=_DEPTH,
     ),
     "map": Output(
         "map.ply",

@@ -17,7 +17,7 @@ from motionstereo_cli.sinks.drawing import (
     depth_levels,
     depth_scale,
 )
-from motionstereo_cli.sinks.images import asked_for, depth_png, known_depth_m, motion_png
+from motionstereo_cli.sinks.images import asked_for, depth_png, motion_png
 from motionstereo_cli.sinks.legend import strip, time_text
 from motionstereo_cli.sinks.sink import EPOCH_S
 from motionstereo_cli.types import FrameImages
@@ -115,7 +115,7 @@ def _video(
 
 depth = _video(_depth)
 depth_lossless = _video(
-    lambda images, stream: depth_png(known_depth_m(images), stream.output.depth_scale)
+    lambda images, stream: depth_png(images.disparity_px, stream.rig, stream.output.depth_scale)
 )
 bands = _video(_bands)
 motion = _video(lambda images, _: motion_png(asked_for(images.motion)))
