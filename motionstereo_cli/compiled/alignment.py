@@ -9,6 +9,21 @@ NAN = cython.declare(cython.double, np.nan)
 #: constant error of disparity. One view has the first six, two of its own, and the last.
 UNKNOWNS = cython.declare(cython.Py_ssize_t, 11)
 OF_ONE = cython.declare(cython.Py_ssize_t, 9)
+#: Points in a block. Its rows, see :func:`at`, are:
+#:    0, 1: direction in the right camera; then their place now, over its depth
+#:    2: nearness; then inverse depth before    3: standard deviation of nearness    4: grey before
+#:    5: depth now over that before    6, 7: place in the view; then its fraction of a px
+#:    8: residual in standard deviations    9: weight, 0 where it is not seen    10: 1 = in view
+#:    11..22: grey of the pixels around: two above, four and four beside, two below; then, in the
+#:        first three, grey between them, and its slopes along x and y
+#:    23..32: slopes of the residual by the unknowns of one view, and the residual
+#:    33..41: these slopes times the weight
+LANES = cython.declare(cython.Py_ssize_t, 32)
+ROWS = cython.declare(cython.Py_ssize_t, 42)
+SLOPES = cython.declare(cython.Py_ssize_t, 23)
+WEIGHTED = cython.declare(cython.Py_ssize_t, 33)
+#: Minimum depth of points before the camera.
+MIN_DEPTH = cython.declare(cython.double, 0.05)
 
 
 @cython.cclass
@@ -67,24 +82,28 @@ class Views:
 
 @cython.cclass
 class Workspace:
-    """Reusable buffers of an alignment."""
+    """Reusable buffers of an alignment.
 
-    slopes: cython.double[::1]  # of a residual by the unknowns of one view, and the residual
+    Points are taken in blocks, and each quantity of a block is a row: so compilers make vectors of
+    it, whose sums are the same on every machine.
+    """
+
+    block: cython.double[::1]
+    sums: cython.double[::1]  # of the products of slopes, a row for each pair
     one: cython.double[:, ::1]  # normal equations of one view, the right side last
     factor: cython.double[:, ::1]
     step: cython.double[::1]
     turn: cython.double[::1]  # a rotation, row by row
     turned: cython.double[::1]
-    sampled: cython.double[::1]  # grey of a point, and its slopes along x and y
 
     def __init__(self):
-        self.slopes = np.zeros(10)
-        self.one = np.zeros((10, 10))
+        self.block = np.zeros(ROWS * LANES)
+        self.sums = np.zeros(54 * LANES)
+        self.one = np.zeros((9, 10))
         self.factor = np.zeros((11, 11))
         self.step = np.zeros(11)
         self.turn = np.zeros(9)
         self.turned = np.zeros(12)
-        self.sampled = np.zeros(3)
 
 
 def align(
@@ -142,7 +161,7 @@ def residuals(
 ) -> cython.int:
     """Fill in the residuals of the right view; see :func:`align`."""
     with cython.nogil:
-        seen: cython.int = one_view(views, camera, weights, state, 0, work, residual)
+        seen: cython.int = one_view(views, camera, weights, state, 0, work, residual, False)
     return seen
 
 
@@ -166,7 +185,7 @@ def equations(
     work.step[:] = 0
     seen: cython.int = 0
     for side in range(1, -1, -1):  # the right one last: its residuals stay
-        seen = one_view(views, camera, weights, state, side, work, residual)
+        seen = one_view(views, camera, weights, state, side, work, residual, True)
         add(work, 2 * side, normal)
     for i in range(UNKNOWNS):
         normal[i, i] += prior[1, i]
@@ -201,153 +220,291 @@ def one_view(
     side: cython.int,
     work: Workspace,
     residual: cython.float[::1],
+    summed: cython.bint,
 ) -> cython.int:
-    """Fill in the normal equations of the right (0) or left (1) view, and its residuals."""
+    """Fill in residuals of the right (0) or left (1) view, and its normal equations if asked."""
     i: cython.Py_ssize_t
     k: cython.Py_ssize_t
     n: cython.Py_ssize_t
-    p: cython.Py_ssize_t
+    number: cython.Py_ssize_t
+    lane: cython.Py_ssize_t
     seen: cython.int = 0
-    points: cython.const[cython.float][:, ::1] = views.points
     view: cython.const[cython.float][:, ::1] = views.left if side else views.right
-    grey: cython.const[cython.float][::1] = views.grey
-    one: cython.double[:, ::1] = work.one
-    j: cython.double[::1] = work.slopes
-    gain: cython.double = m[12 + 2 * side]
-    offset: cython.double = m[13 + 2 * side]
-    one[:, :] = 0
-    for n in range((points.shape[0] + views.stride - 1) // views.stride):
-        p = n * views.stride
-        if not look_at(view, camera, points, p, m, side, weights, work):
-            residual[p] = cython.cast(cython.float, NAN)
-            continue
-        r: cython.double = work.sampled[0] - gain * grey[p] - offset
-        j[6] = -grey[p]
-        j[7] = -1.0
-        j[9] = r
-        variance: cython.double = work.sampled[1]
-        off: cython.double = fabs(r) / sqrt(variance)
-        residual[p] = cython.cast(cython.float, off)
-        seen += 1
-        if off > weights.cut:
-            continue
-        weight: cython.double = (1.0 if off < weights.huber else weights.huber / off) / variance
-        for i in range(OF_ONE):
-            c: cython.double = weight * j[i]
-            for k in range(i, OF_ONE + 1):
-                one[i, k] += c * j[k]
+    aside_m: cython.double = camera.baseline_m if side else 0.0
+    # In the left view disparity is smaller than nearness by the constant error.
+    error: cython.double = -camera.scale if side else 0.0
+    shift: cython.double = error * m[16] + (camera.left_cx if side else camera.right_cx)
+    count: cython.Py_ssize_t = (views.points.shape[0] + views.stride - 1) // views.stride
+    work.sums[:] = 0
+    for number in range((count + LANES - 1) // LANES):
+        n = number * LANES
+        here: cython.Py_ssize_t = min(count - n, LANES)
+        take_points(views.points, views.grey, n * views.stride, views.stride, here, work.block)
+        project(camera, m, aside_m, shift, work.block)
+        seen += look_up(view, here, work.block)
+        interpolate(work.block)
+        differentiate(camera, weights, m, side, aside_m, error, work.block)
+        for lane in range(here):
+            off: cython.double = work.block[at(8, lane)] if work.block[at(10, lane)] else NAN
+            residual[(n + lane) * views.stride] = cython.cast(cython.float, off)
+        if summed:
+            add_products(work.block, work.sums)
+    n = 0
+    for i in range(OF_ONE):
+        for k in range(i, OF_ONE + 1):
+            total: cython.double = 0
+            for lane in range(LANES):
+                total += work.sums[n + lane]
+            work.one[i, k] = total
+            n += LANES
+    return seen
+
+
+@cython.cfunc
+@cython.nogil
+@cython.inline
+@cython.exceptval(check=False)
+def at(row: cython.Py_ssize_t, lane: cython.Py_ssize_t) -> cython.Py_ssize_t:
+    """Return where a value of a block is: compilers have to know how far apart rows are."""
+    return 32 * row + lane
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def take_points(
+    points: cython.const[cython.float][:, ::1],
+    grey: cython.const[cython.float][::1],
+    first: cython.Py_ssize_t,
+    stride: cython.Py_ssize_t,
+    count: cython.Py_ssize_t,
+    block: cython.double[::1],
+) -> cython.void:
+    """Fill in what is known of the points of a block."""
+    lane: cython.Py_ssize_t
+    for lane in range(count):
+        p: cython.Py_ssize_t = first + lane * stride
+        block[at(0, lane)] = points[p, 0]
+        block[at(1, lane)] = points[p, 1]
+        block[at(2, lane)] = points[p, 2]
+        block[at(3, lane)] = points[p, 3]
+        block[at(4, lane)] = grey[p]
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def project(
+    camera: RigLevel,
+    m: cython.const[cython.double][::1],
+    aside_m: cython.double,
+    shift: cython.double,
+    block: cython.double[::1],
+) -> cython.void:
+    """Fill in where points are now, and where they are seen.
+
+    With inverse depth as the scale, a point is now at R ray + t / depth.
+
+    Args:
+        camera, m: as :func:`align` has them.
+        aside_m: how far the camera is to the left.
+        shift: its principal point, the constant error of disparity included.
+        block: the points.
+    """
+    lane: cython.Py_ssize_t
+    focal_x: cython.double = camera.focal_x
+    focal_y: cython.double = camera.focal_y
+    cy: cython.double = camera.cy
+    scale: cython.double = camera.focal_baseline
+    error: cython.double = m[16]
+    xx: cython.double = m[0]
+    xy: cython.double = m[1]
+    xz: cython.double = m[2]
+    along_x: cython.double = m[3] + aside_m
+    yx: cython.double = m[4]
+    yy: cython.double = m[5]
+    yz: cython.double = m[6]
+    along_y: cython.double = m[7]
+    zx: cython.double = m[8]
+    zy: cython.double = m[9]
+    zz: cython.double = m[10]
+    along_z: cython.double = m[11]
+    for lane in range(32):
+        inverse: cython.double = (block[at(2, lane)] + error) / scale
+        x: cython.double = block[at(0, lane)]
+        y: cython.double = block[at(1, lane)]
+        z: cython.double = zx * x + zy * y + zz + along_z * inverse
+        ahead: cython.bint = z >= MIN_DEPTH
+        z = z if ahead else 1.0
+        right: cython.double = (xx * x + xy * y + xz + along_x * inverse) / z
+        below: cython.double = (yx * x + yy * y + yz + along_y * inverse) / z
+        u: cython.double = focal_x * right + shift
+        block[at(0, lane)] = right
+        block[at(1, lane)] = below
+        block[at(2, lane)] = inverse
+        block[at(5, lane)] = z
+        block[at(6, lane)] = u if ahead else -1.0
+        block[at(7, lane)] = focal_y * below + cy
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def look_up(
+    view: cython.const[cython.float][:, ::1],
+    count: cython.Py_ssize_t,
+    block: cython.double[::1],
+) -> cython.int:
+    """Fill in grey around the places of points, and which are in view; return how many."""
+    lane: cython.Py_ssize_t
+    seen: cython.int = 0
+    right: cython.double = cython.cast(cython.double, view.shape[1] - 2)
+    bottom: cython.double = cython.cast(cython.double, view.shape[0] - 2)
+    for lane in range(LANES):
+        u: cython.double = block[at(6, lane)]
+        v: cython.double = block[at(7, lane)]
+        inside: cython.bint = lane < count and u >= 1 and v >= 1 and u < right and v < bottom
+        block[at(10, lane)] = inside
+        seen += inside
+        if not inside:  # any place will do
+            u = 1
+            v = 1
+        column: cython.int = cython.cast(cython.int, u)
+        row: cython.int = cython.cast(cython.int, v)
+        block[at(6, lane)] = u - column
+        block[at(7, lane)] = v - row
+        block[at(11, lane)] = view[row - 1, column]
+        block[at(12, lane)] = view[row - 1, column + 1]
+        block[at(13, lane)] = view[row, column - 1]
+        block[at(14, lane)] = view[row, column]
+        block[at(15, lane)] = view[row, column + 1]
+        block[at(16, lane)] = view[row, column + 2]
+        block[at(17, lane)] = view[row + 1, column - 1]
+        block[at(18, lane)] = view[row + 1, column]
+        block[at(19, lane)] = view[row + 1, column + 1]
+        block[at(20, lane)] = view[row + 1, column + 2]
+        block[at(21, lane)] = view[row + 2, column]
+        block[at(22, lane)] = view[row + 2, column + 1]
     return seen
 
 
 @cython.cfunc
 @cython.nogil
 @cython.exceptval(check=False)
-def look_at(
-    view: cython.const[cython.float][:, ::1],
+def interpolate(block: cython.double[::1]) -> cython.void:
+    """Fill in grey at the places of points, and its slopes: central differences."""
+    lane: cython.Py_ssize_t
+    for lane in range(32):
+        a: cython.double = block[at(6, lane)]
+        b: cython.double = block[at(7, lane)]
+        before: cython.double = between(block[at(11, lane)], block[at(12, lane)], a)
+        upper: cython.double = between(block[at(14, lane)], block[at(15, lane)], a)
+        lower: cython.double = between(block[at(18, lane)], block[at(19, lane)], a)
+        after: cython.double = between(block[at(21, lane)], block[at(22, lane)], a)
+        of_upper: cython.double = between(
+            block[at(15, lane)] - block[at(13, lane)], block[at(16, lane)] - block[at(14, lane)], a
+        )
+        of_lower: cython.double = between(
+            block[at(19, lane)] - block[at(17, lane)], block[at(20, lane)] - block[at(18, lane)], a
+        )
+        block[at(11, lane)] = upper + b * (lower - upper)
+        block[at(12, lane)] = 0.5 * ((1 - b) * of_upper + b * of_lower)
+        block[at(13, lane)] = 0.5 * (lower - before + b * (after - upper - lower + before))
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def differentiate(
     camera: RigLevel,
-    points: cython.const[cython.float][:, ::1],
-    p: cython.Py_ssize_t,
+    weights: Weights,
     m: cython.const[cython.double][::1],
     side: cython.int,
-    weights: Weights,
-    work: Workspace,
-) -> cython.bint:
-    """Fill in a point's grey now, its variance, and its slopes by motion and constant error.
-
-    With inverse depth as the scale, a point is now at R ray + t / depth. False if out of view.
-    """
-    aside_m: cython.double = camera.baseline_m if side else 0.0
-    # In the left view disparity is smaller than nearness by the constant error.
-    error: cython.double = -camera.scale if side else 0.0
-    inverse: cython.double = (points[p, 2] + m[16]) / camera.focal_baseline
-    x: cython.double = points[p, 0]
-    y: cython.double = points[p, 1]
-    z: cython.double = m[8] * x + m[9] * y + m[10] + m[11] * inverse
-    if z < 0.05:
-        return False
-    x, y = (
-        (m[0] * x + m[1] * y + m[2] + (m[3] + aside_m) * inverse) / z,
-        (m[4] * x + m[5] * y + m[6] + m[7] * inverse) / z,
-    )
-    u: cython.double = camera.focal_x * x + error * m[16]
-    u += camera.left_cx if side else camera.right_cx
-    v: cython.double = camera.focal_y * y + camera.cy
-    if not (u >= 1 and v >= 1 and u < view.shape[1] - 2 and v < view.shape[0] - 2):
-        return False
-    sample(view, u, v, work.sampled)
-    gx: cython.double = work.sampled[1]
-    gy: cython.double = work.sampled[2]
-    per_m: cython.double = inverse / z
-    ju: cython.double = gx * camera.focal_x
-    jv: cython.double = gy * camera.focal_y
-    out: cython.double = ju * x + jv * y
-    # Rotations are about the right camera: the point relative to it.
-    here: cython.double = x - aside_m * per_m
-    j: cython.double[::1] = work.slopes
-    j[0] = ju * per_m
-    j[1] = jv * per_m
-    j[2] = -out * per_m
-    j[3] = -out * y - jv
-    j[4] = out * here + ju
-    j[5] = jv * here - ju * y
-    by_depth: cython.double = (ju * (m[3] + aside_m) + jv * m[7] - out * m[11]) / (
-        z * camera.focal_baseline
-    )
-    j[8] = by_depth + gx * error
-    sd: cython.double = by_depth * points[p, 3]
-    work.sampled[1] = (
-        weights.grey * weights.grey + sd * sd + weights.per_slope * (gx * gx + gy * gy)
-    )
-    return True
-
-
-@cython.cfunc
-@cython.nogil
-@cython.inline
-@cython.exceptval(check=False)
-def sample(
-    view: cython.const[cython.float][:, ::1],
-    u: cython.double,
-    v: cython.double,
-    sampled: cython.double[::1],
+    aside_m: cython.double,
+    error: cython.double,
+    block: cython.double[::1],
 ) -> cython.void:
-    """Fill in grey between pixels, and its slopes: central differences, interpolated likewise."""
-    column: cython.int = cython.cast(cython.int, u)
-    row: cython.int = cython.cast(cython.int, v)
-    a: cython.double = u - column
-    b: cython.double = v - row
-    upper: cython.double = between(view, row, column, a)
-    lower: cython.double = between(view, row + 1, column, a)
-    before: cython.double = between(view, row - 1, column, a)
-    after: cython.double = between(view, row + 2, column, a)
-    sampled[0] = upper + b * (lower - upper)
-    sampled[1] = 0.5 * ((1 - b) * slope(view, row, column, a) + b * slope(view, row + 1, column, a))
-    sampled[2] = 0.5 * (lower - before + b * (after - upper - lower + before))
+    """Fill in residuals, their weights, and their slopes by all unknowns.
+
+    Args:
+        camera, weights, m: as :func:`align` has them.
+        side: 0 for the right view, 1 for the left one.
+        aside_m: how far its camera is to the left.
+        error: px that it is seen farther to the right by a px of constant error.
+        block: the points.
+    """
+    lane: cython.Py_ssize_t
+    focal_x: cython.double = camera.focal_x
+    focal_y: cython.double = camera.focal_y
+    along_x: cython.double = m[3] + aside_m
+    along_y: cython.double = m[7]
+    along_z: cython.double = m[11]
+    scale: cython.double = camera.focal_baseline
+    gain: cython.double = m[12 + 2 * side]
+    offset: cython.double = m[13 + 2 * side]
+    noise: cython.double = weights.grey * weights.grey
+    per_slope: cython.double = weights.per_slope
+    huber: cython.double = weights.huber
+    cut: cython.double = weights.cut
+    for lane in range(32):
+        gx: cython.double = block[at(12, lane)]
+        gy: cython.double = block[at(13, lane)]
+        x: cython.double = block[at(0, lane)]
+        y: cython.double = block[at(1, lane)]
+        z: cython.double = block[at(5, lane)]
+        per_m: cython.double = block[at(2, lane)] / z
+        ju: cython.double = gx * focal_x
+        jv: cython.double = gy * focal_y
+        out: cython.double = ju * x + jv * y
+        # Rotations are about the right camera: the point relative to it.
+        here: cython.double = x - aside_m * per_m
+        by_depth: cython.double = (ju * along_x + jv * along_y - out * along_z) / (z * scale)
+        r: cython.double = block[at(11, lane)] - gain * block[at(4, lane)] - offset
+        block[at(23, lane)] = ju * per_m
+        block[at(24, lane)] = jv * per_m
+        block[at(25, lane)] = -out * per_m
+        block[at(26, lane)] = -out * y - jv
+        block[at(27, lane)] = out * here + ju
+        block[at(28, lane)] = jv * here - ju * y
+        block[at(29, lane)] = -block[at(4, lane)]
+        block[at(30, lane)] = -1.0
+        block[at(31, lane)] = by_depth + gx * error
+        block[at(32, lane)] = r
+        sd: cython.double = by_depth * block[at(3, lane)]
+        variance: cython.double = noise + sd * sd + per_slope * (gx * gx + gy * gy)
+        off: cython.double = fabs(r) / sqrt(variance)
+        weight: cython.double = huber / off
+        weight = weight if weight < 1 else 1.0
+        weight = weight if off <= cut else 0.0
+        block[at(8, lane)] = off
+        block[at(9, lane)] = weight * block[at(10, lane)] / variance
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def add_products(block: cython.double[::1], sums: cython.double[::1]) -> cython.void:
+    """Fill in the slopes of a block times their weights, and add their products."""
+    i: cython.Py_ssize_t
+    k: cython.Py_ssize_t
+    lane: cython.Py_ssize_t
+    n: cython.Py_ssize_t = 0
+    for i in range(OF_ONE):
+        for lane in range(32):
+            block[at(WEIGHTED + i, lane)] = block[at(9, lane)] * block[at(SLOPES + i, lane)]
+        for k in range(i, OF_ONE + 1):
+            for lane in range(32):
+                sums[n + lane] += block[at(WEIGHTED + i, lane)] * block[at(SLOPES + k, lane)]
+            n += LANES
 
 
 @cython.cfunc
 @cython.nogil
 @cython.inline
 @cython.exceptval(check=False)
-def between(
-    view: cython.const[cython.float][:, ::1], row: cython.int, column: cython.int, a: cython.double
-) -> cython.double:
-    """Return the grey a share ``a`` from a pixel to the next one in its row."""
-    here: cython.double = view[row, column]
-    return here + a * (view[row, column + 1] - here)
-
-
-@cython.cfunc
-@cython.nogil
-@cython.inline
-@cython.exceptval(check=False)
-def slope(
-    view: cython.const[cython.float][:, ::1], row: cython.int, column: cython.int, a: cython.double
-) -> cython.double:
-    """Return twice the slope of grey along a row, a share ``a`` from a pixel to the next one."""
-    here: cython.double = view[row, column + 1] - view[row, column - 1]
-    after: cython.double = view[row, column + 2] - view[row, column]
-    return here + a * (after - here)
+def between(here: cython.double, next: cython.double, a: cython.double) -> cython.double:
+    """Return the value a share ``a`` from one to the next."""
+    return here + a * (next - here)
 
 
 @cython.cfunc
