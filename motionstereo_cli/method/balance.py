@@ -75,8 +75,10 @@ def _adjustment(
     disparities = -(-max_disparity // (16 * scale)) * 16
     if small[1] <= _BLOCK_PX or small[0] <= max(_BLOCK_PX, disparities):
         return None
+    # Of whole squares of pixels: else it would take ten times as long.
+    used = slice(small[1] * scale), slice(small[0] * scale)
     small_right, small_left = (
-        cv2.resize(view, small, interpolation=cv2.INTER_AREA) for view in (right, left)
+        cv2.resize(view[used], small, interpolation=cv2.INTER_AREA) for view in (right, left)
     )
     matcher = cv2.StereoBM.create(disparities, _BLOCK_PX)
     matcher.setUniquenessRatio(_UNIQUENESS)

@@ -35,13 +35,8 @@ _MORE_PX = 4
 _BEHIND_PX, _MAX_LEAP = 8, 4.0
 
 
-_LIMITS = loops.Limits(  # type: ignore[call-arg]  # mypy does not know its dataclasses
-    _LEAP, _REACH_PX, _HIDDEN, _PER_GREY_LEVEL, _MAX_GREY, _MIN_GAIN
-)
-
-
 def trimmed(
-    disparity_px: Reals, right: NDArray[np.uint8], left: NDArray[np.uint8]
+    disparity_px: Reals, right: NDArray[np.uint8], left: NDArray[np.uint8], wide: int = 1
 ) -> NDArray[np.float32]:
     """Return disparity with the borders of objects moved to where grey places them.
 
@@ -52,26 +47,34 @@ def trimmed(
     Args:
         disparity_px: (height, width) float32, NaN = unknown.
         right, left: views of equal brightness, (height, width) uint8.
+        wide: px of these views in one of those that were matched.
     """
     disparity_px = checked_array(disparity_px, np.float32)
     right, left = (checked_array(view, np.uint8, disparity_px.shape) for view in (right, left))
     result = np.empty_like(disparity_px)
     scene = loops.Scene(disparity_px, right, left)  # type: ignore[call-arg]
-    loops.trim(scene, _LIMITS, np.empty(right.shape[1], np.uint8), result)
+    limits = loops.Limits(  # type: ignore[call-arg]  # mypy does not know its dataclasses
+        _LEAP, _REACH_PX * wide, _HIDDEN, _PER_GREY_LEVEL, _MAX_GREY, _MIN_GAIN
+    )
+    loops.trim(scene, limits, np.empty(right.shape[1], np.uint8), result)
     return result
 
 
-def hidden_filled(disparity_px: Reals, where: NDArray[np.bool_]) -> NDArray[np.float32]:
+def hidden_filled(
+    disparity_px: Reals, where: NDArray[np.bool_], wide: int = 1
+) -> NDArray[np.float32]:
     """Return disparity with areas hidden from the left camera filled from what is behind.
 
     Args:
         disparity_px: (height, width) float32, NaN = unknown.
         where: pixels that may be filled, (height, width) bool.
+        wide: px of the image in one of those that were matched.
     """
     disparity_px = checked_array(disparity_px, np.float32)
     where = checked_array(where, np.bool_, disparity_px.shape)
     result = np.empty_like(disparity_px)
     loops.fill_hidden(
-        disparity_px, where.view(np.uint8), _LEAP, _MORE_PX, _BEHIND_PX, _MAX_LEAP, result
+        *(disparity_px, where.view(np.uint8)),
+        *(_LEAP, _MORE_PX * wide, _BEHIND_PX, _MAX_LEAP, result),
     )
     return result

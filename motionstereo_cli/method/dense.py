@@ -56,7 +56,7 @@ _TILE, _CHUNK, _REACH_PX = (8, 16), 16, 6
 _TILED_MARGIN, _TILED_SHARE = 86, 0.055
 
 #: Memory for the costs of a frame and of its paths, in each thread.
-_STRIP_BYTES = 24 << 20
+_STRIP_BYTES = 40 << 20
 
 #: The same for the loops.
 _PENALTIES = _MAX_GREY, _MAX_SLOPE, _STEP, _LEAP, _MIN_LEAP, _PER_GREY_LEVEL

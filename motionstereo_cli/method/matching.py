@@ -24,9 +24,12 @@ from motionstereo_cli.method.regions import match_regions
 from motionstereo_cli.method.residual import residual
 from motionstereo_cli.method.rows import (
     ROWS,
+    enlarged,
+    every_second,
     halved,
     halved_exactly,
     halved_mask,
+    reduced,
     whole,
     without_fringes,
 )
@@ -70,6 +73,9 @@ _LIMIT_PX = 0.5
 #: Texture is fine where more than this share of the pixels begin a trail.
 _FINE = 0.4
 
+#: Views of this height and width in px are matched at half the size: objects are larger in them.
+_LARGE_PX = 600, 1600
+
 
 def _trails(right: Memory, left: Memory, settings: Settings) -> Found:
     s, wanted = settings, keys_of(right, settings)
@@ -90,42 +96,111 @@ def _trails(right: Memory, left: Memory, settings: Settings) -> Found:
 
 
 def _dense(right: Memory, left: Memory, settings: Settings) -> Found:
-    s, wanted = settings, keys_of(right, settings)
-    charged = wanted > 0 if s.depth_of == "moved" else np.ones(wanted.shape, np.bool_)
-    proposed = _proposed(wanted[::ROWS], keys_of(left, s)[::ROWS], s)
+    s = settings
     right_grey, left_smoothed = smoothed(right.grey), smoothed(left.grey)
     left_grey = balanced(right_grey, left_smoothed, s.max_disparity)
-    age = age_of(right, s)[::ROWS]
-    half, margin = match_dense(
-        *(halved(right_grey), halved(left_grey), halved_mask(charged), proposed),
-        weights_of(proposed, wanted[::ROWS], age == 0),
-        s.max_disparity,
-    )
-    at_limit = half > s.max_disparity - _LIMIT_PX
-    half[at_limit] = np.nan
-    half_grey = halved_exactly(right_grey)
-    left_half = halved_exactly(left.grey)
+    left_exact = halved_exactly(left.grey)
     if left_grey is not left_smoothed:
-        left_half += halved_exactly(left_grey) - halved_exactly(left_smoothed)
-    half = refined(half, halved_exactly(right.grey), left_half)
-    surface = Surface.of(half_grey, charged[::ROWS], age)
-    half, share = with_planes(half, margin, proposed, surface, s.max_disparity)
+        left_exact += halved_exactly(left_grey) - halved_exactly(left_smoothed)
+    keys = keys_of(right, s)
+    charged = keys > 0 if s.depth_of == "moved" else np.ones(keys.shape, np.bool_)
+    views = _Views(
+        *(right_grey, left_grey, halved_exactly(right.grey), left_exact),
+        *(keys, keys_of(left, s), charged, age_of(right, s)),
+    )
+    half, at_limit, margin, share = _half(views, s.max_disparity, s)
     half[half > s.max_disparity - _LIMIT_PX] = np.nan
-    disparity = trimmed(whole(half, half_grey, right_grey), right_grey, left_grey)
+    disparity = whole(half, halved_exactly(right_grey), right_grey)
+    # Windows of the matching are so many px wide in the views that it was done in.
+    wide = keys.shape[1] // at_limit.shape[1]
+    disparity = trimmed(disparity, right_grey, left_grey, wide)
     matched = without_speckles(disparity, np.ones(charged.shape, np.bool_), s.speckle_px)
-    disparity = hidden_filled(filled(matched, charged, s.gap_px), charged)
+    disparity = hidden_filled(filled(matched, charged, s.gap_px), charged, wide)
     disparity = without_fringes(disparity, charged)
-    at_limit = np.repeat(at_limit, ROWS, axis=0)[: len(charged)] & charged
 
     def sure() -> Real:
         margins = np.where(np.isnan(share), margin, margin_of_planes(share))
-        margins = np.repeat(margins, ROWS, axis=0)[: len(charged)]
-        return confidence_by_margin(disparity, matched, margins)
+        return confidence_by_margin(disparity, matched, enlarged(margins, charged.shape))
 
+    at_limit = enlarged(at_limit.view(np.uint8), charged.shape).view(np.bool_) & charged
     return Found(disparity, sure, at_limit)
 
 
-def _proposed(keys: NDArray[np.uint16], left_keys: NDArray[np.uint16], settings: Settings) -> Real:
+class _Views(NamedTuple):
+    """What is matched, (height, width) each.
+
+    Attributes:
+        right, left: grey with little noise and of equal brightness, uint8.
+        right_exact, left_exact: grey of half the rows, with its noise, (rows, width) float32.
+        keys, left_keys: match keys, uint16.
+        wanted: right pixels to match, bool.
+        age_frames: frames since something moved there, uint8.
+    """
+
+    right: Grey
+    left: Grey
+    right_exact: Real
+    left_exact: Real
+    keys: NDArray[np.uint16]
+    left_keys: NDArray[np.uint16]
+    wanted: NDArray[np.bool_]
+    age_frames: Grey
+
+    def smaller(self) -> _Views:
+        """Return the same at half the size."""
+        return _Views(
+            *(reduced(self.right), reduced(self.left)),
+            *(reduced(self.right_exact), reduced(self.left_exact)),
+            *(every_second(self.keys), every_second(self.left_keys)),
+            *(every_second(self.wanted), every_second(self.age_frames)),
+        )
+
+
+class _Half(NamedTuple):
+    """What is found at half the height, (rows, width) each.
+
+    Attributes:
+        disparity_px: float32, NaN = unknown.
+        at_limit: where the best match was the last one of the range, bool; in the smaller views
+            that were matched, as margin and share are.
+        margin: by how much the second best disparity costs more, float32.
+        share: of the inliers of the plane that decided, float32, NaN = none did.
+    """
+
+    disparity_px: Real
+    at_limit: NDArray[np.bool_]
+    margin: Real
+    share: Real
+
+
+def _half(views: _Views, max_disparity: int, settings: Settings) -> _Half:
+    """Match half the rows; large views are matched at half the size, and that is refined."""
+    if all(side >= large for side, large in zip(views.right.shape, _LARGE_PX, strict=True)):
+        smaller = views.smaller()
+        found = _half(smaller, -(-max_disparity // 2), settings)
+        rows = 2 * whole(found.disparity_px, halved_exactly(smaller.right), smaller.right)
+        fine = refined(enlarged(rows, views.right_exact.shape), views.right_exact, views.left_exact)
+        return found._replace(disparity_px=fine)
+    limit_px = max_disparity - _LIMIT_PX
+    keys, age = views.keys[::ROWS], views.age_frames[::ROWS]
+    proposed = _proposed(keys, views.left_keys[::ROWS], max_disparity, settings)
+    half, margin = match_dense(
+        *(halved(views.right), halved(views.left), halved_mask(views.wanted), proposed),
+        weights_of(proposed, keys, age == 0),
+        max_disparity,
+    )
+    at_limit = half > limit_px
+    half[at_limit] = np.nan
+    half = refined(half, views.right_exact, views.left_exact)
+    surface = Surface.of(halved_exactly(views.right), views.wanted[::ROWS], age)
+    half, share = with_planes(half, margin, proposed, surface, max_disparity)
+    half[half > limit_px] = np.nan
+    return _Half(half, at_limit, margin, share)
+
+
+def _proposed(
+    keys: NDArray[np.uint16], left_keys: NDArray[np.uint16], max_disparity: int, settings: Settings
+) -> Real:
     """Return the disparity of trails, (rows, width) float32, NaN = none.
 
     Fine texture tells its disparity by itself: there trails propose none.
@@ -141,7 +216,7 @@ def _proposed(keys: NDArray[np.uint16], left_keys: NDArray[np.uint16], settings:
     found, _ = match_trails(
         keys,
         left_keys,
-        s.max_disparity,
+        max_disparity,
         block_px=(max(s.vote_rows // ROWS, 1), s.vote_columns),
         max_ratio=s.max_ratio,
         min_votes=max(s.min_votes // ROWS, 1),

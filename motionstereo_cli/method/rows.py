@@ -1,11 +1,14 @@
-"""Matching at half the height, and disparity of all rows from it.
+"""Matching at half the height or size, and disparity of all pixels from it.
 
-It takes half the time and is no worse, because noise averages out. Row j of the halves is the mean
-of rows 2 j and 2 j + 1.
+Half the height takes half the time and is no worse, because noise averages out. Row j of the halves
+is the mean of rows 2 j and 2 j + 1.
 """
 
 from __future__ import annotations
 
+from typing import Any, TypeVar, cast
+
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -18,6 +21,8 @@ ROWS = 2
 #: Half rows whose disparities differ by less than this in px are interpolated; if they differ by
 #: more, a pixel takes the one that is closer in grey by so many levels.
 _TOLERANCE_PX, _NEARER = 1.5, 2.0
+
+_Image = TypeVar("_Image", bound=NDArray[Any])
 
 
 def halved(view: NDArray[np.uint8]) -> NDArray[np.uint8]:
@@ -40,6 +45,39 @@ def halved_mask(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Return where one of the two rows is set, (ceil(height / 2), width) bool."""
     upper, lower = mask[::2], mask[1::2]
     return np.concatenate((upper[: len(lower)] | lower, upper[len(lower) :]))
+
+
+def reduced(view: _Image) -> _Image:
+    """Return the means of squares of 2 x 2 pixels, (height // 2, width // 2).
+
+    Args:
+        view: (height, width) uint8 or float32.
+    """
+    rows, width = (side // 2 for side in view.shape)
+    means = cv2.resize(view[: 2 * rows, : 2 * width], (width, rows), interpolation=cv2.INTER_AREA)
+    return cast("_Image", means)
+
+
+def every_second(image: _Image) -> _Image:
+    """Return the first pixel of each square of 2 x 2, (height // 2, width // 2)."""
+    rows, width = (side // 2 for side in image.shape)
+    return cast("_Image", np.ascontiguousarray(image[: 2 * rows : 2, : 2 * width : 2]))
+
+
+def enlarged(image: _Image, shape: tuple[int, ...]) -> _Image:
+    """Return an image of which each pixel was repeated, (height, width), at the border once more.
+
+    Args:
+        image: of halves of that size, or of halves of halves, uint8 or float32.
+        shape: height and width.
+    """
+    rows, width = (round(whole / part) for whole, part in zip(shape, image.shape, strict=True))
+    size = width * image.shape[1], rows * image.shape[0]
+    result = cv2.resize(image, size, interpolation=cv2.INTER_NEAREST)[: shape[0], : shape[1]]
+    missing = shape[0] - result.shape[0], shape[1] - result.shape[1]
+    if any(missing):
+        result = cv2.copyMakeBorder(result, 0, missing[0], 0, missing[1], cv2.BORDER_REPLICATE)
+    return cast("_Image", result)
 
 
 def whole(
