@@ -28,8 +28,11 @@ from motionstereo_cli.robot.local_map import (
     FloorView,
     LocalMap,
     moved,
+    nearest_by_bearing,
     profile,
+    ranked_by_bearing,
     seen,
+    sighted,
 )
 from motionstereo_cli.types import Pose, Rig
 
@@ -112,6 +115,24 @@ class TestProfile:
         np.testing.assert_allclose(found.near_px, [FB / 5, FB / 2])
         assert found.top_m[0] > 0.4
         assert found.top_m[1] == pytest.approx(-0.5, abs=0.06)
+
+    @pytest.mark.parametrize(("seed", "width"), [(0, 160), (1, 150), (2, 33)])
+    def test_is_as_its_words_say_of_random_points(self, seed, width):
+        rng = np.random.default_rng(seed)
+        near = rng.uniform(-2, 40, (HEIGHT, width)).astype(np.float32)
+        near[rng.random(near.shape) < 0.3] = NAN
+        fresh, here = rng.random(near.shape) < 0.6, view()
+        found = profile(near, fresh, here, bearings=20, below_m=1.1, above_m=0.6)
+        row, column = np.nonzero(fresh & (near > 0))
+        up_m = (here.cy_px - row) * (FB / RIG.focal_px) / near[row, column]
+        inside = (up_m > -1.1) & (up_m < 0.6)
+        points, up_m = near[row, column][inside], up_m[inside].astype(np.float32)
+        bearing = column[inside] * 20 // width
+        nearest = nearest_by_bearing(points, bearing, 20)
+        of_it = points >= (nearest - np.maximum(np.float32(0.1) * nearest, 1))[bearing]
+        top_m = ranked_by_bearing(up_m[of_it], bearing[of_it], 20, share=0.1)
+        assert np.array_equal(found.near_px, nearest, equal_nan=True)
+        assert np.array_equal(found.top_m, top_m, equal_nan=True)
 
     def test_an_upper_side_reaches_from_the_front_to_its_end(self):
         """Rays meet a box from 2 m to 3 m ahead, 0.7 m below the cameras, or a wall at 5 m."""
@@ -226,10 +247,48 @@ def ways(occupied, free, directions=(0.0,)):
     )
 
 
+class TestSight:
+    @pytest.mark.parametrize("yaw_rad", [0.0, 0.7, -2.5])
+    def test_is_what_lies_before_and_at_the_points_of_each_cell(self, yaw_rad):
+        rng, here = np.random.default_rng(5), view(0.23, -0.41, yaw_rad)
+        near_px = np.repeat(rng.uniform(3, 20, 16), 5).astype(np.float32)
+        far_m = np.where(rng.random(80) < 0.2, 4.0, 0.0).astype(np.float32)
+        given = {"cell_m": CELL_M, "reach_m": 5.0, "error_px": 0.5, "far_m": far_m}
+        found = sighted((70, 60), (-30, -35), near_px, here, WIDTH, **given)
+        free, hit = np.zeros((2, 70, 60), bool)
+        for i in range(70):
+            for j in range(60):
+                x, y = (i - 29.5) * CELL_M - here.x_m, (j - 34.5) * CELL_M - here.y_m
+                ahead = x * math.cos(yaw_rad) + y * math.sin(yaw_rad)
+                left = y * math.cos(yaw_rad) - x * math.sin(yaw_rad)
+                bearing = (RIG.cx + 0.5 - RIG.focal_px * left / ahead) / WIDTH * 80
+                assert found.ahead_m[i, j] == pytest.approx(ahead, abs=1e-5)
+                if ahead <= CELL_M or not 0 <= bearing < 80:
+                    continue
+                bearing = int(bearing)
+                near, depth = near_px[bearing], FB / near_px[bearing]
+                free[i, j] = ahead < FB / (near + 1)
+                at_it = abs(FB / ahead - near) < 0.5 or abs(ahead - depth) < 0.75 * CELL_M
+                hit[i, j] = (at_it and depth < 5) or depth < ahead < far_m[bearing]
+        # In float32, cells at a border may fall to either side; surfaces end at wide steps.
+        assert (found.free != free).mean() < 0.002
+        assert (found.hit & ~hit).mean() < 0.002
+        assert hit.sum() * 0.7 < found.hit.sum() <= hit.sum() * 1.01
+
+
 class TestFreeWays:
     def test_ends_a_robot_and_its_room_before_a_wall(self):
         known, possible = ways(*corridor())
         assert known == possible == pytest.approx(4.0 - 0.45, abs=0.1)
+
+    def test_robots_far_from_the_middle_of_the_map_end_at_its_border(self):
+        free = np.ones((40, 30), bool)
+        directions = np.radians([0.0, 90.0, 180.0, 270.0])
+        known, possible = free_distances(
+            ~free, free, (30.5, 10.5), directions, cell_m=CELL_M, radius_m=0.25
+        )
+        assert known == pytest.approx([0.95, 1.95, 3.05, 1.05], abs=0.11)
+        assert np.array_equal(known, possible)
 
     def test_what_is_unknown_is_neither_free_nor_an_obstacle(self):
         occupied, free = corridor(end_m=6.0)

@@ -13,6 +13,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from motionstereo_cli.compiled import local_map as loops
+
 
 def steadied(before: float | None, target: float, gain: float) -> float:
     """Return the heading moved from the last one toward a target by a share ``gain``, 0..1."""
@@ -87,25 +89,43 @@ def free_distances(
         cell_m: size of a cell in m.
         radius_m: radius of the robot in m.
     """
-    x, y = (np.arange(size) + 0.5 - at for size, at in zip(occupied.shape, place, strict=True))
-    here = np.hypot(x[:, None], y) * cell_m <= radius_m  # the robot's own place is free
+    # The robot's own place is free.
+    here = cells_within(occupied.shape, place, radius_m, cell_m)
     to_occupied, to_unknown = (
         cv2.distanceTransform((cells | here).astype(np.uint8), cv2.DIST_L2, 5) * np.float32(cell_m)
         for cells in (~occupied, free)
     )
     step = np.arange(_STEP_M, _LONGEST_M + _STEP_M, _STEP_M)
-    rows = (place[0] + np.cos(directions_rad)[:, None] * step / cell_m).astype(np.intp)
-    columns = (place[1] + np.sin(directions_rad)[:, None] * step / cell_m).astype(np.intp)
-    inside = (rows >= 0) & (rows < occupied.shape[0]) & (columns >= 0)
-    inside &= columns < occupied.shape[1]
-    rows, columns = np.where(inside, rows, 0), np.where(inside, columns, 0)
-    clearance = to_occupied[rows, columns]
-    clearance_here = float(to_occupied[int(place[0]), int(place[1])])
-    wanted = np.minimum(radius_m + _CLEARANCE_M, max(clearance_here - cell_m, 0) + _WIDENING * step)
-    open_path = inside & (clearance >= wanted)
-    known = open_path & (to_unknown[rows, columns] >= np.minimum(_KNOWN_M, 0.15 * step))
-    first = [(np.cumprod(path, axis=1).sum(axis=1) * _STEP_M) for path in (known, open_path)]
-    return first[0], first[1]
+    clearance_m = float(to_occupied[int(place[0]), int(place[1])])
+    wanted_m = np.minimum(radius_m + _CLEARANCE_M, max(clearance_m - cell_m, 0) + _WIDENING * step)
+    known, possible = np.empty((2, len(directions_rad)), np.int32)
+    loops.free_ways(
+        *(to_occupied, to_unknown, *place, np.cos(directions_rad), np.sin(directions_rad), step),
+        *(cell_m, wanted_m, np.minimum(_KNOWN_M, 0.15 * step), known, possible),
+    )
+    return known * np.float64(_STEP_M), possible * np.float64(_STEP_M)
+
+
+def cells_within(
+    shape: tuple[int, ...], place: tuple[float, float], radius_m: float, cell_m: float
+) -> NDArray[np.bool_]:
+    """Return the cells whose middle is within a radius of a place, (nx, ny).
+
+    Args:
+        shape: number of cells along both axes.
+        place: in cells along both axes.
+        radius_m: the radius.
+        cell_m: size of a cell.
+    """
+    inside, reach = np.zeros(shape, np.bool_), radius_m / cell_m + 1
+    low, high = (
+        [min(max(int(at + off), 0), size) for at, size in zip(place, shape, strict=True)]
+        for off in (-reach, reach + 1)
+    )
+    x, y = (np.arange(a, b) + 0.5 - at for a, b, at in zip(low, high, place, strict=True))
+    near = np.hypot(x[:, None], y) * cell_m <= radius_m
+    inside[low[0] : high[0], low[1] : high[1]] = near
+    return inside
 
 
 def plan(

@@ -19,6 +19,7 @@ from motionstereo_cli.robot.approach import Approach, nearest_in_way
 from motionstereo_cli.robot.course import (
     DIRECTIONS_RAD,
     Course,
+    cells_within,
     free_distances,
     plan,
     steadied,
@@ -41,7 +42,6 @@ from motionstereo_cli.robot.local_map import (
     Bearings,
     FloorView,
     LocalMap,
-    disc,
     moved,
     profile,
     seen,
@@ -470,9 +470,15 @@ class MapGuide:
             return cells
         radius_m = min(contact.width * m_per_px / 2, CONTACT_RADIUS_M)
         (x, y), (vx, vy) = contact.place_m, contact.velocity_mps
-        if not (known.evidence[disc(known, x, y, STANDS_WITHIN_M)] > STANDS).any():
+
+        def around(after_s: float, radius_m: float) -> NDArray[np.bool_]:
+            there_m = x + vx * after_s, y + vy * after_s
+            i, k = (m / CELL_M - first for m, first in zip(there_m, known.corner, strict=True))
+            return cells_within(cells.shape, (i, k), radius_m, CELL_M)
+
+        if not (known.evidence[around(0, STANDS_WITHIN_M)] > STANDS).any():
             for after_s in FORESEEN_S:
-                cells |= disc(known, x + vx * after_s, y + vy * after_s, radius_m)
+                cells |= around(after_s, radius_m)
         return cells
 
     def _place_of(self, angle_rad: float, width: int) -> float:

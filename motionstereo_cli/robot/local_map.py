@@ -15,11 +15,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+
+from motionstereo_cli.compiled import local_map as loops
+from motionstereo_cli.compiled import reused
 
 Reals = NDArray[np.float32]
 
@@ -147,48 +150,17 @@ def profile(
         bearings: number of bearings.
         below_m, above_m: points farther below or above the camera are no obstacles.
     """
-    width = nearness_px.shape[1]
-    with np.errstate(invalid="ignore"):
-        row, column = np.nonzero(fresh & (nearness_px > 0))
-    near = nearness_px[row, column]
-    up_m = (view.cy_px - row) * (view.focal_baseline / view.focal_y_px) / near
-    in_way = (up_m > -below_m) & (up_m < above_m)
-    near, up_m, bearing = near[in_way], up_m[in_way], column[in_way] * bearings // width
-    near_px = nearest_by_bearing(near, bearing, bearings)
-    nearest = near_px[bearing]
-    with np.errstate(invalid="ignore"):
-        of_it = near >= nearest - np.maximum(_ONE_THING_SHARE * nearest, _ONE_THING_PX)
-    top_m = ranked_by_bearing(
-        up_m[of_it].astype(np.float32), bearing[of_it], bearings, share=_HIGHER_SHARE
+    height, width = nearness_px.shape
+    things: Any = loops.Things(  # type: ignore[call-arg]
+        *(view.cy_px, view.focal_baseline / view.focal_y_px, view.focal_baseline),
+        *(below_m, above_m, _NEARER_SHARE, _MIN_PIXELS, _ONE_THING_SHARE, _ONE_THING_PX),
+        *(_HIGHER_SHARE, _LOW_M - below_m, -_LEVEL_M, _LEVEL_M, CELL_M, _LEVEL_GAP_M),
     )
-    rises = (top_m > _LOW_M - below_m) & (top_m < -_LEVEL_M)  # the camera sees onto it
-    is_level = rises[bearing] & (np.abs(up_m - top_m[bearing]) < _LEVEL_M)
-    far_m = _ends_m(
-        *(view.focal_baseline / near[is_level], bearing[is_level]),
-        *(view.focal_baseline / near_px, bearings),
-    )
-    return Bearings(near_px, top_m, np.where(rises, far_m, np.float32(0)))
-
-
-def _ends_m(ahead_m: Reals, bearing: NDArray[np.intp], front_m: Reals, bearings: int) -> Reals:
-    """Return up to where upper sides reach from the fronts of things, (bearings,) float32 m.
-
-    Args:
-        ahead_m, bearing: the points of upper sides, (n,) m and (n,).
-        front_m: of each bearing, NaN = unknown.
-        bearings: number of bearings.
-    """
-    cells = round(_LEVEL_REACH_M / CELL_M)
-    cell = (ahead_m / CELL_M).astype(np.intp)
-    inside = cell < cells
-    count = np.bincount(bearing[inside] * cells + cell[inside], minlength=bearings * cells)
-    at = np.arange(cells)
-    first = np.nan_to_num(front_m / CELL_M, nan=cells).clip(0, cells - 1).astype(np.intp)[:, None]
-    filled = (count.reshape(bearings, cells) > 0) & (at > first)
-    last = np.maximum.accumulate(np.where(filled, at, first), axis=1)
-    joined = np.logical_and.accumulate((at - last) * CELL_M <= _LEVEL_GAP_M, axis=1)
-    ends: Reals = (np.where(joined, last, 0).max(axis=1) + 1).astype(np.float32)
-    return ends * np.float32(CELL_M)
+    points = height * -(-width // bearings)
+    work: Any = reused(loops.Workspace, bearings, points, round(_LEVEL_REACH_M / CELL_M))
+    found = Bearings(*np.empty((3, bearings), np.float32))
+    loops.profile(nearness_px, fresh.view(np.uint8), things, work, *found)
+    return found
 
 
 def ranked_by_bearing(
@@ -328,33 +300,22 @@ def sighted(
         far_m: as of the profile: what it sees onto is occupied up to there.
     """
     bridged, solid = _bridged(near_px, view, width)
-    ahead, leftward = _camera_frame(shape, corner, view, cell_m)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        column = view.cx_px - view.focal_px * leftward / ahead
-        bearing = np.floor((column + 0.5) * len(near_px) / width)
-    inside = (ahead > cell_m) & (bearing >= 0) & (bearing < len(near_px))
-    bearing = np.where(inside, bearing, 0).astype(np.intp)
-    near = np.where(inside, bridged[bearing], np.float32(np.nan))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        # Depth errors grow with the square of depth, because errors of disparity are constant.
-        off_px = np.abs(view.focal_baseline / ahead - near)
-        depth_m = view.focal_baseline / near
-        free = ahead < view.focal_baseline / (near + _FREE_ERROR_PX)
-        hit = (off_px < error_px) | (np.abs(ahead - depth_m) < 0.75 * cell_m)
-        hit &= (depth_m < reach_m) & solid[bearing]
-        if far_m is not None:
-            hit |= (ahead > depth_m) & (ahead < far_m[bearing])
-    return Sight(free, hit, bearing, ahead)
-
-
-def disc(known: LocalMap, x_m: float, y_m: float, radius_m: float) -> NDArray[np.bool_]:
-    """Return the cells within a radius of a place in the world, (CELLS, CELLS) bool."""
-    x, y = (
-        (np.arange(CELLS) + known.corner[axis] + 0.5) * CELL_M - place
-        for axis, place in ((0, x_m), (1, y_m))
+    x_m, y_m = (
+        ((np.arange(count) + first + 0.5) * cell_m - place).astype(np.float32)
+        for count, first, place in zip(shape, corner, (view.x_m, view.y_m), strict=True)
     )
-    inside: NDArray[np.bool_] = np.hypot(x[:, None], y) <= radius_m
-    return inside
+    camera: Any = loops.Camera(  # type: ignore[call-arg]
+        *(math.cos(view.yaw_rad), math.sin(view.yaw_rad), view.cx_px, view.focal_px),
+        *(view.focal_baseline, width, cell_m, reach_m, error_px, _FREE_ERROR_PX, 0.75 * cell_m),
+    )
+    far_m = np.zeros_like(bridged) if far_m is None else far_m
+    free, hit = np.empty((2, *shape), np.bool_)
+    sight = Sight(free, hit, np.empty(shape, np.intp), np.empty(shape, np.float32))
+    loops.sight(
+        *(x_m, y_m, camera, bridged, solid.view(np.uint8), far_m, np.empty(shape[1], np.float32)),
+        *(free.view(np.uint8), hit.view(np.uint8), sight.bearing, sight.ahead_m),
+    )
+    return sight
 
 
 def _corner(x_m: float, y_m: float) -> tuple[int, int]:
@@ -362,20 +323,6 @@ def _corner(x_m: float, y_m: float) -> tuple[int, int]:
         math.floor(x_m / CELL_M) - CELLS // 2,
         math.floor(y_m / CELL_M) - CELLS // 2,
     )
-
-
-def _camera_frame(
-    shape: tuple[int, ...], corner: tuple[int, int], view: FloorView, cell_m: float
-) -> tuple[Reals, Reals]:
-    """Return the position of each cell's middle, ahead and left of the camera, in m."""
-    x, y = (
-        ((np.arange(shape[axis]) + corner[axis] + 0.5) * cell_m - place).astype(np.float32)
-        for axis, place in ((0, view.x_m), (1, view.y_m))
-    )
-    cos, sin = np.float32(math.cos(view.yaw_rad)), np.float32(math.sin(view.yaw_rad))
-    ahead: Reals = cos * x[:, None] + sin * y
-    leftward: Reals = cos * y - sin * x[:, None]
-    return ahead, leftward
 
 
 def _bridged(near_px: Reals, view: FloorView, width: int) -> tuple[Reals, NDArray[np.bool_]]:
