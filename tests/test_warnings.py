@@ -30,7 +30,7 @@ from motionstereo_cli.report.run_page import run_page
 from motionstereo_cli.runs import disparity_offset
 from motionstereo_cli.runs import run as runs
 from motionstereo_cli.runs.disparity_range import RANGE
-from motionstereo_cli.runs.plan import RunPlan
+from motionstereo_cli.runs.plan import AUTO_POSES, RunPlan
 from motionstereo_cli.runs.run import Watcher, run
 from motionstereo_cli.simulate.settings import SimulateSettings
 from motionstereo_cli.simulate.write import simulate
@@ -91,12 +91,14 @@ def given(clips, code):
         "at-limit": [*a, "--max-disparity", "4"],
         "unmoved": [*blank, "--no-check"],  # which says the same, as far as it sees
         "no-heading": pair(clips / "card"),
+        "lost-poses": [*pair(clips / "b"), *rig, "--poses", "auto"],
     }[code]
 
 
 CODES = (
     *("recording", "calibration", "poses", "range", "sync-offset", "disparity-offset"),
     *("disparity", "swapped", "unmatched", "at-limit", "unmoved", "no-heading"),
+    "lost-poses",
 )
 #: What a check found, so that nearly all of its rules apply; the others do not apply beside these.
 FOUND = CheckReport(
@@ -222,11 +224,14 @@ def record_of(out):
     return {**json.loads((out / "run.json").read_text()), "timing": None, "options": None}
 
 
-@pytest.mark.parametrize("code", ["range", "swapped", "unmatched", "at-limit", "no-heading"])
+@pytest.mark.parametrize(
+    "code", ["range", "swapped", "unmatched", "at-limit", "no-heading", "lost-poses"]
+)
 def test_the_record_is_the_same_however_the_run_is_done(clips, tmp_path, code):
     words = given(clips, code)
-    auto = "auto" in words
+    auto = "--max-disparity" in words and "auto" in words
     settings = Settings(max_disparity=0 if auto else 4 if code == "at-limit" else 64)
+    rig = {"rig": (clips / "a/rig.yaml",), "poses": AUTO_POSES} if code == "lost-poses" else {}
 
     def plan(name, **more):
         output = OutputSettings(checkpoint_frames=1 if auto else 5)
@@ -235,6 +240,7 @@ def test_the_record_is_the_same_however_the_run_is_done(clips, tmp_path, code):
             save=("steering",),
             settings=settings,
             output_settings=output,
+            **rig,
             **more,
         )
 
@@ -286,6 +292,23 @@ def test_warnings_of_earlier_versions_are_read(clips, tmp_path):
     record = json.loads((out / "run.json").read_text())
     (out / "run.json").write_text(json.dumps({**record, "warnings": ["left.mp4 is dark"]}))
     assert "<li>left.mp4 is dark.</li>" in run_page(out, out / "report.html")
+
+
+def test_frames_without_own_motion_are_counted_and_the_first_are_named(clips, tmp_path):
+    out: Path = tmp_path / "o"
+    words = given(clips, "lost-poses")
+    assert main(["run", *words, "--save", "odometry", "-o", str(out)]) == 0
+    with (out / "odometry.csv").open(newline="") as file:
+        lost = [int(row["frame"]) for row in csv.DictReader(file) if row["lost"] == "1"]
+    said = {each["code"]: each for each in json.loads((out / "run.json").read_text())["warnings"]}
+    numbers = said["lost-poses"]["numbers"]
+    assert (numbers["lost"], numbers["frames"], numbers["first_lost"]) == (
+        *(len(lost), FRAMES, lost[0]),
+    )
+    last = numbers["last_of_first"]
+    assert set(range(lost[0], last + 1)) <= set(lost)
+    assert last + 1 not in lost
+    assert f"in {len(lost)} of {FRAMES} frames (first in {lost[0]}" in said["lost-poses"]["text"]
 
 
 @pytest.mark.parametrize(

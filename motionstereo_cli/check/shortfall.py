@@ -124,6 +124,25 @@ def without_heading(blind: float, matched: float) -> str | None:
     return f"no heading is given in {blind:.0%} of the frames (status blind): {why}"
 
 
+def lost_poses(frames: int, lost: int, first_lost: tuple[int, int] | None) -> str | None:
+    """Return that the rig's own motion is unknown in some frames; None where it is in none.
+
+    Args:
+        frames: how many frames there were.
+        lost: in how many of them it is unknown.
+        first_lost: first and last frame of the first stretch of these.
+    """
+    if first_lost is None:
+        return None
+    first, last = first_lost
+    where = f"{first}" if first == last else f"{first} to {last}"
+    return (
+        f"own motion is unknown in {lost} of {frames} frames (first in {where}): there the path "
+        "takes the likeliest motion or goes straight on, and from then on it is off by what was not "
+        "seen; --save odometry tells which they are"
+    )
+
+
 def beyond_range(matched: float, at_limit: float, max_disparity: int) -> str | None:
     """Return that much of what was seen may be nearer than the range reaches; None where it is not.
 

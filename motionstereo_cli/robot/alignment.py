@@ -118,6 +118,8 @@ class Alignment:
         score: share of the points whose grey agrees, 0..1.
         seen: share of the points in view, 0..1.
         normal: (11, 11) normal equations: translation, rotation, light, error.
+        by_corners: it is from matched corners, not from grey, so that its normal equations are a
+            mere guess.
     """
 
     motion: Reals
@@ -126,6 +128,7 @@ class Alignment:
     score: float
     seen: float
     normal: Reals
+    by_corners: bool = False
 
 
 def pyramid(image: NDArray[np.uint8]) -> list[Real]:

@@ -243,7 +243,8 @@ def _aligned(
             if sure and (best is None or best.score < _MIN_SCORE):
                 shift, turn = (_COVARIANCE / sigma**2 for sigma in (_LOST_M, _LOST_RAD))
                 unknown = np.diag([shift] * 3 + [turn] * 3 + [1.0] * 5)
-                best = Alignment(motion @ before.motion, key.light, 0.0, _MIN_SCORE, 0.0, unknown)
+                there, quality = motion @ before.motion, (0.0, _MIN_SCORE, 0.0)
+                best = Alignment(there, key.light, *quality, unknown, by_corners=True)
     return best
 
 
@@ -325,10 +326,9 @@ def _motion(
     variance = np.diag(covariance)
     sigma_m, sigma_rad = (float(np.sqrt(part.sum())) for part in (variance[:3], variance[3:]))
     unsure = sigma_m / _depth_m(before.key, lens), sigma_rad
-    # Corners do not say how sure they are, but enough of them agree.
-    by_corners = found.score == _MIN_SCORE
     is_unsure = bool((np.array(unsure) * lens.focal_px[0] > _VAGUE_PX).all())
-    vague = moves and is_unsure and not by_corners
+    # Corners do not say how sure they are, but enough of them agree.
+    vague = moves and is_unsure and not found.by_corners
     motion = Motion(
         before_from_now=step_back,
         covariance=covariance,

@@ -9,6 +9,7 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Any, Protocol, Self, TypeVar
 
 from motionstereo_cli.errors import OutputError
+from motionstereo_cli.types import Step
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
     from motionstereo_cli.sinks.outputs import Input
     from motionstereo_cli.sinks.records import FolderRecord
     from motionstereo_cli.sinks.sink import Sink
-    from motionstereo_cli.types import FrameImages, Step
+    from motionstereo_cli.types import FrameImages
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,6 +30,8 @@ class Totals:
         charged, matched, at_limit: sums of the shares of the image with charge, with a disparity,
             and at the limit of the range.
         blind: how many of them have no heading.
+        lost: in how many of them the rig's own motion was sought and is unknown.
+        first_lost: first and last frame of the first stretch of these; None without any.
     """
 
     frames: int = 0
@@ -36,6 +39,8 @@ class Totals:
     matched: float = 0.0
     at_limit: float = 0.0
     blind: int = 0
+    lost: int = 0
+    first_lost: tuple[int, int] | None = None
 
     @property
     def means(self) -> tuple[float, float, float]:
@@ -43,14 +48,21 @@ class Totals:
         count = max(self.frames, 1)
         return self.charged / count, self.matched / count, self.at_limit / count
 
-    def plus(self, shares: Step | FrameSummary, *, blind: bool = False) -> Totals:
-        """Return the sums with a further frame, which may be without a heading."""
+    def plus(self, shares: Step | FrameSummary) -> Totals:
+        """Return the sums with a further frame, of which a piece has no more than the shares."""
+        blind, lost, first_lost = self.blind, self.lost, self.first_lost
+        if isinstance(shares, Step):
+            blind += shares.steering.status == "blind"
+            if shares.fix is not None and shares.fix.lost:
+                number, lost = shares.time.index, lost + 1
+                first, last = first_lost or (number, number - 1)
+                first_lost = first, number if last == number - 1 else last
         return Totals(
             self.frames + 1,
             self.charged + shares.charged,
             self.matched + shares.matched,
             self.at_limit + shares.at_limit,
-            self.blind + blind,
+            *(blind, lost, first_lost),
         )
 
 
@@ -143,8 +155,7 @@ class Sinks:
         if step.images is not None:
             self.show(step.images)
         self._hand("step", step)
-        blind = step.steering.status == "blind"
-        self.state, self.totals = state, self.totals.plus(step, blind=blind)
+        self.state, self.totals = state, self.totals.plus(step)
 
     def show(self, images: FrameImages) -> None:
         """Hand a frame to the outputs that take images.

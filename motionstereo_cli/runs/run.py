@@ -16,6 +16,7 @@ from motionstereo_cli.check.measure import watched
 from motionstereo_cli.check.shortfall import (
     beyond_range,
     falls_short,
+    lost_poses,
     shortfall,
     unmoved,
     without_heading,
@@ -465,7 +466,7 @@ def _write(sinks: Sinks, job: Job, watcher: Watcher) -> None:
 def warn_of_what_is_missing(
     job: Job, totals: Totals, last: Callable[[], StereoFrame | None]
 ) -> None:
-    """Warn if little moved, little of the charge was matched, or most frames have no heading.
+    """Warn if little moved, little was matched, most frames have no heading, or poses are lost.
 
     Why little was matched is found in the last frame.
 
@@ -492,14 +493,18 @@ def warn_of_what_is_missing(
         if (frame := last()) is not None:
             advised = int(said.get("beyond-range", {}).get("advised_max_disparity", 0))
             views = frame.right, frame.left
-            found = shortfall(charged, matched, *views, s.max_disparity, advised)
-            job.warned.warn("unmatched", found, numbers)
+            reason = shortfall(charged, matched, *views, s.max_disparity, advised)
+            job.warned.warn("unmatched", reason, numbers)
     elif not told and s.depth_of == "moved" and (text := unmoved(charged)):
         job.warned.warn("unmoved", text, numbers)
     elif not told and steers and (text := without_heading(blind, matched)):
         job.warned.warn("no-heading", text, numbers)
     if everything and not short and (text := beyond_range(matched, at_limit, s.max_disparity)):
         job.warned.warn("at-limit", text, numbers)
+    if text := lost_poses(totals.frames, totals.lost, totals.first_lost):
+        names = "frames", "lost", "first_lost", "last_of_first"
+        found = totals.frames, totals.lost, *(totals.first_lost or ())
+        job.warned.warn("lost-poses", text, dict(zip(names, found, strict=True)))
 
 
 def _steps(job: Job, sinks: Sinks, watcher: Watcher) -> Iterator[_Step]:
