@@ -35,7 +35,7 @@ def room(path):
 #: Files of ``robot`` that know arrays and numbers only; the others join them and keep state.
 PURE_ROBOT = {
     *("free_space.py", "course.py", "local_map.py", "fused_map.py", "objects.py", "points.py"),
-    *("alignment.py", "approach.py", "movers.py"),
+    *("alignment.py", "approach.py", "movers.py", "separation.py"),
 }
 #: Files of ``method`` that join its stages.
 JOINTS = {"matching.py", "memory.py", "settings.py"}

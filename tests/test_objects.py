@@ -142,6 +142,11 @@ class TestRegions:
             wanted = fresh & (before - now > np.maximum(1, np.float32(0.06) * (now + doffs_px)))
         assert np.array_equal(uncovered(now, fresh, earlier, doffs_px), wanted)
 
+    def test_what_recedes_uncovers_nothing(self):
+        earlier = [scene((40, 20, 64, 48, 20 * 1.015**ago)) for ago in range(7, 0, -1)]
+        fresh = np.isfinite(earlier[0])
+        assert not uncovered(scene((40, 20, 64, 48, 20)), fresh, earlier, 0.0).any()
+
     def test_what_reaches_across_the_image_is_none(self):
         assert found(scene((0, 40, 160, 56, 10))) == ()
         assert len(found(scene((8, 40, 152, 56, 10)))) == 1
@@ -597,3 +602,22 @@ def test_a_part_of_what_moves_is_no_other_thing(inner_px, count):
     disparity[52:68, 60:76] = inner_px
     found = Tracker(Settings(), RIG).moving_regions(disparity, moved)
     assert [each.width for each in found] == [60, 16][:count]
+
+
+@pytest.mark.parametrize("behind_px", [9.8, 10.0, 10.9])
+def test_things_that_pass_each_other_at_one_depth_stay_two(behind_px):
+    """One crosses at 10 px of nearness before another that stands; they touch for 20 frames."""
+    tracker, tracks, ids = Tracker(Settings(), RIG), Tracks(), []
+    for index in range(30):
+        near = scene((64, 24, 32, 32, min(behind_px, 10)), (4 * index, 40, 32, 40, 10))
+        if behind_px > 10:
+            near[24:56, 64:96] = behind_px
+        found = tracker.regions(near, np.isfinite(near))
+        time = FrameTime(index, index, index / 10)
+        tracks, things = tracker.follow(tracks, found, time)
+        if index >= 3:
+            standing, crossing = sorted(things, key=lambda thing: thing.y)
+            ids.append((standing.id, crossing.id))
+            off = standing.x - 64, standing.width - 32, crossing.x - 4 * index, crossing.width - 32
+            assert np.abs(off).max() <= 8
+    assert len(set(ids)) == 1

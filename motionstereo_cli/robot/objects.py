@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import cv2
@@ -35,8 +35,10 @@ _GAP_CELLS = 2
 #: A region with nearer neighbours on more than the first share of its sides is background, unless
 #: it has farther ones on the second.
 _BEHIND_SHARE, _BEFORE_SHARE = 0.5, 0.1
-#: Where nearness was larger before by the larger of these, what is seen was hidden then.
+#: Where nearness was larger before by the larger of these, and this within so many frames, what is
+#: seen was hidden then.
 _HIDDEN_PX, _HIDDEN_SHARE = 1.0, 0.06
+_SOON_FRAMES = 3
 
 #: Search range of an object about its expected position, in its sizes, and as a factor of nearness.
 _MAX_SIZES = 1.0
@@ -46,6 +48,8 @@ _MAX_FACTOR = 1.3
 _WAY_SIGHTINGS = 5
 #: An object is dropped after it was out of sight for this many frames.
 _MAX_MISSED = 30
+#: An observation shows an object's usual area if it differs by at most this share.
+_USUAL_SHARE = 0.15
 
 #: Speeds are fitted to this many of the last observations, once there are as many as the second.
 _FITTED = 12
@@ -74,6 +78,9 @@ class Region:
         velocity_mps: over ground, ahead and to the left of the camera; None where it is not
             measured in this frame alone.
         sigma_mps: standard deviation of that.
+        cells: known share and nearness in px of the cells of its box, and their velocity if it is
+            measured, (2 or 5, height / 4, width / 4) float32, NaN = not in it; None where it is
+            remembered.
     """
 
     x: int
@@ -87,6 +94,7 @@ class Region:
     before: int = 0
     velocity_mps: tuple[float, float] | None = None
     sigma_mps: float = math.inf
+    cells: Reals | None = field(default=None, compare=False, repr=False)
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,8 +161,13 @@ def regions(
     wanted &= size >= min_share * cells.size
     wanted &= boxes[:, 2] - boxes[:, 0] < cells.shape[1]
     wanted[0] = False  # the unknown
+    measured = [share[None], cells[None]]
+    if velocity_mps is not None:
+        rows, columns = cells.shape
+        measured.append(np.moveaxis(velocity_mps[:rows, :columns], -1, 0))
+    each = np.concatenate(measured)
     return tuple(
-        _region(labels, label, boxes[label].tolist(), cells, share, velocity_mps)
+        _region(labels, label, boxes[label].tolist(), each)
         for label in np.flatnonzero(wanted).tolist()
     )
 
@@ -179,6 +192,19 @@ def uncovered(
         *(checked_array(fresh, np.bool_).view(np.uint8), before),
         *(doffs_px, _HIDDEN_PX, _HIDDEN_SHARE, result.view(np.uint8)),
     )
+    where = np.flatnonzero(result)
+    after = [disparity_px.ravel()[where]]
+    hidden_px = np.maximum(
+        np.float32(_HIDDEN_PX), np.float32(_HIDDEN_SHARE) * (after[0] + np.float32(doffs_px))
+    )
+    # What recedes grows farther by and by; what uncovers something else, within few frames.
+    soon = np.zeros(len(where), np.bool_)
+    for each in reversed(earlier_px):
+        was = each.ravel()[where]
+        level = was - hidden_px
+        soon |= (level > after[0]) & (level > np.minimum.reduce(after[-_SOON_FRAMES:]))
+        after.append(np.where(np.isnan(was), after[-1], was))
+    result.ravel()[where] = soon
     return result
 
 
@@ -262,34 +288,44 @@ def _region(
     labels: NDArray[np.int32],
     label: int,
     box: tuple[int, int, int, int],
-    cells: Reals,
-    share: Reals,
-    velocity_mps: Reals | None,
+    measured: Reals,
 ) -> Region:
     left, top, right, bottom = box
     inside = slice(top, bottom), slice(left, right)
-    row, column = np.nonzero(labels[inside] == label)
-    weight = share[inside][row, column]
+    mine = labels[inside] == label
+    return region_of(left, top, np.where(mine, measured[:, *inside], np.float32(np.nan)))
+
+
+def region_of(left: int, top: int, cells: Reals) -> Region:
+    """Return the region of cells whose box has its upper left corner at a cell.
+
+    Args:
+        left, top: column and row of that cell.
+        cells: as :class:`Region` has them.
+    """
+    row, column = np.nonzero(~np.isnan(cells[1]))
+    weight = cells[0, row, column]
     total = float(weight.sum())
-    speed, sigma_mps = None, math.inf
-    if velocity_mps is not None:
-        speed, sigma_mps = _median_velocity(velocity_mps[inside][row, column])
+    speed, sigma_mps = _median_velocity(cells[2:, row, column].T)
     return Region(
         x=left * CELL_PX,
         y=top * CELL_PX,
-        width=(right - left) * CELL_PX,
-        height=(bottom - top) * CELL_PX,
+        width=cells.shape[2] * CELL_PX,
+        height=cells.shape[1] * CELL_PX,
         middle_x=(left + float(weight @ column) / total + 0.5) * CELL_PX - 0.5,
         middle_y=(top + float(weight @ row) / total + 0.5) * CELL_PX - 0.5,
-        nearness_px=float(_median(cells[inside][row, column])),
+        nearness_px=float(_median(cells[1, row, column])),
         known=total / len(weight),
         velocity_mps=speed,
         sigma_mps=sigma_mps,
+        cells=cells,
     )
 
 
 def _median_velocity(velocity_mps: Reals) -> tuple[tuple[float, float] | None, float]:
     """Return the velocity ahead and to the left that cells (n, 3) agree on, and its sigma."""
+    if not velocity_mps.size:
+        return None, math.inf
     known = velocity_mps[np.isfinite(velocity_mps[:, 0])].astype(np.float64)
     if len(known) < _MIN_CELLS:
         return None, math.inf
@@ -358,6 +394,31 @@ def _expected(track: Track, time_s: float) -> tuple[float, ...]:
         x += share * (x - first.region.middle_x)
         y += share * (y - first.region.middle_y)
     return (x, y, *rest)
+
+
+def expected_box(track: Track, time_s: float) -> tuple[float, ...]:
+    """Return where the box of a track is expected: middle, width, height and nearness, all px.
+
+    Something before it may have hidden a part of it lately. So its size is that of the last
+    observation of about its usual area, and of its sides one may be wrong.
+    """
+    seen = [observation.region for observation in track.observations]
+    last = seen[-1]
+    sizes = np.array([each.width * each.height / each.nearness_px**2 for each in seen])
+    usual = np.abs(sizes / _median(sizes) - 1) <= _USUAL_SHARE
+    full = int(np.flatnonzero(usual)[-1])
+    whole, grown = seen[full], last.nearness_px / seen[full].nearness_px
+    x, y, *_ = _expected(track, time_s)
+    measures = []
+    for at, now, start, size, span in (
+        (x - last.middle_x, last.x, whole.x, whole.width, last.width),
+        (y - last.middle_y, last.y, whole.y, whole.height, last.height),
+    ):
+        half = grown * size / 2
+        middle = np.median([now + half, now + span - half, start + size / 2])
+        measures.append((float(middle) + at, 2 * half))
+    (x, width), (y, height) = measures
+    return (x, y, width, height, last.nearness_px)
 
 
 @dataclass(frozen=True, slots=True)

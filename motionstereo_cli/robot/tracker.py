@@ -19,12 +19,15 @@ from motionstereo_cli.robot.objects import (
     Observation,
     Region,
     Track,
+    expected_box,
     follow,
     movement,
+    region_of,
     regions,
     trust,
     uncovered,
 )
+from motionstereo_cli.robot.separation import parts
 from motionstereo_cli.types import (
     FrameTime,
     MovingObject,
@@ -39,6 +42,8 @@ if TYPE_CHECKING:
 
 #: Number of frames after which a region is an object.
 MIN_SEEN = 3
+#: Objects out of sight for longer are not expected in a region with others.
+_LATELY_FRAMES = 5
 
 #: Around what moved by itself, so many px belong to it where their depth does. A region that moves
 #: by itself has at least this share of the image, and this share of its box has been seen to move.
@@ -171,7 +176,8 @@ class Tracker:
         time_s = frame.clock_s
         # If time goes back, another recording begins.
         before = tracks.each if time_s > tracks.time_s else ()
-        observations = [self._observation(region, time_s, pose) for region in found]
+        apart = _separated(tuple(found), before, time_s)
+        observations = [self._observation(region, time_s, pose) for region in apart]
         each = follow(before, observations, time_s, tracks.last_id + 1)
         last_id = max([tracks.last_id, *(track.number for track in each)])
         return Tracks(each, last_id, time_s), tuple(
@@ -181,6 +187,7 @@ class Tracker:
         )
 
     def _observation(self, region: Region, time_s: float, pose: Pose | None) -> Observation:
+        region = replace(region, cells=None)
         if self.rig is None:
             ahead = 1 / region.nearness_px
             return Observation(time_s, region, (ahead, 0.0), (ahead, 0.0))
@@ -225,6 +232,30 @@ def _turned(ahead: float, left: float, pose: Pose) -> tuple[float, float]:
     """Return along the x and y axes of the world what is ahead and to the left of a pose."""
     cos, sin = math.cos(pose.yaw_rad), math.sin(pose.yaw_rad)
     return cos * ahead - sin * left, sin * ahead + cos * left
+
+
+def _separated(
+    found: Sequence[Region], tracks: Sequence[Track], time_s: float
+) -> tuple[Region, ...]:
+    """Return regions, separated where one holds several objects that were followed lately."""
+    lately = [
+        expected_box(track, time_s)
+        for track in tracks
+        if track.seen >= MIN_SEEN and track.missed <= _LATELY_FRAMES
+    ]
+    if len(lately) < 2:
+        return tuple(found)
+    expected = np.array(lately) / (*[CELL_PX] * 4, 1)
+    places = [
+        (each.x // CELL_PX, each.y // CELL_PX, each.cells)
+        for each in found
+        if each.cells is not None
+    ]
+    result: list[Region] = []
+    for region, each in zip(found, parts(places, expected), strict=True):
+        apart = [replace(region_of(*part), before=region.before) for part in each]
+        result += apart if len(apart) > 1 else [region]
+    return tuple(result)
 
 
 def _whole(found: Iterable[Region]) -> tuple[Region, ...]:
