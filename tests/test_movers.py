@@ -188,28 +188,42 @@ def test_a_still_camera_has_what_it_has_without_own_motion():
         assert [each.id for each in one.objects] == [each.id for each in other.objects]
 
 
-@pytest.mark.parametrize("even", [True, False])
-def test_a_thing_has_to_move_on_as_it_did(even):
-    """A patch that crosses is seen; one that is now here, now there, is not."""
+@pytest.mark.parametrize(
+    ("places", "size", "even"),
+    [
+        ((60, 64, 68, 72), 40, True),
+        ((60, 64, 60, 64), 40, False),
+        ((10, 19, 28, 37), 88, True),
+    ],
+)
+def test_a_thing_has_to_move_on_as_it_did(places, size, even):
+    """A patch that crosses is seen; one that is now here, now there, is not.
+
+    In the first frame nothing has changed yet, so that edges alone have a disparity.
+    """
     rng = np.random.default_rng(3)
-    wall, card = rough(rng, (120, 200), 2), rough(rng, (40, 40), 2)
+    wall, card = rough(rng, (120, 240), 2), rough(rng, (size, size), size / 20)
     eye, movers, found = Eye((150.0, 150.0), 99.5, 59.5, 99.5, 1, 15.0, 0.0, 24), Movers(), []
-    for number, place in enumerate((60, 64, 68, 72) if even else (60, 64, 60, 64)):
+    for number, place in enumerate(places):
         view, other = wall.copy(), np.roll(wall, 4, axis=1)
-        view[40:80, place : place + 40] = card
-        other[40:80, place + 12 : place + 52] = card
-        disparity = np.full(wall.shape, 4.0, np.float32)
-        disparity[40:80, place : place + 40] = 12
+        bottom = 16 + size
+        view[16:bottom, place : place + size] = card
+        other[16:bottom, place + 12 : place + 12 + size] = card
+        disparity = np.full(wall.shape, 4.0 if number else np.nan, np.float32)
+        if number:
+            disparity[16:bottom, place : place + size] = 12
         now = Moment(pyramid(view, other), disparity, np.eye(4), 0.1 * number)
         movers, moved, velocity_mps = see(movers, now, eye)
         found.append(moved)
     assert not found[0].any()
     assert not found[1].any()  # nothing is known of the frame before
     inside = np.zeros(wall.shape, np.bool_)
-    inside[36:84, place - 4 : place + 44] = True
+    inside[12 : bottom + 4, place - 4 : place + size + 4] = True
     assert not (found[-1] & ~inside).any()
     assert (found[-1].sum() > 600) == even
     told = velocity_mps[np.isfinite(velocity_mps[..., 0])]
     assert 16 * len(told) == found[-1].sum()
-    if even:  # 40 px a second at 1.25 m, with 150 px a radian
-        assert np.median(told, axis=0) == pytest.approx((1 / 3, 0, 0), abs=0.01)
+    assert found[2].any() == even
+    if even:  # at 1.25 m, with 150 px a radian
+        across_mps = 10 * (places[1] - places[0]) * 1.25 / 150
+        assert np.median(told, axis=0) == pytest.approx((across_mps, 0, 0), rel=0.03, abs=0.01)

@@ -51,7 +51,7 @@ _PER_SLOPE, _UNEXPLAINED = 0.03, 5.0
 _JUMP_PX, _JUMP_SHARE = 0.5, 0.06
 #: Standard deviation of disparity: px, and share of nearness.
 _SIGMA_PX, _SIGMA_SHARE = 0.25, 0.02
-#: No patch moves farther, in px of its level.
+#: No patch moves farther, in px of the coarsest level.
 _MAX_SHIFT_PX = 16.0
 #: What was nearer by more than the larger of these hid a point.
 _HIDDEN_PX, _HIDDEN_SHARE = 1.5, 0.25
@@ -180,8 +180,8 @@ def see(movers: Movers, now: Moment, eye: Eye) -> tuple[Movers, NDArray[np.bool_
     rows, columns = (side // CELL_PX for side in shape)
     moving, lasting = None, np.zeros((rows, columns), np.bool_)
     velocity_mps = np.full((rows, columns, 3), np.nan, np.float32)
+    now = replace(now, disparity_px=_filled(now, eye))
     if movers.moments:
-        now = replace(now, disparity_px=_filled(now, eye))
         gap, levels = _gap(movers, now, eye), now.levels()
         near = np.nan_to_num(_in_cells(now.disparity_px) + np.float32(eye.doffs_px))
         farther = min(_FARTHER * gap, len(movers.moments))
@@ -304,7 +304,8 @@ def _limits(level: int) -> Any:
     q = 0.5**level
     return loops.Limits(  # type: ignore[call-arg]
         *(_NOISE[level], _PER_SLOPE, _UNEXPLAINED, _JUMP_PX * q, _JUMP_SHARE),
-        *(_SIGMA_PX * q, _SIGMA_SHARE, _MAX_SHIFT_PX, _HIDDEN_PX * q, _HIDDEN_SHARE),
+        *(_SIGMA_PX * q, _SIGMA_SHARE, _MAX_SHIFT_PX * 2.0 ** (LEVELS - 1 - level)),
+        *(_HIDDEN_PX * q, _HIDDEN_SHARE),
     )
 
 

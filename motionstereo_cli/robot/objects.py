@@ -59,6 +59,8 @@ _LATER, _EARLIER = np.tril_indices(_FITTED, -1)
 #: standard deviation; how much a velocity may change in a second.
 _MIN_CELLS, _CELLS_ALIKE = 3, 5.0
 _LEAST_SIGMA_MPS, _ACCELERATION_MPS2 = 0.03, 2.0
+#: By so many standard deviations, what moves by itself is faster than what stands, in the median.
+_SURE_SIGMAS = 1.5
 #: Standard deviation over median absolute deviation of what is normally distributed.
 _NORMAL = 1.4826
 #: A fit that misses the nearness by so much, on average, is worth half.
@@ -466,6 +468,20 @@ def movement(track: Track) -> Movement | None:
     residual = float(_median(off)) / float(np.abs(offset).sum(axis=1).min())
     x, y, ground_x, ground_y = speed.tolist()
     return Movement((x, y), (ground_x, ground_y), residual, sigma)
+
+
+def moves_surely(track: Track) -> bool:
+    """Return whether velocities by single frames exceed their sigma, where there are any.
+
+    In the median, so that neither a single frame that is wrong counts, nor a mean of many that are
+    wrong alike.
+    """
+    sigmas = [
+        math.hypot(*each.velocity_mps) / each.region.sigma_mps
+        for each in track.observations
+        if each.velocity_mps is not None
+    ]
+    return not sigmas or float(_median(np.array(sigmas))) > _SURE_SIGMAS
 
 
 def _mean_velocity(

@@ -22,6 +22,7 @@ from motionstereo_cli.robot.objects import (
     expected_box,
     follow,
     movement,
+    moves_surely,
     region_of,
     regions,
     trust,
@@ -46,8 +47,8 @@ MIN_SEEN = 3
 _LATELY_FRAMES = 5
 
 #: Around what moved by itself, so many px belong to it where their depth does. A region that moves
-#: by itself has at least this share of the image, and this share of its box has been seen to move.
-_AROUND_PX, _MIN_MOVING_SHARE, _MIN_MOVED, _MIN_MOVED_PX = 8, 0.0005, 0.05, 48
+#: by itself has at least this share of the image.
+_AROUND_PX, _MIN_MOVING_SHARE = 8, 0.0005
 #: Regions of what moves by itself end within so many px of it, gaps that are bridged included.
 _MARGIN_PX = 24
 #: A region is a part of another one if so much of its box is in the other's, and its nearness
@@ -115,7 +116,7 @@ class Tracker:
         return tuple(each for each in found if each.nearness_px > surface_px)
 
     def moving_regions(
-        self, disparity_px: Real, moved: NDArray[np.bool_], velocity_mps: Real | None = None
+        self, disparity_px: Real, moved: NDArray[np.bool_], velocity_mps: Real
     ) -> tuple[Region, ...]:
         """Return the regions of a frame that moved by themselves, in this frame and the last one.
 
@@ -134,8 +135,7 @@ class Tracker:
         near = np.asarray(cv2.dilate(moved[part].view(np.uint8), around)).view(np.bool_)
         nearness = np.ascontiguousarray(disparity_px[part])
         nearness = self.rig.nearness_px(nearness) if self.rig else nearness
-        if velocity_mps is not None:
-            velocity_mps = velocity_mps[top // CELL_PX :, left // CELL_PX :]
+        velocity_mps = velocity_mps[top // CELL_PX :, left // CELL_PX :]
         found = regions(nearness, near, _MIN_MOVING_SHARE * moved.size / near.size, velocity_mps)
         placed = (
             replace(
@@ -147,8 +147,9 @@ class Tracker:
                 before=1,
             )
             for each in found
+            if each.velocity_mps is not None  # else what moved is beside it
         )
-        return _whole(each for each in placed if _holds(each, moved) and not self._hangs(each))
+        return _whole(each for each in placed if not self._hangs(each))
 
     def _hangs(self, region: Region) -> bool:
         """Return whether a region ends so far above the camera that it cannot stand on ground."""
@@ -183,7 +184,7 @@ class Tracker:
         return Tracks(each, last_id, time_s), tuple(
             self._object(track, pose, timed=frame.time_s is not None)
             for track in each
-            if not track.missed and track.seen >= MIN_SEEN
+            if not track.missed and track.seen >= MIN_SEEN and moves_surely(track)
         )
 
     def _observation(self, region: Region, time_s: float, pose: Pose | None) -> Observation:
@@ -274,12 +275,6 @@ def _is_part(region: Region, other: Region) -> bool:
     inside = max(wide, 0) * max(high, 0) >= _PART_INSIDE * region.width * region.height
     off_px = abs(region.nearness_px - other.nearness_px)
     return inside and off_px <= _PART_SHARE * other.nearness_px
-
-
-def _holds(region: Region, moved: NDArray[np.bool_]) -> bool:
-    """Return whether enough of a region's box moved by itself."""
-    inside = moved[region.y : region.y + region.height, region.x : region.x + region.width]
-    return float(np.count_nonzero(inside)) >= max(_MIN_MOVED * inside.size, _MIN_MOVED_PX)
 
 
 def _by_itself(moves: Movement) -> bool:
