@@ -22,7 +22,6 @@ LANES = cython.declare(cython.Py_ssize_t, 32)
 ROWS = cython.declare(cython.Py_ssize_t, 42)
 SLOPES = cython.declare(cython.Py_ssize_t, 23)
 WEIGHTED = cython.declare(cython.Py_ssize_t, 33)
-#: Minimum depth of points before the camera.
 MIN_DEPTH = cython.declare(cython.double, 0.05)
 
 
@@ -151,18 +150,29 @@ def align(
     return seen
 
 
-def residuals(
+@cython.locals(n=cython.Py_ssize_t, p=cython.Py_ssize_t)
+def mismatches(
     views: Views,
     camera: RigLevel,
     weights: Weights,
-    state: cython.const[cython.double][::1],
+    states: cython.const[cython.double][:, ::1],
     work: Workspace,
     residual: cython.float[::1],
-) -> cython.int:
-    """Fill in the residuals of the right view; see :func:`align`."""
+    costs: cython.double[::1],
+) -> None:
+    """Fill in the mean residual of the right view for each of some states, (n,).
+
+    Larger ones count as ``weights.cut``, and so does what is not seen; see :func:`align`.
+    """
+    count: cython.Py_ssize_t = (views.points.shape[0] + views.stride - 1) // views.stride
     with cython.nogil:
-        seen: cython.int = one_view(views, camera, weights, state, 0, work, residual, False)
-    return seen
+        for n in range(states.shape[0]):
+            one_view(views, camera, weights, states[n], 0, work, residual, False)
+            total: cython.double = 0
+            for p in range(count):
+                off: cython.double = residual[p * views.stride]
+                total += off if off < weights.cut else weights.cut
+            costs[n] = total / count
 
 
 @cython.cfunc
@@ -212,6 +222,8 @@ def add(work: Workspace, shift: cython.Py_ssize_t, normal: cython.double[:, ::1]
 @cython.cfunc
 @cython.nogil
 @cython.exceptval(check=False)
+@cython.locals(i=cython.Py_ssize_t, k=cython.Py_ssize_t, n=cython.Py_ssize_t)
+@cython.locals(number=cython.Py_ssize_t, lane=cython.Py_ssize_t)
 def one_view(
     views: Views,
     camera: RigLevel,
@@ -223,11 +235,6 @@ def one_view(
     summed: cython.bint,
 ) -> cython.int:
     """Fill in residuals of the right (0) or left (1) view, and its normal equations if asked."""
-    i: cython.Py_ssize_t
-    k: cython.Py_ssize_t
-    n: cython.Py_ssize_t
-    number: cython.Py_ssize_t
-    lane: cython.Py_ssize_t
     seen: cython.int = 0
     view: cython.const[cython.float][:, ::1] = views.left if side else views.right
     aside_m: cython.double = camera.baseline_m if side else 0.0
@@ -303,13 +310,8 @@ def project(
 ) -> cython.void:
     """Fill in where points are now, and where they are seen.
 
-    With inverse depth as the scale, a point is now at R ray + t / depth.
-
-    Args:
-        camera, m: as :func:`align` has them.
-        aside_m: how far the camera is to the left.
-        shift: its principal point, the constant error of disparity included.
-        block: the points.
+    With inverse depth as the scale, a point is now at R ray + t / depth. ``shift`` is the column of
+    the principal point, the constant error of disparity included; else as :func:`differentiate`.
     """
     lane: cython.Py_ssize_t
     focal_x: cython.double = camera.focal_x
@@ -483,11 +485,9 @@ def differentiate(
 @cython.cfunc
 @cython.nogil
 @cython.exceptval(check=False)
+@cython.locals(i=cython.Py_ssize_t, k=cython.Py_ssize_t, lane=cython.Py_ssize_t)
 def add_products(block: cython.double[::1], sums: cython.double[::1]) -> cython.void:
     """Fill in the slopes of a block times their weights, and add their products."""
-    i: cython.Py_ssize_t
-    k: cython.Py_ssize_t
-    lane: cython.Py_ssize_t
     n: cython.Py_ssize_t = 0
     for i in range(OF_ONE):
         for lane in range(32):

@@ -2,7 +2,7 @@
 
 import cython
 import numpy as np
-from cython.cimports.libc.math import fabs, floor, sqrt
+from cython.cimports.libc.math import fabs, fabsf, floor, sqrt
 
 NAN = cython.declare(cython.float, np.nan)
 
@@ -45,6 +45,67 @@ def measure(
             back: cython.int = best(left, right, x + d, y, -1, range_px, noise, 1, work)
             if back >= 0 and abs(back - d) <= 1:
                 refine(right, left, x, y, d, noise, found, i)
+
+
+def peaks(
+    grey: cython.const[cython.float][:, ::1],
+    border_px: cython.int,
+    min_slope: cython.float,
+    slope: cython.float[:, ::1],
+    places: cython.int[:, ::1],
+) -> cython.int:
+    """Take the pixels whose slope is above all others around them; return how many there are.
+
+    A slope is the size of that along the row and half that along the column (Sobel).
+
+    Args:
+        grey: the image.
+        border_px: pixels nearer to the border are none.
+        min_slope: least slope in grey levels a px.
+        slope: for the slopes, of the image's size.
+        places: (n, 2) receives columns and rows, as many as fit.
+    """
+    x: cython.int
+    y: cython.int
+    count: cython.int = 0
+    height: cython.int = cython.cast(cython.int, grey.shape[0])
+    width: cython.int = cython.cast(cython.int, grey.shape[1])
+    with cython.nogil:
+        for y in range(max(border_px, 2) - 1, min(height - border_px, height - 2) + 1):
+            slopes_of_row(grey[y - 1], grey[y], grey[y + 1], slope[y])
+        for y in range(max(border_px, 2), min(height - border_px, height - 2)):
+            for x in range(max(border_px, 2), min(width - border_px, width - 2)):
+                here: cython.float = slope[y, x]
+                if not here > min_slope or here < slope[y, x - 1] or here < slope[y, x + 1]:
+                    continue
+                above: cython.float = max(slope[y - 1, x - 1], slope[y - 1, x], slope[y - 1, x + 1])
+                below: cython.float = max(slope[y + 1, x - 1], slope[y + 1, x], slope[y + 1, x + 1])
+                if here >= above and here >= below and count < places.shape[0]:
+                    places[count, 0] = x
+                    places[count, 1] = y
+                    count += 1
+    return count
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def slopes_of_row(
+    above: cython.const[cython.float][::1],
+    here: cython.const[cython.float][::1],
+    below: cython.const[cython.float][::1],
+    slope: cython.float[::1],
+) -> cython.void:
+    """Fill in the slopes of a row but at its ends."""
+    x: cython.Py_ssize_t
+    along: cython.float = 0.125
+    down: cython.float = 0.0625
+    for x in range(1, slope.shape[0] - 1):
+        right: cython.float = above[x + 1] + 2 * here[x + 1] + below[x + 1]
+        left: cython.float = above[x - 1] + 2 * here[x - 1] + below[x - 1]
+        lower: cython.float = below[x - 1] + 2 * below[x] + below[x + 1]
+        upper: cython.float = above[x - 1] + 2 * above[x] + above[x + 1]
+        slope[x] = along * fabsf(right - left) + down * fabsf(lower - upper)
 
 
 def edges(
@@ -205,13 +266,18 @@ def differences(
         work[0, d] = 0
         work[1, d] = 0
     for row in range(y - 2, y + 3):
-        for column in range(x - 4, x + 5):
-            grey: cython.float = view[row, column]
+        # Three columns at a time: sums are loaded and stored less often.
+        for column in range(x - 4, x + 5, 3):
+            one: cython.float = view[row, column]
+            two: cython.float = view[row, column + 1]
+            three: cython.float = view[row, column + 2]
             begin: cython.Py_ssize_t = column + first
             for d in range(shifts):
-                off: cython.float = other[row, begin + d] - grey
-                work[0, d] += off
-                work[1, d] += off * off
+                a: cython.float = other[row, begin + d] - one
+                b: cython.float = other[row, begin + d + 1] - two
+                c: cython.float = other[row, begin + d + 2] - three
+                work[0, d] = work[0, d] + a + b + c
+                work[1, d] = work[1, d] + a * a + b * b + c * c
     for d in range(shifts):
         work[1, d] -= work[0, d] * work[0, d] / cells
 

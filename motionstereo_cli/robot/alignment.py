@@ -150,16 +150,10 @@ def pick(
         count: approximate maximum number.
         cells: rows and columns of cells, which each contribute equally.
     """
-    slope, down = (
-        cv2.Sobel(grey, cv2.CV_32F, *axes, scale=scale)
-        for axes, scale in (((1, 0), 1 / 8), ((0, 1), 1 / 16))
-    )
-    np.abs(slope, out=slope)
-    slope += np.abs(down, out=down)
-    peaks = (slope >= cv2.dilate(slope, np.ones((3, 3), np.uint8))) & (slope > _MIN_SLOPE)
-    inner = np.zeros_like(peaks)
-    inner[_BORDER_PX:-_BORDER_PX, _BORDER_PX:-_BORDER_PX] = True
-    y, x = np.divmod(np.flatnonzero(peaks & inner), grey.shape[1])
+    slope = np.empty_like(grey)
+    places = np.empty((grey.size // 4, 2), np.int32)  # no two peaks touch, but for equal ones
+    found = point_disparity.peaks(grey, _BORDER_PX, _MIN_SLOPE, slope, places)
+    x, y = places[:found].T.astype(np.intp)
     strength = slope[y, x]
     cell = y * cells[0] // grey.shape[0] * cells[1] + x * cells[1] // grey.shape[1]
     # By cell, then by strength: the bits of positive numbers have their order.
@@ -269,13 +263,12 @@ def mismatch(
     residual = np.empty(len(key.points), np.float32)
     weights = loops.Weights(*_COARSE_WEIGHTS)  # type: ignore[call-arg]
     work = reused(loops.Workspace)
-    costs = []
-    for motion in motions:
-        state = np.concatenate([motion[:3].ravel(), key.light, [error_px]])
-        loops.residuals(views, camera, weights, state, work, residual)
-        off = np.nan_to_num(residual[:: views.stride], nan=_COARSE_WEIGHTS[3])
-        costs.append(float(np.minimum(off, _COARSE_WEIGHTS[3]).mean()))
-    return np.array(costs)
+    states = np.empty((len(motions), 17))
+    states[:, :12] = motions[:, :3].reshape(-1, 12)
+    states[:, 12:] = (*key.light, error_px)
+    costs = np.empty(len(motions))
+    loops.mismatches(views, camera, weights, states, work, residual, costs)
+    return costs
 
 
 def _views(key: Keyframe, right: list[Real], left: list[Real], level: int) -> Any:

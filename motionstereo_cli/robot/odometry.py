@@ -60,6 +60,8 @@ _MAX_TURN_RAD, _MAX_AHEAD = float(np.radians(15)), 0.5
 #: A camera that moves its points by less than the first of these, the median, stands still; so does
 #: one that moves them by less than the second where grey agrees nearly as well if it does.
 _STILL_PX, _NEARLY_STILL_PX, _STILL_SCORE = 0.1, 8.0, 0.94
+#: One of so many points tells it.
+_FLOW_STRIDE = 4
 
 #: Prior standard deviation of the constant error of disparity.
 ERROR_SIGMA_PX = 0.3
@@ -294,8 +296,9 @@ def _at_rest(
 
 def _flow_px(key: Keyframe, motion: Reals, lens: Lens) -> float:
     """Return the median displacement of a keyframe's points in the image by a motion."""
-    rays = np.column_stack([key.points[:, :2], np.ones(len(key.points))])
-    inverse = key.points[:, 2] / (lens.focal_px[0] * lens.baseline_m)
+    points = key.points[::_FLOW_STRIDE]
+    rays = np.column_stack([points[:, :2], np.ones(len(points))])
+    inverse = points[:, 2] / (lens.focal_px[0] * lens.baseline_m)
     moved = rays @ motion[:3, :3].T + inverse[:, None] * motion[:3, 3]
     flow = (moved[:, :2] / np.maximum(moved[:, 2:], 1e-3) - rays[:, :2]) * lens.focal_px
     return float(np.median(np.hypot(*flow.T)))
