@@ -12,6 +12,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from typing import TYPE_CHECKING, Any
 
 import cv2
@@ -115,26 +116,33 @@ def watched(
     *,
     rig: Rig | None = None,
 ) -> Iterator[StereoFrame]:
-    """Yield the frames as they come, and tell once what is wrong, after the first window.
+    """Yield the frames as they come, and tell once what is wrong, soon after the first window.
 
     Where that is dark, the window is the first one in the light.
 
-    No frame is held back or read twice.
+    No frame is held back or read twice: the window is looked at in a thread while frames go on.
     """
     checker, left_to_see, in_the_dark = _new_watch(), WINDOW_FRAMES, False
-    for frame in frames:
-        if in_the_dark and not _is_dark(frame):
-            # Only the opening was dark: what follows is looked at instead.
-            checker, left_to_see, in_the_dark = _new_watch(), WINDOW_FRAMES, False
-        if left_to_see:
-            checker.see(frame)
-            left_to_see -= 1
-            if not left_to_see:
-                in_the_dark = _is_dark(frame)
-                if not in_the_dark:
-                    tell(_opening(checker, max_disparity, rig))
-                    checker = _new_watch()  # what it saw is no longer needed
-        yield frame
+    found: Future[list[Finding]] | None = None
+    with ThreadPoolExecutor(1, "check") as thread:
+        for frame in frames:
+            if in_the_dark and not _is_dark(frame):
+                # Only the opening was dark: what follows is looked at instead.
+                checker, left_to_see, in_the_dark = _new_watch(), WINDOW_FRAMES, False
+            if left_to_see:
+                checker.see(frame)
+                left_to_see -= 1
+                if not left_to_see:
+                    in_the_dark = _is_dark(frame)
+                    if not in_the_dark:
+                        found = thread.submit(_opening, checker, max_disparity, rig)
+                        checker = _new_watch()  # what it saw is no longer needed
+            if found is not None and found.done():
+                tell(found.result())
+                found = None
+            yield frame
+        if found is not None:
+            tell(found.result())
     if left_to_see or in_the_dark:
         tell(_opening(checker, max_disparity, rig))
 

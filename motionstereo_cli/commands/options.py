@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import tomllib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -275,6 +274,8 @@ def _default(ctx: click.Context, path: Path, key: str, option: click.Option, val
 
 def _read_config(ctx: click.Context, path: Path) -> None:
     """Make the values of a configuration file the defaults of the command's options."""
+    import tomllib
+
     ctx.meta[_CONFIG] = (path,)
     try:
         values = tomllib.loads(read_bytes(path, "a configuration", _MAX_CONFIG_BYTES).decode())

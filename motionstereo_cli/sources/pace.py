@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 import statistics
 from collections.abc import Sequence
 from fractions import Fraction
@@ -72,7 +73,11 @@ class Pace:
         steady: bool | None,
         places: int | None,
     ) -> None:
-        self._rate, self._time_base = rate, time_base
+        self._time_base = time_base
+        # Whole numbers: fractions take ten times as long, of every image.
+        self._longest = math.floor(_PAUSE_S / time_base)
+        per_tick = time_base * (rate or 0)
+        self._periods, self._ticks = per_tick.numerator, per_tick.denominator
         self._known, self._places = steady is not None, places
         self.steady = steady if rate else False
         self.missing = 0
@@ -89,12 +94,12 @@ class Pace:
         """
         if not self.steady and (self._known or self.steady is False):
             return 0
-        assert self._rate is not None
-        step_s = (pts - last_pts) * self._time_base
-        if step_s > _PAUSE_S:
-            self.pause = self.pause or (float(step_s), float(last_pts * self._time_base))
+        step = pts - last_pts
+        if step > self._longest:
+            begin_s, step_s = (float(each * self._time_base) for each in (last_pts, step))
+            self.pause = self.pause or (step_s, begin_s)
             return 0
-        periods = float(step_s * self._rate)
+        periods = step * self._periods / self._ticks
         steps = round(periods)
         hole = steps - 1 - failed
         if not self._known:
