@@ -35,7 +35,6 @@ from motionstereo_cli.method.memory import (
 from motionstereo_cli.method.settings import AUTO, MATCHERS, Settings
 from motionstereo_cli.method.steady import averaged
 from motionstereo_cli.robot.guide import Guide, guide_of
-from motionstereo_cli.robot.mapper import apart_from, camera_points
 from motionstereo_cli.robot.mover_finder import MoverFinder, stands
 from motionstereo_cli.robot.movers import Movers
 from motionstereo_cli.robot.objects import Region
@@ -441,6 +440,8 @@ def with_movers(
         summary = replace(summary, regions=regions)
     if summary.points is not None and context.rig is not None:
         s = context.settings
+        from motionstereo_cli.robot.mapper import apart_from
+
         recent = charge >= s.charge_max - FRESH_FRAMES * s.charge_leak
         points = apart_from(summary.points, recent, s.reference, context.rig)
         summary = replace(summary, points=points)
@@ -533,6 +534,8 @@ def described(
     )
     points = None
     if context.with_points and rig is not None and images.depth_m is not None:
+        from motionstereo_cli.robot.mapper import camera_points
+
         points = camera_points(images.depth_m, images.look, shown.moved, s.reference, rig)
     summary = FrameSummary(
         time=frame.time,

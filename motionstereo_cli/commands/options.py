@@ -272,13 +272,17 @@ def _default(ctx: click.Context, path: Path, key: str, option: click.Option, val
     return [value] if option.multiple and isinstance(value, str) else value
 
 
+def _toml(text: str) -> dict[str, Any]:
+    import tomllib  # which takes 3 ms, and few commands have a configuration file
+
+    return tomllib.loads(text)
+
+
 def _read_config(ctx: click.Context, path: Path) -> None:
     """Make the values of a configuration file the defaults of the command's options."""
-    import tomllib
-
     ctx.meta[_CONFIG] = (path,)
     try:
-        values = tomllib.loads(read_bytes(path, "a configuration", _MAX_CONFIG_BYTES).decode())
+        values = _toml(read_bytes(path, "a configuration", _MAX_CONFIG_BYTES).decode())
     except InputError as error:
         raise click.UsageError(str(error), ctx) from None
     except (ValueError, RecursionError) as error:

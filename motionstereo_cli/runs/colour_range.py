@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from motionstereo_cli.check.measure import WINDOW_FRAMES
+from motionstereo_cli.check.measure import WINDOW_FRAMES, starts
 from motionstereo_cli.errors import InputError, SettingsError
 from motionstereo_cli.method.matching import match
 from motionstereo_cli.method.memory import checked_views, see
@@ -30,7 +30,7 @@ _STEP_FRAMES, _STEP_PX = 4, 2
 _DECODED_FRAMES = 50
 
 
-def with_colour_range(job: Job) -> Job:
+def with_colour_range(job: Job, *, in_order: bool = False) -> Job:
     """Return the job with measured ends of the depth colours where an output shows them.
 
     They are the same for all frames, and numbers of ``output_settings``. The sample is that of
@@ -38,6 +38,7 @@ def with_colour_range(job: Job) -> Job:
 
     Args:
         job: the job, with a range of disparities that is a number.
+        in_order: its frames will be read in order: the first ones need not be read twice.
 
     Raises:
         InputError: the recordings cannot be read.
@@ -56,7 +57,13 @@ def with_colour_range(job: Job) -> Job:
     sample: Iterable[StereoFrame]
     if job.source.rereadable:
         plan = dataclasses.replace(job.plan, input_settings=job.source.settings)
-        sample = sample_of(plan, _STEP_FRAMES, _DECODED_FRAMES, sparse=True)
+        places = starts(job.source.expected_frames or 1)
+        alone = in_order and (len(places) == 1 or places[1] > _DECODED_FRAMES)
+        how = (_STEP_FRAMES, _DECODED_FRAMES, places[1:] if alone else None)
+        sample = sample_of(plan, *how, sparse=True)
+        if alone:
+            first, frames = _opening(frames)
+            sample = itertools.chain(first, sample)
     else:
         rest = iter(frames)
         sample = list(itertools.islice(rest, WINDOW_FRAMES))
@@ -74,6 +81,25 @@ def with_colour_range(job: Job) -> Job:
         return _settled(job, {"near_px": near or nearest, "far_px": far or farthest})
     nearest, farthest = min(found[0], far / 2 or found[0]), max(found[1], 2 * near)
     return _settled(job, {"near_m": near or nearest, "far_m": far or farthest})
+
+
+def _opening(frames: Iterable[StereoFrame]) -> tuple[list[StereoFrame], Iterable[StereoFrame]]:
+    """Return the first frames of a sample, and all frames; what fails, fails in these."""
+    rest, failed = iter(frames), list[InputError]()
+    first: list[StereoFrame] = []
+    try:
+        first.extend(itertools.islice(rest, _STEP_FRAMES))
+    except InputError as error:
+        failed.append(error)
+
+    def again() -> Iterator[StereoFrame]:
+        while first:
+            yield first.pop(0)
+        for error in failed:
+            raise error
+        yield from rest
+
+    return list(first), again()
 
 
 def _settled(job: Job, ends: dict[str, Any]) -> Job:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 
 from motionstereo_cli.check.measure import WINDOW_FRAMES, advised_range, starts
 from motionstereo_cli.errors import InputError
@@ -55,6 +55,7 @@ def sample_of(
     plan: RunPlan,
     window: int = WINDOW_FRAMES,
     decoded: int = _MAX_DECODED_FRAMES,
+    later: Sequence[int] | None = None,
     *,
     sparse: bool = False,
 ) -> Iterator[StereoFrame]:
@@ -64,11 +65,18 @@ def sample_of(
         plan: the run.
         window: frames of each window.
         decoded: a recording that cannot be read from the middle is decoded up to this frame.
+        later: where the windows after the first begin, if that one is read elsewhere.
         sparse: windows after that frame begin at the key frame before, so that nothing else has to
             be decoded, and those that lie near one before are left out.
     """
-    number, places, windows = 0, [0], [-1]
-    while number < len(places):
+    number, places, windows = 0, [0], [-_NEAR]
+    if later is not None:
+        places, windows = list(later), [0]
+    while True:
+        while sparse and number < len(places) and places[number] - windows[-1] < _NEAR:
+            number += 1
+        if number == len(places):
+            return
         with open_stereo(plan.left, plan.right, plan.input_settings) as source:
             source.ahead = 1
             rectify_source(source, plan.rig, plan.rig_settings)
@@ -78,7 +86,7 @@ def sample_of(
                     *(plan.disparity, given.disparity_view, given.disparity_scale),
                     plan.settings.reference,
                 )
-            if source.expected_frames:
+            if later is None and source.expected_frames:
                 places = list(starts(source.expected_frames))
             begin = places[number]
             if sparse and begin > decoded:
@@ -95,8 +103,6 @@ def sample_of(
                 if any(first <= place < first + window for first in windows):
                     yield frame
             number += len(windows)
-            while sparse and number < len(places) and places[number] - windows[-1] < _NEAR:
-                number += 1
 
 
 def with_range_of_opening(

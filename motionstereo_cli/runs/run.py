@@ -127,7 +127,7 @@ def run(plan: RunPlan, watcher: Watcher | None = None, stdout: BinaryIO | None =
     warned = Warned(watcher.say)
     plan = _with_offset(plan, warned)
     with open_stereo(plan.left, plan.right, plan.input_settings) as source:
-        job = job_of(plan, source, warned)
+        job = job_of(plan, source, warned, in_order=True)
         latest = _Latest(job.frames)
         job = dataclasses.replace(job, frames=latest)
         check_memory()
@@ -215,8 +215,15 @@ def _standard_output(plan: RunPlan) -> BinaryIO | None:
     return sys.stdout.buffer
 
 
-def job_of(plan: RunPlan, source: StereoSource, warned: Warned) -> Job:
-    """Open a run's inputs, and read all that is known before the first frame."""
+def job_of(plan: RunPlan, source: StereoSource, warned: Warned, *, in_order: bool = False) -> Job:
+    """Open a run's inputs, and read all that is known before the first frame.
+
+    Args:
+        plan: the run.
+        source: its recordings, open.
+        warned: shows and keeps warnings.
+        in_order: all frames will be read from the job, in order; so it may read the first ones.
+    """
     note = partial(warned.say, "", "note")
     for line in source.warnings:
         warned.warn("recording", line)
@@ -255,7 +262,7 @@ def job_of(plan: RunPlan, source: StereoSource, warned: Warned) -> Job:
     )
     job = Job(plan, source, frames, context, poses, warned)
     job = with_measured_offset(job, partial(warned.say, "disparity-offset"))
-    job = with_colour_range(job)
+    job = with_colour_range(job, in_order=in_order)
     _log_job(job)
     if plan.folder is not None:
         check_video_size(job.save, source.width, source.height)
