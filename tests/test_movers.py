@@ -127,6 +127,24 @@ def test_a_shift_is_measured_in_both_views(shift, change):
     assert np.nanmedian(inner[..., 5]) < 0.2  # what differed is explained
 
 
+def test_what_the_camera_follows_by_a_turn_is_found_where_it_stays_in_the_image():
+    """The turn takes what stands 23 px and more across the image, farther than patches reach."""
+    now, then = moved_scene(np.random.default_rng(5), (1.0, 0.0), 0.0)
+    focal_px, middle_x, turn = 90.0, 47.5, 0.25
+    camera = Eye((focal_px, focal_px), middle_x, 31.5, middle_x, 1, 9.0, 0.0, 16).at(0)
+    motion = np.eye(4)
+    motion[:3, :3] = cv2.Rodrigues(np.array([0, -turn, 0]))[0]
+    limits = loops.Limits(2.0, 0.05, 3.0, 0.5, 0.06, 0.25, 0.02, 64.0, 1.5, 0.25)
+    wanted, coarse = np.ones((16, 24), np.uint8), np.empty((0, 0, loops.FIELDS), np.float32)
+    result = np.zeros((16, 24, loops.FIELDS), np.float32)
+    loops.align(
+        now, then, camera, motion, limits, 4, 4, wanted, coarse, loops.Workspace(81), result
+    )
+    x = 4 * np.arange(10, 19) + 2
+    stood = middle_x + focal_px * np.tan(np.arctan((x - middle_x) / focal_px) - turn)
+    assert np.nanmedian(result[4:12, 10:19, 0], axis=0) == pytest.approx(x + 1 - stood, abs=1)
+
+
 def test_what_stands_or_was_hidden_or_is_not_asked_for_has_no_shift():
     shape = 16, 24, loops.FIELDS
     camera = Eye((90.0, 90.0), 47.5, 31.5, 47.5, 1, 9.0, 0.0, 16).at(0)

@@ -84,7 +84,7 @@ class Workspace:
     right: cython.double[::1]  # the right side
     middle: cython.double[
         ::1
-    ]  # of the patch: place and nearness then; their errors by one of 1 px now
+    ]  # of the patch: place and nearness then; their errors by one of 1 px now; now less then
     shift: cython.double[::1]
     trial: cython.double[::1]
     none: cython.double[::1]
@@ -95,7 +95,7 @@ class Workspace:
         self.row = np.zeros(pixels, np.float32)
         self.normal, self.inverse = np.zeros((2, 3, 3))
         self.right, self.shift, self.trial, self.none = np.zeros((4, 3))
-        self.middle = np.zeros(6)
+        self.middle = np.zeros(9)
 
 
 def find(
@@ -346,6 +346,9 @@ def look_up(
     work.middle[3] = camera.focal_x * (motion[0, 3] - right * motion[2, 3]) * per_px
     work.middle[4] = camera.focal_y * (motion[1, 3] - below * motion[2, 3]) * per_px
     work.middle[5] = 1 / z - near * motion[2, 3] * per_px / z - 1
+    work.middle[6] = x - u
+    work.middle[7] = y - v
+    work.middle[8] = near - near / z
     before: cython.double = disparity_at(then, u, v) + camera.doffs
     return not before > near / z + max(limits.hidden_px, limits.hidden_share * near / z)
 
@@ -388,11 +391,13 @@ def one(
     least: cython.double = first
     upper: cython.int = cython.cast(cython.int, min(row // 2, coarse.shape[0] - 1))
     aside: cython.int = cython.cast(cython.int, min(column // 2, coarse.shape[1] - 1))
-    for trial in range(4):
+    for trial in range(5 if upper < 0 else 4):
         for k in range(3):
             work.trial[k] = 0
             if trial == 0 and upper >= 0:
                 work.trial[k] = 2 * coarse[upper, aside, k]
+            elif trial == 4:  # it keeps its place in the image, as what a camera follows
+                work.trial[k] = work.middle[6 + k]
             elif trial >= 2:  # the one before it, and the one above
                 work.trial[k] = result[max(row + 2 - trial, 0), max(column - 3 + trial, 0), k]
         if not (isfinite(work.trial[0]) and settled(then, camera, limits, count, first, work)):

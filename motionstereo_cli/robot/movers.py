@@ -32,6 +32,9 @@ _WAY, _SHORT_WAY = 0.02, 0.02
 #: No farther back than turns move it by this share, if there is a nearer one.
 _TURN = 0.15
 _FARTHER, GAPS = 3, 6
+#: Where turns move it by this share since, it is also compared with the last one: what the camera
+#: follows stays near its place in the image.
+_FOLLOWING = 0.05
 #: Where disparity is unknown it is measured at the steepest pixel of each square of so many px.
 _EDGE_PX, _MIN_SLOPE = 8, 2.5
 #: Minimum ratio of the second best cost to the best, and maximum standard deviation.
@@ -190,6 +193,8 @@ def see(movers: Movers, now: Moment, eye: Eye) -> tuple[Movers, NDArray[np.bool_
             np.empty((rows, columns, 3), np.float32),
         )
         ways_px = {farther: _SHORT_WAY * shape[1], gap: math.inf}
+        if _turn_rad(_motion(movers, now, gap)) * eye.focal_px[0] > _FOLLOWING * shape[1]:
+            ways_px[1] = math.inf
         for back in sorted(ways_px):
             then, motion = movers.moments[-back], _motion(movers, now, back)
             found = _shifts(levels, motion, then, eye, ways_px[back])
