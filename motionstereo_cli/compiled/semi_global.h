@@ -78,7 +78,9 @@ typedef struct {
     Columns up, down;             /* paths from below and from above */
     int16_t *across;              /* the path along a row */
     Set across_set;               /* the chunks that it has */
-    int *best, *partner, *partner_cost;
+    int *best;
+    int *partner;                 /* the least claim to each left pixel */
+    int16_t *leap_along, *leap_across;  /* to each pixel from the row before, and from the left */
     int16_t *around;              /* of each pixel: costs before, at and after the best */
     int16_t *cost, *total;        /* of a strip, only what is in the sets; total: of the paths */
     int strip_rows;
@@ -86,13 +88,12 @@ typedef struct {
     float *margin, *rival;        /* of the row */
 } Matching;
 
-/* A tile's part of a row, and its set as a list of vectors. */
+/* A part of a row, of tiles with the same set, and that set as a list of vectors. */
 typedef struct {
     int begin, end, vectors;
     Set set;
     Words padding[PER_CHUNK];  /* added to the costs of the last ones */
     int at[MAX_VECTORS];       /* the first disparity of each */
-    int place[MAX_CHUNKS];     /* of each chunk in the list, in words */
 } Stretch;
 
 INLINE int tiles_across(const Matching *m)
@@ -105,16 +106,15 @@ INLINE const Set *sets_of_row(const Matching *m, int y)
     return m->tiles.sets + (ptrdiff_t)(y / m->tiles.rows) * tiles_across(m);
 }
 
-static void stretch_of(const Matching *m, int y, int tile, Stretch *stretch)
+static void stretch_of(const Matching *m, int y, int first, int last, Stretch *stretch)
 {
     int width = m->tiles.width;
-    stretch->set = sets_of_row(m, y)[tile];
-    stretch->begin = tile * width;
-    stretch->end = stretch->begin + width < m->view.width ? stretch->begin + width : m->view.width;
+    stretch->set = sets_of_row(m, y)[first];
+    stretch->begin = first * width;
+    stretch->end = (last + 1) * width < m->view.width ? (last + 1) * width : m->view.width;
     stretch->vectors = 0;
     for (Set rest = stretch->set; rest; rest &= rest - 1) {
         int chunk = __builtin_ctzll(rest);
-        stretch->place[chunk] = stretch->vectors * LANES;
         for (int i = 0; i < PER_CHUNK; i++)
             stretch->at[stretch->vectors++] = chunk * CHUNK + i * LANES;
     }
@@ -252,10 +252,16 @@ INLINE void costs_of(const Matching *m, const Stretch *s, int vectors, int y, in
         propose(cost, vectors, s, m->view.count, m->view.proposed[pixel], weight);
 }
 
-INLINE int16_t leap_at(const Matching *m, const uint8_t *grey, const uint8_t *beside)
+/* Fill in what a change by more than a step costs between the pixels of two rows. */
+static void fill_leaps(const Matching *m, const uint8_t *grey, const uint8_t *beside, int width,
+                       int16_t *restrict leaps)
 {
-    int leap = m->penalties.leap - m->penalties.per_grey_level * abs(*grey - *beside);
-    return (int16_t)(leap > m->penalties.min_leap ? leap : m->penalties.min_leap);
+    int16_t leap = (int16_t)m->penalties.leap, per_level = (int16_t)m->penalties.per_grey_level;
+    int16_t min_leap = (int16_t)m->penalties.min_leap;
+    for (int x = 0; x < width; x++) {
+        int16_t here = (int16_t)(leap - per_level * abs(grey[x] - beside[x]));
+        leaps[x] = here > min_leap ? here : min_leap;
+    }
 }
 
 /* Make a path forget all chunks but those of a set. */
@@ -268,9 +274,8 @@ INLINE void forget(int16_t *path, Set chunks)
 
 /* Take the path of a column to row ``y`` and return its costs; ``beside`` is the row it is from. */
 INLINE void go_along_column(const Matching *m, const Stretch *s, int vectors, const Columns *columns,
-                            int y, int beside, int x, const Words *cost, Words *costs)
+                            int x, const Words *cost, Words *costs)
 {
-    const uint8_t *grey = m->view.right + x;
     int16_t *path = columns->costs + x * m->path_line + CHUNK, least_before = columns->least[x];
     Words minimum = all_of(MAX_COST);
     if (least_before < 0) {
@@ -280,9 +285,7 @@ INLINE void go_along_column(const Matching *m, const Stretch *s, int vectors, co
             minimum = least(minimum, cost[i]);
         }
     } else {
-        int16_t leap = leap_at(m, grey + (ptrdiff_t)y * m->view.width,
-                               grey + (ptrdiff_t)beside * m->view.width);
-        Words step = all_of(m->penalties.step), limit = all_of(least_before + leap);
+        Words step = all_of(m->penalties.step), limit = all_of(least_before + m->leap_along[x]);
         Words before = load(path + s->at[0] - 1);
         for (int i = 0; i < vectors; i++) {
             int d = s->at[i];
@@ -358,12 +361,6 @@ INLINE void suspend(Matching *m, const Stretch *s, int vectors, const Words *pat
     m->across_set = s->set;
 }
 
-/* Nothing is wanted in a stretch. */
-static int is_idle(const uint8_t *where, const Stretch *s)
-{
-    return memchr(where + s->begin, 1, (size_t)(s->end - s->begin)) == NULL;
-}
-
 /* Find the costs of a stretch of a row, go up, and keep both. */
 INLINE void go_up(const Matching *matching, const Stretch *stretch, int vectors, int y,
                   ptrdiff_t offset)
@@ -371,7 +368,6 @@ INLINE void go_up(const Matching *matching, const Stretch *stretch, int vectors,
     /* Copies, of which the compiler knows that no store changes them. */
     const Matching local = *matching, *m = &local;
     const Stretch known = *stretch, *s = &known;
-    int beside = y < m->view.rows - 1 ? y + 1 : y;
     const uint8_t *where = m->view.where + (ptrdiff_t)y * m->view.width;
     for (int x = s->begin; x < s->end; x++, offset += vectors * LANES) {
         if (!where[x]) {
@@ -380,7 +376,7 @@ INLINE void go_up(const Matching *matching, const Stretch *stretch, int vectors,
         }
         Words cost[MAX_VECTORS], costs[MAX_VECTORS];
         costs_of(m, s, vectors, y, x, cost);
-        go_along_column(m, s, vectors, &m->up, y, beside, x, cost, costs);
+        go_along_column(m, s, vectors, &m->up, x, cost, costs);
         for (int i = 0; i < vectors; i++) {
             store(m->cost + offset + i * LANES, cost[i]);
             store(m->total + offset + i * LANES, costs[i]);
@@ -396,7 +392,6 @@ INLINE void go_forward(Matching *matching, const Stretch *stretch, int vectors, 
     const Matching local = *matching, *m = &local;
     const Stretch known = *stretch, *s = &known;
     const uint8_t *where = m->view.where + (ptrdiff_t)y * m->view.width;
-    const uint8_t *grey = m->view.right + (ptrdiff_t)y * m->view.width;
     Words path[MAX_VECTORS], apart[MAX_VECTORS];
     int fresh = 1;
     resume(m, s, vectors, apart, path);
@@ -409,9 +404,8 @@ INLINE void go_forward(Matching *matching, const Stretch *stretch, int vectors, 
         Words cost[MAX_VECTORS], costs[MAX_VECTORS];
         for (int i = 0; i < vectors; i++)
             cost[i] = load(m->cost + offset + i * LANES);
-        go_along_column(m, s, vectors, &m->down, y, y > 0 ? y - 1 : 0, x, cost, costs);
-        int16_t leap = leap_at(m, grey + x, grey + (x > 0 ? x - 1 : 0));
-        go_across(m, s, vectors, fresh, leap, apart, cost, path, across);
+        go_along_column(m, s, vectors, &m->down, x, cost, costs);
+        go_across(m, s, vectors, fresh, m->leap_across[x], apart, cost, path, across);
         fresh = 0;
         for (int i = 0; i < vectors; i++) {
             int16_t *total = m->total + offset + i * LANES;
@@ -431,6 +425,11 @@ INLINE int place_of(const Words *words, int vectors, Words minimum)
     }
     return place;
 }
+
+/* A right pixel's claim to a left one: that of least cost, of equal costs that of the largest
+   disparity, whose pixel lies farthest on the left. */
+INLINE int claim_of(int cost, int disparity) { return cost << 16 | (MAX_COST - disparity); }
+INLINE int disparity_of(int claim) { return MAX_COST - (claim & MAX_COST); }
 
 /* The disparity of least cost of a pixel, and its margin; -1 where the margin is too small. */
 INLINE void choose(const Matching *m, const Stretch *s, int vectors, int x, const Words *total)
@@ -460,12 +459,8 @@ INLINE void choose(const Matching *m, const Stretch *s, int vectors, int x, cons
         m->rival[x] = least_of_all(rival)[0];
     }
     second = second < PADDING ? second : MAX_COST;
-    /* Without branches, which nothing foretells. Of equal costs that of the pixel farthest on the
-       left: it comes last. */
-    int *partner = m->partner + x + d, *partner_cost = m->partner_cost + x + d;
-    int better = cost <= *partner_cost;
-    *partner = better ? d : *partner;
-    *partner_cost = better ? cost : *partner_cost;
+    int *partner = m->partner + x + d, claim = claim_of(cost, d);
+    *partner = claim < *partner ? claim : *partner;
     float margin = (float)(second - cost), enough = m->penalties.min_share * second;
     enough = enough > m->penalties.min_margin ? enough : m->penalties.min_margin;
     m->best[x] = margin < enough ? -1 : d;
@@ -491,9 +486,8 @@ INLINE void go_back(Matching *matching, const Stretch *stretch, int vectors, int
     const Matching local = *matching, *m = &local;
     const Stretch known = *stretch, *s = &known;
     const uint8_t *where = m->view.where + (ptrdiff_t)y * m->view.width;
-    const uint8_t *grey = m->view.right + (ptrdiff_t)y * m->view.width;
     Words path[MAX_VECTORS], apart[MAX_VECTORS];
-    int fresh = 1, last = m->view.width - 1;
+    int fresh = 1;
     resume(m, s, vectors, apart, path);
     offset += words_of(s);
     for (int x = s->end - 1; x >= s->begin; x--) {
@@ -505,8 +499,7 @@ INLINE void go_back(Matching *matching, const Stretch *stretch, int vectors, int
         Words cost[MAX_VECTORS], total[MAX_VECTORS];
         for (int i = 0; i < vectors; i++)
             cost[i] = load(m->cost + offset + i * LANES);
-        int16_t leap = leap_at(m, grey + x, grey + (x < last ? x + 1 : last));
-        go_across(m, s, vectors, fresh, leap, apart, cost, path, across);
+        go_across(m, s, vectors, fresh, m->leap_across[x + 1], apart, cost, path, across);
         fresh = 0;
         for (int i = 0; i < vectors; i++)
             total[i] = load(m->total + offset + i * LANES) + path[i];
@@ -521,7 +514,8 @@ static void paint(const Matching *m, float *disparity, float *margin)
     int before = -2, width = m->view.width;
     for (int x = 0; x < width; x++) {
         int d = m->best[x];
-        if (d >= 0 && (abs(m->partner[x + d] - d) > 1 || (x + d >= width && abs(before - d) > 1)))
+        if (d >= 0 && (abs(disparity_of(m->partner[x + d]) - d) > 1
+                       || (x + d >= width && abs(before - d) > 1)))
             d = -1;
         before = d >= 0 ? d : -2;
         if (d < 0) {
@@ -549,17 +543,41 @@ static void paint(const Matching *m, float *disparity, float *margin)
     default: { int vectors = (stretch).vectors; call; }                 \
     }
 
+/* Nothing is wanted in a tile of a row. */
+INLINE int is_idle(const Matching *m, const uint8_t *where, int tile)
+{
+    int begin = tile * m->tiles.width, left = m->view.width - begin;
+    return !memchr(where + begin, 1, (size_t)(left < m->tiles.width ? left : m->tiles.width));
+}
+
+/* The last of the tiles from one on, in steps of 1 or -1, that have its set and are idle as it is. */
+INLINE int last_alike(const Matching *m, int y, const uint8_t *where, int tile, int step)
+{
+    const Set *sets = sets_of_row(m, y);
+    int idle = is_idle(m, where, tile), next = tile + step;
+    while (next >= 0 && next < tiles_across(m) && sets[next] == sets[tile]
+           && is_idle(m, where, next) == idle)
+        next += step;
+    return next - step;
+}
+
 static void row_up(Matching *m, int y, ptrdiff_t offset)
 {
-    for (int tile = 0; tile < tiles_across(m); tile++) {
+    const uint8_t *grey = m->view.right + (ptrdiff_t)y * m->view.width;
+    const uint8_t *beside = y < m->view.rows - 1 ? grey + m->view.width : grey;
+    fill_leaps(m, grey, beside, m->view.width, m->leap_along);
+    const uint8_t *where = m->view.where + (ptrdiff_t)y * m->view.width;
+    for (int tile = 0; tile < tiles_across(m);) {
         Stretch s;
-        stretch_of(m, y, tile, &s);
-        if (is_idle(m->view.where + (ptrdiff_t)y * m->view.width, &s))
+        int last = last_alike(m, y, where, tile, 1);
+        stretch_of(m, y, tile, last, &s);
+        if (is_idle(m, where, tile))
             for (int x = s.begin; x < s.end; x++)
                 m->up.least[x] = -1;
         else
             BY_NUMBER(s, go_up(m, &s, vectors, y, offset))
         offset += words_of(&s);
+        tile = last + 1;
     }
 }
 
@@ -567,32 +585,37 @@ static void row_down(Matching *m, int y, ptrdiff_t offset)
 {
     int width = m->view.width;
     const uint8_t *where = m->view.where + (ptrdiff_t)y * width;
+    const uint8_t *grey = m->view.right + (ptrdiff_t)y * width;
+    fill_leaps(m, grey, y > 0 ? grey - width : grey, width, m->leap_along);
+    fill_leaps(m, grey + 1, grey, width - 1, m->leap_across + 1);
     Across across = {0, {0}};
     Stretch s;
-    for (int tile = 0; tile < tiles_across(m); tile++) {
-        stretch_of(m, y, tile, &s);
-        if (is_idle(where, &s)) {
+    for (int tile = 0; tile < tiles_across(m);) {
+        int last = last_alike(m, y, where, tile, 1);
+        stretch_of(m, y, tile, last, &s);
+        if (is_idle(m, where, tile)) {
             across.started = 0;
             for (int x = s.begin; x < s.end; x++)
                 m->down.least[x] = -1;
         } else
             BY_NUMBER(s, go_forward(m, &s, vectors, y, offset, &across))
         offset += words_of(&s);
+        tile = last + 1;
     }
-    for (int x = 0; x < width + m->view.count; x++) {
-        m->partner[x] = -2;
-        m->partner_cost[x] = INT_MAX;
-    }
+    for (int x = 0; x < width + m->view.count; x++)
+        m->partner[x] = INT_MAX;
     for (int x = 0; x < width; x++)
         m->best[x] = -1;
     across.started = 0;
-    for (int tile = tiles_across(m) - 1; tile >= 0; tile--) {
-        stretch_of(m, y, tile, &s);
+    for (int tile = tiles_across(m) - 1; tile >= 0;) {
+        int first = last_alike(m, y, where, tile, -1);
+        stretch_of(m, y, first, tile, &s);
         offset -= words_of(&s);
-        if (is_idle(where, &s))
+        if (is_idle(m, where, tile))
             across.started = 0;
         else
             BY_NUMBER(s, go_back(m, &s, vectors, y, offset, &across))
+        tile = first - 1;
     }
 }
 
@@ -691,7 +714,8 @@ static uint8_t *lay_out(Matching *m, uint8_t *start)
     TAKE(m->across, (size_t)m->path_line)
     TAKE(m->best, width)
     TAKE(m->partner, width + line)
-    TAKE(m->partner_cost, width + line)
+    TAKE(m->leap_along, width)
+    TAKE(m->leap_across, width + 1)
     TAKE(m->around, 3 * width)
     m->down = columns_in(m, memory);
     m->strip_rows = rows_of_strip(m);
@@ -741,6 +765,7 @@ static void semi_global_vectors(View view, Penalties penalties, Tiles tiles, uin
     lay_out(m, memory + -(uintptr_t)memory % ALIGNMENT);
     for (ptrdiff_t i = 0; i < m->path_line; i++)
         m->across[i] = OUTSIDE;
+    m->leap_across[0] = m->leap_across[view.width] = 0;  /* no path comes there */
     begin(m, &m->down);
     int first = (view.rows - 1) / m->strip_rows * m->strip_rows;
     m->up = brought_to(m, first);
