@@ -82,9 +82,8 @@ class Workspace:
     normal: cython.double[:, ::1]
     inverse: cython.double[:, ::1]  # of the same, damped
     right: cython.double[::1]  # the right side
-    middle: cython.double[
-        ::1
-    ]  # of the patch: place and nearness then; their errors by one of 1 px now; now less then
+    # Of the patch: place and nearness then; their errors by one of 1 px now; now less then.
+    middle: cython.double[::1]
     shift: cython.double[::1]
     trial: cython.double[::1]
     none: cython.double[::1]
@@ -384,9 +383,8 @@ def one(
     equations(camera, count, work)
     first: cython.double = misfit(then, camera, count, work.none, work)
     slopes: cython.double = work.normal[0, 0] + work.normal[1, 1]
-    if first < limits.unexplained * (
-        2 * count * limits.noise * limits.noise + limits.per_slope * slopes
-    ):
+    expected: cython.double = 2 * count * limits.noise * limits.noise + limits.per_slope * slopes
+    if first < limits.unexplained * expected:
         return
     least: cython.double = first
     upper: cython.int = cython.cast(cython.int, min(row // 2, coarse.shape[0] - 1))
@@ -433,11 +431,7 @@ def settled(
     first: cython.double,
     work: Workspace,
 ) -> cython.bint:
-    """Improve the trial until it rests; False where it does not.
-
-    Args:
-        first: what differs if the patch stands.
-    """
+    """Improve the trial until it rests; False where it does not, by ``first``, the misfit of none."""
     i: cython.int
     k: cython.int
     steps: cython.int
