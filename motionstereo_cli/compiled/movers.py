@@ -431,7 +431,7 @@ def settled(
     first: cython.double,
     work: Workspace,
 ) -> cython.bint:
-    """Improve the trial until it rests; False where it does not; ``first`` is the misfit of none."""
+    """Improve the trial until it rests, or return False; ``first`` is the misfit of none."""
     i: cython.int
     k: cython.int
     steps: cython.int
