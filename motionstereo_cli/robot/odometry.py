@@ -72,10 +72,10 @@ _ERROR_GAIN, _ERROR_FLOOR_PX = 0.1, 0.02
 NO_ERROR_SIGMA_PX = 0.001
 #: Less than the first of these is not told from none; from the second on it is taken as it is.
 _ERROR_TOLD_PX = 0.06, 0.12
-#: So it is where neither shift nor turn is known better than this, in px at the points' depth:
-#: before a blank wall, few edges agree with many motions. The likeliest one goes into the path all
-#: the same.
-_VAGUE_PX = 2.0, 1.0
+#: It is lost, too, where the standard deviation of the shift is over such a share of the baseline,
+#: or that of the turn over such an angle, and moves points in the image by so many px: before a
+#: blank wall, few edges agree with many motions. The likeliest one goes into the path all the same.
+_VAGUE_BASELINES, _VAGUE_RAD, _VAGUE_PX = 0.2, 0.014, 1.0
 #: Standard deviations of shift and turn in a frame where the rig is lost.
 _LOST_M, _LOST_RAD = 0.2, 0.1
 #: Covariance of a motion over that of its equations, whose points share their errors likewise.
@@ -325,13 +325,16 @@ def _motion(
     information = max(float(normal[10, 10] - normal[10, :10] @ by_error) - certain, 0.0)
     measured = found.error_px * (information + certain) / max(information, 1e-9)
     counts = new and moves and information > 0
-    assert before.key is not None
     variance = np.diag(covariance)
     sigma_m, sigma_rad = (float(np.sqrt(part.sum())) for part in (variance[:3], variance[3:]))
-    unsure = sigma_m / _depth_m(before.key, lens), sigma_rad
-    is_unsure = bool((np.array(unsure) * lens.focal_px[0] > _VAGUE_PX).all())
+    seen_rad = _VAGUE_PX / lens.focal_px[0]
+    assert before.key is not None
+    unsure = sigma_m > max(
+        _VAGUE_BASELINES * lens.baseline_m, seen_rad * _depth_m(before.key, lens)
+    )
+    unsure |= sigma_rad > max(_VAGUE_RAD, seen_rad)
     # Corners do not say how sure they are, but enough of them agree.
-    vague = moves and is_unsure and not found.by_corners
+    vague = moves and unsure and not found.by_corners
     motion = Motion(
         before_from_now=step_back,
         covariance=covariance,
