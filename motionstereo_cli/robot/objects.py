@@ -60,7 +60,7 @@ _LATER, _EARLIER = np.tril_indices(_FITTED, -1)
 _MIN_CELLS, _CELLS_ALIKE = 3, 5.0
 _LEAST_SIGMA_MPS, _ACCELERATION_MPS2 = 0.03, 2.0
 #: By so many standard deviations, what moves by itself is faster than what stands, in the median.
-_SURE_SIGMAS = 1.5
+_SURE_SIGMAS = 1.25
 #: Standard deviation over median absolute deviation of what is normally distributed.
 _NORMAL = 1.4826
 #: A fit that misses the nearness by so much, on average, is worth half.
