@@ -70,6 +70,10 @@ STANDS_WITHIN_M = 0.25
 #: Rows and columns of an image that are used for guidance: larger images take no longer.
 STEERING_PX = 240
 
+#: Disparities so close to the limit of the range are often wrong matches of what is nearer, such as
+#: flecks of the road before a vehicle.
+_LIMIT_PX = 1.5
+
 #: Number of frames of which the median is used: a single deviating one is ignored.
 TARGETS = 3
 
@@ -192,6 +196,8 @@ class ImageGuide:
         """Return what is taken from a frame, see :meth:`Guide.profile`."""
         step = _thinning(disparity_px)
         near_px = disparity_px[:: step[0], :: step[1]]
+        most_px = np.float32(self.settings.max_disparity - _LIMIT_PX)
+        near_px = np.where(near_px < most_px, near_px, np.float32(np.nan))
         near_px = self.rig.nearness_px(near_px) if self.rig else near_px
         near = StripValues.of(near_px, min(self.settings.steer_strips, near_px.shape[1]))
         middle_row = self.rig.cy if self.rig else (len(disparity_px) - 1) / 2
