@@ -70,6 +70,9 @@ class Found(NamedTuple):
 #: Disparities so close to the limit of the range, in px, may be beyond it.
 _LIMIT_PX = 0.5
 
+#: Trails are looked for in every so many rows: their proposals are those of the rows in between.
+_TRAIL_ROWS = 4
+
 #: Texture is fine where more than this share of the pixels begin a trail.
 _FINE = 0.4
 
@@ -183,7 +186,7 @@ def _half(views: _Views, max_disparity: int, settings: Settings) -> _Half:
         return found._replace(disparity_px=fine)
     limit_px = max_disparity - _LIMIT_PX
     keys, age = views.keys[::ROWS], views.age_frames[::ROWS]
-    proposed = _proposed(keys, views.left_keys[::ROWS], max_disparity, settings)
+    proposed = _proposed(views.keys, views.left_keys, max_disparity, settings)
     half, margin = match_dense(
         *(halved(views.right), halved(views.left), halved_mask(views.wanted), proposed),
         weights_of(proposed, keys, age == 0),
@@ -201,27 +204,29 @@ def _half(views: _Views, max_disparity: int, settings: Settings) -> _Half:
 def _proposed(
     keys: NDArray[np.uint16], left_keys: NDArray[np.uint16], max_disparity: int, settings: Settings
 ) -> Real:
-    """Return the disparity of trails, (rows, width) float32, NaN = none.
+    """Return the disparity of trails, (half the rows, width) float32, NaN = none.
 
     Fine texture tells its disparity by itself: there trails propose none.
 
     Args:
-        keys, left_keys: match keys of every :data:`ROWS`-th row, (rows, width) uint16.
+        keys, left_keys: match keys, (height, width) uint16.
+        max_disparity: px.
         settings: how trails are matched.
     """
-    ends = np.count_nonzero(keys[:, 1:] != keys[:, :-1])
-    if ends > _FINE * keys.size:
-        return np.full(keys.shape, np.nan, np.float32)
-    s = settings
+    s, rows = settings, -(-len(keys) // ROWS)
+    some, left_some = keys[::_TRAIL_ROWS], left_keys[::_TRAIL_ROWS]
+    ends = np.count_nonzero(some[:, 1:] != some[:, :-1])
+    if ends > _FINE * some.size:
+        return np.full((rows, keys.shape[1]), np.nan, np.float32)
     found, _ = match_trails(
-        keys,
-        left_keys,
+        some,
+        left_some,
         max_disparity,
-        block_px=(max(s.vote_rows // ROWS, 1), s.vote_columns),
+        block_px=(max(s.vote_rows // _TRAIL_ROWS, 1), s.vote_columns),
         max_ratio=s.max_ratio,
-        min_votes=max(s.min_votes // ROWS, 1),
+        min_votes=max(s.min_votes // _TRAIL_ROWS, 1),
     )
-    return found
+    return np.repeat(found, _TRAIL_ROWS // ROWS, axis=0)[:rows]
 
 
 def _regions(right: Memory, left: Memory, settings: Settings) -> Found:

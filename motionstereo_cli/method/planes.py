@@ -148,6 +148,7 @@ def with_planes(
     # A partner beyond the left view's border is not visible: only a reliable plane gives it.
     around.forget_unseen(error, _MAX_SMOOTH_ERROR_PX, result, share)
     need = wanted * (1 - smooth)
+    need[:, : max(shape[1] - 1 - max_disparity, 0) // _BESIDE.block_x * _BESIDE.block_x] = 0
     weight *= checked_array(margin, np.float32, shape) >= _SURE
     loops.fit(result, weight, grey, need, _BESIDE, _WHERE_UNSEEN, samples, *found)
     return result, share
