@@ -29,6 +29,7 @@ from motionstereo_cli.method.rows import (
     halved,
     halved_exactly,
     halved_mask,
+    in_pairs,
     reduced,
     whole,
     without_fringes,
@@ -151,12 +152,18 @@ class _Views(NamedTuple):
 
     def smaller(self) -> _Views:
         """Return the same at half the size."""
+        right, left = self.exact_pairs()
         return _Views(
-            *(reduced(self.right), reduced(self.left)),
-            *(reduced(self.right_exact), reduced(self.left_exact)),
+            *(reduced(self.right), reduced(self.left), reduced(right), reduced(left)),
             *(every_second(self.keys), every_second(self.left_keys)),
             *(every_second(self.wanted), every_second(self.age_frames)),
         )
+
+    def exact_pairs(self) -> tuple[Real, Real]:
+        """Return grey of half the rows of which each pair is one row at half the size."""
+        rows = len(self.right) // 2
+        right, left = (in_pairs(exact[:rows]) for exact in (self.right_exact, self.left_exact))
+        return right, left
 
 
 class _Half(NamedTuple):
@@ -179,10 +186,12 @@ class _Half(NamedTuple):
 def _half(views: _Views, max_disparity: int, settings: Settings) -> _Half:
     """Match half the rows; large views are matched at half the size, and that is refined."""
     if all(side >= large for side, large in zip(views.right.shape, _LARGE_PX, strict=True)):
-        smaller = views.smaller()
-        found = _half(smaller, -(-max_disparity // 2), settings)
-        rows = 2 * whole(found.disparity_px, halved_exactly(smaller.right), smaller.right)
-        fine = refined(enlarged(rows, views.right_exact.shape), views.right_exact, views.left_exact)
+        found = _half(views.smaller(), -(-max_disparity // 2), settings)
+        right, left = (reduced(exact, columns=1) for exact in views.exact_pairs())
+        fine = refined(2 * enlarged(found.disparity_px, right.shape), right, left)
+        # Surfaces that lean are twice as steep as in the smaller views.
+        grey = halved(views.right)[: len(views.right) // 2]
+        fine = enlarged(whole(fine, right, grey, 2), views.right_exact.shape)
         return found._replace(disparity_px=fine)
     limit_px = max_disparity - _LIMIT_PX
     keys, age = views.keys[::ROWS], views.age_frames[::ROWS]

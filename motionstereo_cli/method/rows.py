@@ -47,15 +47,21 @@ def halved_mask(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return np.concatenate((upper[: len(lower)] | lower, upper[len(lower) :]))
 
 
-def reduced(view: _Image) -> _Image:
+def in_pairs(image: _Image) -> _Image:
+    """Return an image of an even number of rows: the last of an odd number comes twice."""
+    return image if len(image) % 2 == 0 else cast("_Image", np.concatenate((image, image[-1:])))
+
+
+def reduced(view: _Image, columns: int = 2) -> _Image:
     """Return the means of squares of 2 x 2 pixels, (height // 2, width // 2).
 
     Args:
         view: (height, width) uint8 or float32.
+        columns: 1 = of two pixels, one above the other.
     """
-    rows, width = (side // 2 for side in view.shape)
-    means = cv2.resize(view[: 2 * rows, : 2 * width], (width, rows), interpolation=cv2.INTER_AREA)
-    return cast("_Image", means)
+    rows, width = len(view) // 2, view.shape[1] // columns
+    used = view[: 2 * rows, : columns * width]
+    return cast("_Image", cv2.resize(used, (width, rows), interpolation=cv2.INTER_AREA))
 
 
 def every_second(image: _Image) -> _Image:
@@ -81,7 +87,10 @@ def enlarged(image: _Image, shape: tuple[int, ...]) -> _Image:
 
 
 def whole(
-    disparity_px: NDArray[np.float32], half_grey: NDArray[np.float32], grey: NDArray[np.uint8]
+    disparity_px: NDArray[np.float32],
+    half_grey: NDArray[np.float32],
+    grey: NDArray[np.uint8],
+    steep: float = 1,
 ) -> NDArray[np.float32]:
     """Return the disparity of all rows, (height, width) float32, NaN = unknown.
 
@@ -93,6 +102,7 @@ def whole(
         disparity_px: (ceil(height / 2), width) float32, NaN = unknown.
         half_grey: grey of the same rows, float32.
         grey: (height, width) uint8.
+        steep: half rows may differ so many times as much.
     """
     grey = checked_array(grey, np.uint8)
     half = (grey.shape[0] + 1) // ROWS, grey.shape[1]
@@ -100,7 +110,7 @@ def whole(
     loops.whole(
         checked_array(disparity_px, np.float32, half),
         checked_array(half_grey, np.float32, half),
-        *(grey, _TOLERANCE_PX, _NEARER, result),
+        *(grey, steep * _TOLERANCE_PX, _NEARER, result),
     )
     return result
 
