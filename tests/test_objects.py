@@ -284,7 +284,7 @@ class TestMovement:
         assert moves.sigma_mps == pytest.approx((older + newer) ** -0.5)
         assert movement(Track(1, observations[:1], 2)) is None
 
-    @pytest.mark.parametrize(("sigma_mps", "sure"), [(0.2, True), (0.4, False)])
+    @pytest.mark.parametrize(("sigma_mps", "sure"), [(0.4, True), (0.6, False)])
     def test_what_moves_surely_does_so_in_the_median(self, sigma_mps, sure):
         observations = tuple(
             Observation(0.1 * n, replace(region(60), sigma_mps=sigma_mps), (2, 0), (2, 0), speed)
@@ -577,7 +577,7 @@ def test_what_moves_by_itself_stands_on_ground(top, stands):
     disparity, moved = np.full((120, 160), NAN), np.zeros((120, 160), np.bool_)
     disparity[top : top + 24, 40:64] = 1.5
     moved[top : top + 24, 40:64] = True
-    velocity_mps = np.ones((30, 40, 3), np.float32)
+    velocity_mps = np.ones((30, 40, 4), np.float32)
     found = Tracker(Settings(), rig).moving_regions(disparity, moved, velocity_mps)
     assert [(each.x, each.y, each.width, each.height) for each in found] == (
         [(40, top, 24, 24)] if stands else []
@@ -596,13 +596,15 @@ def test_the_velocity_of_a_region_is_the_median_of_its_cells(driven_m):
     moved[40:80, 40:100] = True
     disparity[40:80, 120:140] = 3  # beside it, but not of it
     moved[40:80, 120:140] = True
-    velocity_mps = np.full((HEIGHT // 4, WIDTH // 4, 3), NAN)
-    velocity_mps[10:20, 10:25:2] = (-0.5, 9.0, 1.0)
-    velocity_mps[10:20, 10] = (3.0, 0.0, 4.0)
+    velocity_mps = np.full((HEIGHT // 4, WIDTH // 4, 4), NAN)
+    velocity_mps[10:20, 10:25:2] = (-0.5, 9.0, 1.0, 2.0)
+    velocity_mps[10:20, 10] = (3.0, 0.0, 4.0, 2.0)
     tracker, tracks = Tracker(Settings(), RIG), Tracks()
     for number in range(2):
         found = tracker.moving_regions(disparity, moved, velocity_mps)
         assert [each.velocity_mps for each in found] == [(1.0, 0.5)]
+        # A tenth of a px in each of 80 cells, of which five show the same.
+        assert found[0].sigma_mps == pytest.approx(0.2 / math.sqrt(80 / 5))
         pose = Pose(0, driven_m * number, 0, 0, 0, math.sqrt(0.5), math.sqrt(0.5))
         tracks, seen = tracker.follow(tracks, found, FrameTime(number, number, number / 10), pose)
     assert seen[0].velocity_mps == pytest.approx((-0.5, 1.0))
@@ -615,7 +617,7 @@ def test_a_part_of_what_moves_is_no_other_thing(inner_px, count):
     moved[40:80, 40:100] = True
     disparity[:40] = disparity[80:] = disparity[:, :40] = disparity[:, 100:] = np.nan
     disparity[52:68, 60:76] = inner_px
-    velocity_mps = np.ones((HEIGHT // 4, WIDTH // 4, 3), np.float32)
+    velocity_mps = np.ones((HEIGHT // 4, WIDTH // 4, 4), np.float32)
     found = Tracker(Settings(), RIG).moving_regions(disparity, moved, velocity_mps)
     assert [each.width for each in found] == [60, 16][:count]
 

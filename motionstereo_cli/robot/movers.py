@@ -106,6 +106,10 @@ class Eye:
         down = (y_px - self.cy_px) / self.focal_px[1]
         return np.stack([across * depth_m, down * depth_m, depth_m], axis=1)
 
+    def in_view_px(self, places_m: Reals) -> Reals:
+        """Return where places before the camera (n, 3) are in its view, x and y, (n, 2) px."""
+        return places_m[:, :2] / places_m[:, 2:] * self.focal_px + (self.cx_px, self.cy_px)
+
     def at(self, level: int) -> Any:
         """Return the camera of a pyramid level for the loops."""
         q = 0.5**level
@@ -170,9 +174,9 @@ def pyramid(view: Grey, other: Grey) -> tuple[Grey, ...]:
 def see(movers: Movers, now: Moment, eye: Eye) -> tuple[Movers, NDArray[np.bool_], Real]:
     """Return what is known after a frame, where something moved by itself, and how fast.
 
-    The second is (height, width) bool. The third is the velocity over ground of cells of
-    :data:`CELL_PX`, to the right, down and ahead of the camera, (rows, columns, 3) m/s, NaN =
-    unknown.
+    The second is (height, width) bool. The third, (rows, columns, 4) m/s, NaN = unknown, is the
+    velocity over ground of cells of :data:`CELL_PX`, to the right, down and ahead of the camera,
+    and by how much the last is wrong per px by which the change of disparity is.
 
     Args:
         movers: what was known before.
@@ -182,7 +186,7 @@ def see(movers: Movers, now: Moment, eye: Eye) -> tuple[Movers, NDArray[np.bool_
     shape = now.disparity_px.shape
     rows, columns = (side // CELL_PX for side in shape)
     moving, lasting = None, np.zeros((rows, columns), np.bool_)
-    velocity_mps = np.full((rows, columns, 3), np.nan, np.float32)
+    velocity_mps = np.full((rows, columns, 4), np.nan, np.float32)
     now = replace(now, disparity_px=_filled(now, eye))
     if movers.moments:
         gap, levels = _gap(movers, now, eye), now.levels()
@@ -207,7 +211,9 @@ def see(movers: Movers, now: Moment, eye: Eye) -> tuple[Movers, NDArray[np.bool_
         count, things = _things(moved, shifts, near)
         moving = np.where((things > 0)[..., None], shifts[..., :3], np.float32(np.nan))
         if movers.moving is not None:
-            lasting = _lasting(count, things, moving, movers.moving)
+            some, step = things > 0, now.before_from_now
+            stood = _places_m(some, near[some], eye) @ step[:3, :3].T + step[:3, 3]
+            lasting = _lasting(count, things, moving, movers.moving, eye.in_view_px(stood))
     kept = (*movers.moments, now)[-GAPS:]
     velocity_mps[~lasting] = np.nan
     return Movers(kept, moving), _in_pixels(lasting, shape), velocity_mps
@@ -339,7 +345,7 @@ def _moved(shifts: Real, near: Real) -> NDArray[np.bool_]:
 def _velocity_mps(
     where: NDArray[np.bool_], shift: Real, near: Real, motion: Reals, eye: Eye, apart_s: float
 ) -> Reals:
-    """Return how fast cells moved over ground, right, down and ahead of the camera, (n, 3) m/s.
+    """Return how fast cells moved over ground, (n, 4) m/s, as :func:`see` has it.
 
     A patch is a place in space now by its disparity, and another one then by where its grey was and
     the disparity that it had there.
@@ -351,19 +357,21 @@ def _velocity_mps(
         eye: the camera.
         apart_s: time since then in s.
     """
-    row, column = np.nonzero(where)
-    half = CELL_PX // 2
-    here = eye.places_m(column * CELL_PX + half, row * CELL_PX + half, near)
+    here = _places_m(where, near, eye)
     stood = here @ motion[:3, :3].T + motion[:3, 3]
-    (fx, fy), ahead = eye.focal_px, stood[:, 2]
-    there = eye.places_m(
-        eye.cx_px + fx * stood[:, 0] / ahead + shift[:, 0],
-        eye.cy_px + fy * stood[:, 1] / ahead + shift[:, 1],
-        eye.focal_baseline / ahead + shift[:, 2],
-    )
+    x_px, y_px = (eye.in_view_px(stood) + shift[:, :2]).T
+    there = eye.places_m(x_px, y_px, eye.focal_baseline / stood[:, 2] + shift[:, 2])
     moved_m = here - (there - motion[:3, 3]) @ motion[:3, :3]
+    moved_m = np.column_stack([moved_m, here[:, 2] / near])
     known = (there[:, 2] > 0) & (apart_s > 0)
     return np.where(known[:, None], moved_m / (apart_s or 1), np.nan)
+
+
+def _places_m(where: NDArray[np.bool_], near: Real, eye: Eye) -> Reals:
+    """Return the places in space of cells (rows, columns) with a nearness (n,), (n, 3)."""
+    row, column = np.nonzero(where)
+    half = CELL_PX // 2
+    return eye.places_m(column * CELL_PX + half, row * CELL_PX + half, near)
 
 
 def _things(moved: NDArray[np.bool_], shifts: Real, near: Real) -> tuple[int, NDArray[np.int32]]:
@@ -395,17 +403,18 @@ def _alike(one: Real, other: Real) -> NDArray[np.bool_]:
 
 
 def _lasting(
-    count: int, things: NDArray[np.int32], moving: Real, before: Real
+    count: int, things: NDArray[np.int32], moving: Real, before: Real, stood_px: Reals
 ) -> NDArray[np.bool_]:
     """Return the cells of things that moved alike in the frame before.
 
     Args:
         count, things: of this frame.
         moving, before: of this frame and the one before, as :class:`Movers` has them.
+        stood_px: where the cells of things were then if they stand, x and y, (n, 2).
     """
     row, column = np.nonzero(things)
     shift, limits = moving[row, column], np.array(things.shape) - 1
-    then = np.stack([row, column]) + np.rint(shift[:, 1::-1].T / CELL_PX).astype(np.intp)
+    then = np.floor((stood_px + shift[:, :2]).T[::-1] / CELL_PX).astype(np.intp)
     alike_px = np.maximum(_LASTING_PX, _LASTING_SHARE * np.abs(shift).max(axis=1))
     alike = np.zeros(len(row), np.bool_)
     for down in (-1, 0, 1):

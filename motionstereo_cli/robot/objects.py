@@ -56,11 +56,11 @@ _FITTED = 12
 _MIN_FITTED = 6
 _LATER, _EARLIER = np.tril_indices(_FITTED, -1)
 #: Of velocities by single frames: fewest cells that tell one; cells whose patches overlap; least
-#: standard deviation; how much a velocity may change in a second.
+#: standard deviation of a change of disparity; how much a velocity may change in a second.
 _MIN_CELLS, _CELLS_ALIKE = 3, 5.0
-_LEAST_SIGMA_MPS, _ACCELERATION_MPS2 = 0.03, 2.0
+_CELL_SIGMA_PX, _ACCELERATION_MPS2 = 0.1, 2.0
 #: By so many standard deviations, what moves by itself is faster than what stands, in the median.
-_SURE_SIGMAS = 1.25
+_SURE_SIGMAS = 1.0
 #: Standard deviation over median absolute deviation of what is normally distributed.
 _NORMAL = 1.4826
 #: A fit that misses the nearness by so much, on average, is worth half.
@@ -81,7 +81,7 @@ class Region:
             measured in this frame alone.
         sigma_mps: standard deviation of that.
         cells: known share and nearness in px of the cells of its box, and their velocity if it is
-            measured, (2 or 5, height / 4, width / 4) float32, NaN = not in it; None where it is
+            measured, (2 or 6, height / 4, width / 4) float32, NaN = not in it; None where it is
             remembered.
     """
 
@@ -150,8 +150,8 @@ def regions(
         nearness_px: disparity + doffs, (height, width) float32, NaN = unknown.
         fresh: where something has just moved, (height, width) bool.
         min_share: share of the image, 0..1, that a region has to have.
-        velocity_mps: of cells over ground, right, down and ahead of the camera, (rows or more,
-            columns or more, 3), NaN = unknown.
+        velocity_mps: of cells over ground, (rows or more, columns or more, 4), as
+            :func:`~motionstereo_cli.robot.movers.see` has it.
     """
     share, cells = _in_cells(nearness_px, fresh)
     bridged = _bridged(cells)
@@ -325,18 +325,19 @@ def region_of(left: int, top: int, cells: Reals) -> Region:
 
 
 def _median_velocity(velocity_mps: Reals) -> tuple[tuple[float, float] | None, float]:
-    """Return the velocity ahead and to the left that cells (n, 3) agree on, and its sigma."""
+    """Return the velocity ahead and to the left that cells (n, 4) agree on, and its sigma."""
     if not velocity_mps.size:
         return None, math.inf
     known = velocity_mps[np.isfinite(velocity_mps[:, 0])].astype(np.float64)
     if len(known) < _MIN_CELLS:
         return None, math.inf
-    each = known[:, 2::-2] * (1, -1)
+    each = known[:, [2, 0]] * (1, -1)
     middle = _median(each)
-    spread = float(np.hypot(*(_NORMAL * _median(np.abs(each - middle)))))
+    spread = np.hypot(*(_NORMAL * _median(np.abs(each - middle))))
+    spread = np.hypot(spread, _CELL_SIGMA_PX * _median(known[:, 3]))
     own = max(len(known) / _CELLS_ALIKE, 1.0)
     ahead, left = middle.tolist()
-    return (ahead, left), max(spread / math.sqrt(own), _LEAST_SIGMA_MPS)
+    return (ahead, left), float(spread) / math.sqrt(own)
 
 
 def follow(

@@ -123,8 +123,8 @@ class Tracker:
         Args:
             disparity_px: (height, width) float32, NaN = unknown.
             moved: where something moved by itself, (height, width) bool: parts of it.
-            velocity_mps: of cells of :data:`~motionstereo_cli.robot.objects.CELL_PX` over ground,
-                right, down and ahead of the camera, (rows, columns, 3), NaN = unknown.
+            velocity_mps: of cells over ground, (rows, columns, 4), as
+                :func:`~motionstereo_cli.robot.movers.see` has it.
         """
         x, y, width, height = cv2.boundingRect(moved.view(np.uint8))
         if not width:
