@@ -72,13 +72,15 @@ class Limits:
 
 @cython.cclass
 class Workspace:
-    """The pixels of a patch, for both views: used again and again."""
+    """The pixels of a patch, 48 at most, for both views: used again and again."""
 
     grey: cython.float[:, ::1]  # of now
     slope_x: cython.float[:, ::1]  # less its mean, once they are centred
     slope_y: cython.float[:, ::1]
     column: cython.float[:, ::1]  # where it was if it stands
     row: cython.float[::1]
+    place: cython.int[::1]  # columns and rows of pixels then, in lanes of 48
+    there: cython.float[::1]  # shares of a px beyond these, four greys, difference
     normal: cython.double[:, ::1]
     inverse: cython.double[:, ::1]  # of the same, damped
     right: cython.double[::1]  # the right side
@@ -92,11 +94,14 @@ class Workspace:
         images = np.zeros((4, 2, pixels), np.float32)
         self.grey, self.slope_x, self.slope_y, self.column = images
         self.row = np.zeros(pixels, np.float32)
+        self.place = np.zeros(2 * 48, np.int32)
+        self.there = np.zeros(7 * 48, np.float32)
         self.normal, self.inverse = np.zeros((2, 3, 3))
         self.right, self.shift, self.trial, self.none = np.zeros((4, 3))
         self.middle = np.zeros(9)
 
 
+@cython.locals(row=cython.int, column=cython.int, n=cython.int)
 def find(
     now: Moment,
     then: Moment,
@@ -111,8 +116,7 @@ def find(
     """Mark the cells whose grey the rig's own motion does not explain.
 
     Args:
-        now, then: two moments.
-        camera: the camera.
+        now, then, camera: two moments of a camera.
         motion: (4, 4) takes places in the camera of now to those in the earlier one.
         limits: what counts.
         cell_px: height and width of a cell.
@@ -120,9 +124,6 @@ def find(
         work: for the pixels of a cell.
         result: (rows, columns) receives 1 for such cells, 0 for others and where that is unknown.
     """
-    row: cython.int
-    column: cython.int
-    n: cython.int
     with cython.nogil:
         for row in range(cython.cast(cython.int, result.shape[0])):
             for column in range(cython.cast(cython.int, result.shape[1])):
@@ -147,6 +148,7 @@ def find(
                 result[row, column] = off > limits.unexplained * expected
 
 
+@cython.locals(row=cython.int, column=cython.int, k=cython.int)
 def align(
     now: Moment,
     then: Moment,
@@ -174,9 +176,6 @@ def align(
         work: for the pixels of a patch.
         result: (rows, columns, :data:`FIELDS`) receives it, NaN where unknown.
     """
-    row: cython.int
-    column: cython.int
-    k: cython.int
     side: cython.int = 2 * reach + 1
     with cython.nogil:
         for row in range(cython.cast(cython.int, result.shape[0])):
@@ -228,6 +227,7 @@ def way(
 @cython.cfunc
 @cython.nogil
 @cython.exceptval(check=False)
+@cython.locals(x=cython.int, y=cython.int)
 def gather(
     now: Moment,
     then: Moment,
@@ -241,8 +241,6 @@ def gather(
     work: Workspace,
 ) -> cython.int:
     """Take every second pixel of a square, as on a chessboard, of one surface; return how many."""
-    x: cython.int
-    y: cython.int
     count: cython.int = 0
     per_px: cython.double = 1 / camera.focal_baseline
     per_focal: cython.double = 1 / camera.focal_x
@@ -365,6 +363,7 @@ def disparity_at(then: Moment, u: cython.double, v: cython.double) -> cython.dou
 @cython.cfunc
 @cython.nogil
 @cython.exceptval(check=False)
+@cython.locals(k=cython.int, trial=cython.int)
 def one(
     then: Moment,
     camera: Camera,
@@ -378,8 +377,6 @@ def one(
     result: cython.float[:, :, ::1],
 ) -> cython.void:
     """Fill in how a patch moved."""
-    k: cython.int
-    trial: cython.int
     equations(camera, count, work)
     first: cython.double = misfit(then, camera, count, work.none, work)
     slopes: cython.double = work.normal[0, 0] + work.normal[1, 1]
@@ -423,6 +420,7 @@ def one(
 @cython.cfunc
 @cython.nogil
 @cython.exceptval(check=False)
+@cython.locals(i=cython.int, k=cython.int, steps=cython.int)
 def settled(
     then: Moment,
     camera: Camera,
@@ -432,9 +430,6 @@ def settled(
     work: Workspace,
 ) -> cython.bint:
     """Improve the trial until it rests, or return False; ``first`` is the misfit of none."""
-    i: cython.int
-    k: cython.int
-    steps: cython.int
     rest: cython.double = 0
     for steps in range(8):
         left: cython.double = misfit(then, camera, count, work.trial, work)
@@ -457,12 +452,11 @@ def settled(
 @cython.cfunc
 @cython.nogil
 @cython.exceptval(check=False)
+@cython.locals(i=cython.int, k=cython.int)
 def sureness(
     limits: Limits, near: cython.double, left: cython.double, count: cython.int, work: Workspace
 ) -> cython.double:
     """Return the squared shift in standard deviations, of which disparity's error is a part."""
-    i: cython.int
-    k: cython.int
     variance: cython.double = 2 * limits.noise * limits.noise + left / (2 * count)
     sigma: cython.double = limits.sigma_px + limits.sigma_share * near
     all: cython.double = 0
@@ -482,6 +476,7 @@ def sureness(
 @cython.cfunc
 @cython.nogil
 @cython.exceptval(check=False)
+@cython.locals(side=cython.int, n=cython.int)
 def misfit(
     then: Moment,
     camera: Camera,
@@ -493,8 +488,8 @@ def misfit(
 
     Fills in the right side of the equations, for slopes that are centred.
     """
-    side: cython.int
-    n: cython.int
+    place: cython.int[::1] = work.place
+    there: cython.float[::1] = work.there
     all: cython.double = 0
     none: cython.float = 0
     down: cython.float = cython.cast(cython.float, moved[1])
@@ -510,14 +505,24 @@ def misfit(
         squares: cython.double = 0
         by_x: cython.double = 0
         by_y: cython.double = 0
-        for n in range(count):
+        for n in range(48):
             u: cython.float = min(max(work.column[side, n] + right, none), last_column)
             v: cython.float = min(max(work.row[n] + down, none), last_row)
-            row: cython.int = cython.cast(cython.int, v)
-            first: cython.int = cython.cast(cython.int, u)
-            upper: cython.float = between(view, row, first, u - first)
-            lower: cython.float = between(view, row + 1, first, u - first)
-            off: cython.float = upper + (v - row) * (lower - upper) - work.grey[side, n]
+            place[n] = cython.cast(cython.int, u)
+            place[n + 48] = cython.cast(cython.int, v)
+            there[n] = u - place[n]
+            there[n + 48] = v - place[n + 48]
+        for n in range(count):
+            there[n + 96] = view[place[n + 48], place[n]]
+            there[n + 144] = view[place[n + 48], place[n] + 1]
+            there[n + 192] = view[place[n + 48] + 1, place[n]]
+            there[n + 240] = view[place[n + 48] + 1, place[n] + 1]
+        for n in range(48):
+            upper: cython.float = there[n + 96] + there[n] * (there[n + 144] - there[n + 96])
+            lower: cython.float = there[n + 192] + there[n] * (there[n + 240] - there[n + 192])
+            there[n + 288] = upper + there[n + 48] * (lower - upper) - work.grey[side, n]
+        for n in range(count):
+            off: cython.float = there[n + 288]
             total += off
             squares += off * off
             by_x += off * work.slope_x[side, n]
@@ -532,12 +537,9 @@ def misfit(
 @cython.cfunc
 @cython.nogil
 @cython.exceptval(check=False)
+@cython.locals(side=cython.int, n=cython.int, i=cython.int, k=cython.int)
 def equations(camera: Camera, count: cython.int, work: Workspace) -> cython.void:
     """Centre the slopes, and fill in the equations and the inverse of them damped."""
-    side: cython.int
-    n: cython.int
-    i: cython.int
-    k: cython.int
     a: cython.double[:, ::1] = work.normal
     a[:, :] = 0
     for side in range(2):
@@ -568,12 +570,11 @@ def equations(camera: Camera, count: cython.int, work: Workspace) -> cython.void
     a[1, 0] = a[0, 1]
     a[2, 0] = a[0, 2]
     a[2, 1] = a[1, 2]
-    # The inverse, damped, by cofactors.
+    # The inverse, damped by 4, by cofactors.
     b: cython.double[:, ::1] = work.inverse
-    damping: cython.double = 4
-    p: cython.double = a[0, 0] + damping
-    q: cython.double = a[1, 1] + damping
-    r: cython.double = a[2, 2] + damping
+    p: cython.double = a[0, 0] + 4
+    q: cython.double = a[1, 1] + 4
+    r: cython.double = a[2, 2] + 4
     b[0, 0] = q * r - a[1, 2] * a[1, 2]
     b[0, 1] = a[0, 2] * a[1, 2] - a[0, 1] * r
     b[0, 2] = a[0, 1] * a[1, 2] - a[0, 2] * q
