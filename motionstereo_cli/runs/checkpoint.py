@@ -20,7 +20,6 @@ from motionstereo_cli.pipeline import State
 from motionstereo_cli.robot.guide import ImageHeading, MapCourse
 from motionstereo_cli.runs.open_outputs import Totals
 from motionstereo_cli.sinks.records import FolderRecord, option_of
-from motionstereo_cli.sinks.sink import Sink
 
 _HEAD = b"motionstereo checkpoint 7"
 
@@ -55,20 +54,19 @@ def write_checkpoint(
     identity: FolderRecord,
     state: State,
     totals: Totals,
-    sinks: Mapping[str, Sink[Any]],
+    marks: Mapping[str, Any],
 ) -> None:
-    """Replace the checkpoint, after all outputs have made theirs.
+    """Replace the checkpoint, once all outputs have made theirs.
 
     Args:
         path: its file.
         identity: the run's identity, as in the record.
         state, totals: see :class:`Checkpoint`.
-        sinks: the outputs.
+        marks: the checkpoint of each output, or its future.
 
     Raises:
         OutputError: the checkpoint or an output cannot be written.
     """
-    marks = {name: sink.checkpoint() for name, sink in sinks.items()}
     made = {name: mark.result() for name, mark in marks.items() if isinstance(mark, Future)}
     guided = type(state.tracking.guided).__name__
     content = pack(Checkpoint(_digest(identity), state, guided, totals, made))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
@@ -103,6 +104,8 @@ class RunFolder(Sinks):
         self._table = table
         self._check = check
         self._lock = contextlib.ExitStack()
+        self._thread = ThreadPoolExecutor(1, "checkpoint")
+        self._checkpoint: Future[None] | None = None
 
     def __enter__(self) -> Self:
         with contextlib.ExitStack() as held:
@@ -118,6 +121,7 @@ class RunFolder(Sinks):
         traceback: TracebackType | None,
     ) -> None:
         with self._lock:
+            self._thread.shutdown()
             if self.finished is None:
                 self._keep = self._keep and self._kind.keeps
                 super().__exit__(kind, error, traceback)
@@ -125,14 +129,29 @@ class RunFolder(Sinks):
                     tidy(self.path, self._kind)
 
     def checkpoint(self) -> None:
-        """Write what another process needs to continue after this frame.
+        """Begin to write what another process needs to continue after this frame.
+
+        It is written in a thread, while frames go on; until it is complete, the one before counts.
 
         Raises:
-            OutputError: the checkpoint or an output cannot be written.
+            OutputError: the one before, or an output, cannot be written.
         """
         assert self.state is not None
-        path = self.path / CHECKPOINT
-        write_checkpoint(path, self._identity, self.state, self.totals, self._sinks)
+        self._end_checkpoint()
+        marks = {name: sink.checkpoint() for name, sink in self._sinks.items()}
+        begun = (self.path / CHECKPOINT, self._identity, self.state, self.totals, marks)
+        self._checkpoint = self._thread.submit(write_checkpoint, *begun)
+
+    def close(self) -> None:
+        """Complete the outputs, see :meth:`Sinks.close`."""
+        self._end_checkpoint()
+        super().close()
+
+    def _end_checkpoint(self) -> None:
+        """Wait for the checkpoint that is being written."""
+        begun, self._checkpoint = self._checkpoint, None
+        if begun is not None:
+            begun.result()
 
     def complete(self, **outcome: Any) -> FolderRecord:
         """Write the record, after the outputs were closed, and return it.

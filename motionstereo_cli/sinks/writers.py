@@ -163,17 +163,20 @@ class NumberedFiles:
 
     def add(self, number: int, content: bytes) -> None:
         """Write the file of a frame."""
+        self._check_folder()
         path = self._named(number)
-        if path.parent.is_symlink():
-            raise OutputError(f"{path.parent} has become a link: the results would go elsewhere")
         write_whole(path, content)
         self._unsynced.append(path)
         self._count(hashlib.sha256(content).digest())
 
     def checkpoint(self) -> FilesMark:
         """Make sure that all so far is on the disk."""
-        for path in self._unsynced:
-            sync(path)
+        try:
+            for path in self._unsynced:
+                sync(path)
+        except OutputError:
+            self._check_folder()  # a link says more than that a file is not there
+            raise
         self._unsynced.clear()
         return self._mark
 
@@ -182,6 +185,11 @@ class NumberedFiles:
 
     def abandon(self, *, keep: bool) -> None:
         """Do nothing: every file is complete."""
+
+    def _check_folder(self) -> None:
+        folder = self._path.parent
+        if folder.is_symlink():
+            raise OutputError(f"{folder} has become a link: the results would go elsewhere")
 
     def _named(self, number: int) -> Path:
         return self._path.with_name(self._path.name.format(number))
