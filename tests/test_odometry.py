@@ -313,15 +313,20 @@ class TestRun:
 
     def test_frames_that_are_lost_have_no_line(self, tmp_path):
         pose, fix = Pose(1, 2, 3, 0, 0, 0, 1), Fix(False, 0.1, 0.01, 0.0, 0.9)
-        sink = TumFile(tmp_path / "poses.txt", "")
-        for index, lost in enumerate([False, True, False]):
-            steering = Steering("blind", None, None, None, None)
-            time = FrameTime(index, index, index / 10)
-            each = replace(fix, lost=lost)
-            sink.write(Step(time, steering, (), pose, 0.0, 0.0, fix=each))
-        sink.close()
-        lines = (tmp_path / "poses.txt").read_text().splitlines()
-        assert [line.split()[0] for line in lines] == ["0.000000", "0.200000"]
+        steering = Steering("blind", None, None, None, None)
+        for timed, words in ((True, "# time_s 0.000000 0.200000"), (False, "# frame 7 9")):
+            sink = TumFile(tmp_path / "poses.txt")
+            for index, lost in enumerate([False, True, False]):
+                time = FrameTime(index, index, index / 10 if timed else None, 7 + index)
+                each = replace(fix, lost=lost)
+                sink.write(Step(time, steering, (), pose, 0.0, 0.0, fix=each))
+            sink.close()
+            head, *lines = (tmp_path / "poses.txt").read_text().splitlines()
+            assert (
+                " ".join([head[: head.index(" x_m")], *(each.split()[0] for each in lines)])
+                == words
+            )
+            assert read_poses(tmp_path / "poses.txt").by_number != timed
 
     def test_from_python(self, street):
         rig, pairs, true = street

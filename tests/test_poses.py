@@ -284,8 +284,11 @@ def test_frames_after_the_last_pose_are_lost_and_said_so(tmp_path, form):
     where = [trajectory.at(n / per_s) for n in range(60)]
     known = {*range(20), *range(45, 55)}
     assert {n for n, pose in enumerate(where) if pose is not None} == known
-    with pytest.raises(InputError, match="--end"):
-        trajectory.check_covers(0, 200 / per_s)
+    # --end counts from the beginning of the recording.
+    end = "5.400s" if form == "tum" else "55"
+    for first in (0, 20):
+        with pytest.raises(InputError, match=f"--end {end}$"):
+            trajectory.check_covers(first / per_s, 200 / per_s, None, 0)
 
 
 def test_a_unit_that_would_cover_the_recording_is_named(tmp_path):

@@ -83,6 +83,7 @@ WRONG = [
     ("at = [4, 0.4]", "at = [3, 0.4]", "doors[0].at: there is no wall"),
     ("width_m = 1.2", "width_m = 9", "doors[0].width_m: the wall at it is shorter"),
     ("start = [0, 0]", "start = [2, 0.5]", "robot.start: it is within the robot of boxes[0]"),
+    ("heading_deg = 20", "goal = [2, 0.5]", "the goal 2,0.5 lies in boxes[0]: give one that"),
     ("start = [0, 0]", "start = [0, 0, 0]", "robot.start: expected array of length 2"),
     ("heading_deg = 20", "latency_frames = 1.5", "robot.latency_frames: expected int, got float"),
     ("[4, 3], [-3, 3]", "[4, 3], [4, 3]", "walls[0].points: two follow one another"),

@@ -16,6 +16,7 @@ from motionstereo_cli.files.stills import DamagedImageError, grey_of, read_still
 from motionstereo_cli.report.pictures import encoded
 from motionstereo_cli.report.run_folder import Results, SteeringTable
 from motionstereo_cli.sinks.outputs import OUTPUTS
+from motionstereo_cli.sinks.read_back import numbering_in
 from motionstereo_cli.types import Pose
 
 if TYPE_CHECKING:
@@ -88,8 +89,9 @@ def _things(run: Results, steering: SteeringTable | None, poses: Reals) -> dict[
     rig, rows = run.record.camera, run.objects()
     if rig is None or rows is None or steering is None:
         return {}
-    times = steering.time_s if steering.timed else steering.frames.astype(np.float64)
-    time_of = dict(zip(steering.frames.tolist(), times.tolist(), strict=True))
+    frames = steering.frames.tolist()
+    places = map(numbering_in(run.path).of, frames)
+    time_of = dict(zip(frames, steering.time_s.tolist() if steering.timed else places, strict=True))
     cx_px = rig.cx_of(run.reference)
     found: dict[str, array[float]] = defaultdict(lambda: array("d"))
     for row in rows:

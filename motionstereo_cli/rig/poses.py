@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     Reals = NDArray[np.float64]
 
 HEAD = "# time_s x_m y_m z_m qx qy qz qw (x forward, y left, z up)\n"
+#: Of a recording without times: the place of an image in it, from 0.
+NUMBERED_HEAD = HEAD.replace("time_s", "frame")
 
 #: Tolerance of frames before the first pose or after the last, in s: containers round times.
 _SLACK_S = 0.02
@@ -135,7 +137,11 @@ class Trajectory:
         return found
 
     def check_covers(
-        self, first: float | None, last: float | None, whole: float | None = None
+        self,
+        first: float | None,
+        last: float | None,
+        whole: float | None = None,
+        begin: float | None = None,
     ) -> tuple[str, ...]:
         """Check that the poses cover a recording, before any of it is processed.
 
@@ -147,6 +153,7 @@ class Trajectory:
             last: approximate time of the last frame, None if unknown.
             whole: approximate end of the whole recording, beyond the last frame that is used;
                 None if unknown. Poses that last longer may belong to another recording.
+            begin: time of the first frame of the whole recording; None: it is ``first``.
 
         Raises:
             InputError: the recording begins before the poses, they cover less than half of it, the
@@ -172,7 +179,8 @@ class Trajectory:
                 f"on to about {self._shown(last)}: after them the rig is lost",
             )
         if last is not None and last > end + ends and end - first < _MIN_COVERED * (last - first):
-            kept = f"{int(end - first) + 1}" if self.by_number else f"{max(end - first, 0):.3f}s"
+            begin = first if begin is None else begin
+            kept = f"{int(end) + 1}" if self.by_number else f"{max(end - begin, 0):.3f}s"
             raise InputError(
                 f"{self.name}: its poses cover {self._shown(start, end)}, but the recording goes "
                 f"on to about {self._shown(last)}: give poses for all of it, or --end {kept}"

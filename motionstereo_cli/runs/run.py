@@ -313,7 +313,7 @@ def _poses(
     poses = read_poses(path, plan.pose_settings, calibration.rig, calibration.body_from_left)
     first, last = source.numbers if poses.by_number else source.span_s
     whole = source.last_number if poses.by_number else source.last_s
-    for line in poses.check_covers(first, last, whole):
+    for line in poses.check_covers(first, last, whole, source.begin_s):
         warned.warn("poses", line)
     return poses
 

@@ -414,6 +414,13 @@ class PlanWorld(RobotWorld):
         if self.ended is not None and self.ended.startswith("touched"):
             what = self.ended.removeprefix("touched ")
             raise InputError(f"{settings.world}: robot.start: it is within the robot of {what}")
+        if self.goal is not None and self._outlines is not None:
+            away_m, what = self._outlines.nearest(*self.goal)
+            if away_m + GOAL_M <= ROBOT_RADIUS_M:
+                raise InputError(
+                    f"{settings.world}: the goal {self.goal[0]:g},{self.goal[1]:g} lies in {what}: "
+                    "give one that the robot can reach"
+                )
 
     @property
     def described(self) -> dict[str, Any]:

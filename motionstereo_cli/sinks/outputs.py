@@ -356,7 +356,7 @@ OUTPUTS = {
         "where the rig was, TUM form: time_s x_m y_m z_m qx qy qz qw of the point halfway between "
         "the cameras, x forward, y left, z up, in the world of --poses or, where they are found "
         "from the recording, of the first frame; frames where the rig was lost are left out; "
-        "number of the frame in place of the time where the recording has none",
+        "place of the image in the recording, from 0, in place of the time where it has none",
         "poses_table.tum_file",
         takes="step",
         needs_rig=True,

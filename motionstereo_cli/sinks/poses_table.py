@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from motionstereo_cli.rig.pose_forms import rotations
-from motionstereo_cli.rig.poses import HEAD, OPTICAL_FROM_ROBOT, format_pose
+from motionstereo_cli.rig.poses import HEAD, NUMBERED_HEAD, OPTICAL_FROM_ROBOT, format_pose
 from motionstereo_cli.sinks.writers import TableFile, TableMark, cell
 from motionstereo_cli.types import Step
 
@@ -36,14 +36,31 @@ def optical_matrix(pose: Pose, left_m: float) -> NDArray[np.float64]:
 
 
 class TumFile(TableFile):
-    """Poses in the format of TUM: a line for each frame that has one."""
+    """Poses in the format of TUM: a line for each frame that has one.
+
+    In place of times that a recording does not have are the places of the images in it, from 0.
+
+    Args:
+        path: final name.
+        since: continue from this checkpoint of an earlier table.
+    """
+
+    def __init__(self, path: Path, since: TableMark | None = None) -> None:
+        super().__init__(path, "", since)
+        self._has_head = since is not None
 
     def write(self, step: Step) -> None:
         """Append the line of a frame."""
+        time = step.time
+        if not self._has_head:
+            self.add([(NUMBERED_HEAD if time.time_s is None else HEAD).rstrip("\n")])
+            self._has_head = True
         if step.place is not None:
-            time = step.time
-            time_s = time.clock_s
-            self.add([format_pose(time_s, step.place).rstrip("\n")])
+            number = time.index if time.number is None else time.number
+            words = format_pose(time.time_s or 0.0, step.place).rstrip("\n")
+            if time.time_s is None:
+                words = f"{number} {words.partition(' ')[2]}"
+            self.add([words])
 
 
 class KittiFile(TableFile):
@@ -102,7 +119,7 @@ class OdometryFile(TableFile):
 
 def tum_file(path: Path, _: RunContext, since: TableMark | None = None) -> TumFile:
     """Return a sink for poses in the format of TUM."""
-    return TumFile(path, HEAD.rstrip("\n"), since)
+    return TumFile(path, since)
 
 
 def kitti_file(

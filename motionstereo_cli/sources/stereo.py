@@ -242,13 +242,19 @@ class StereoSource:
 
         None for both without times, and for the last if unknown.
         """
-        right, (first, last) = self._sides[1].stream, self.numbers
-        if right.time_base is None:
+        (first, last), begin_s = self.numbers, self.begin_s
+        rate = self._sides[1].stream.frame_rate
+        if begin_s is None:
             return None, None
-        begin_s, rate = float(right.begin_pts * right.time_base), right.frame_rate
         if not rate:
             return begin_s, None
         return begin_s + float(first / rate), None if last is None else begin_s + float(last / rate)
+
+    @property
+    def begin_s(self) -> float | None:
+        """Time of the first right image of the whole recording, in s; None without times."""
+        right = self._sides[1].stream
+        return None if right.time_base is None else float(right.begin_pts * right.time_base)
 
     @property
     def last_number(self) -> int | None:
@@ -259,10 +265,8 @@ class StereoSource:
     @property
     def last_s(self) -> float | None:
         """Approximate time of that image, in s; None if unknown."""
-        right, last = self._sides[1].stream, self.last_number
-        if right.time_base is None or not right.frame_rate or last is None:
-            return None
-        return float(right.begin_pts * right.time_base) + float(last / right.frame_rate)
+        rate, last, begin_s = self._sides[1].stream.frame_rate, self.last_number, self.begin_s
+        return None if begin_s is None or not rate or last is None else begin_s + float(last / rate)
 
     @property
     def counts(self) -> dict[str, Any]:
