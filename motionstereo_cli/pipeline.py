@@ -436,7 +436,7 @@ def with_movers(
     )
     charge = charged(before.own_charge, moved, context.settings)
     if context.tracker is not None and not stands(summary.motion):
-        regions = context.tracker.moving_regions(images.disparity_px, moved, velocity_mps)
+        regions = context.tracker.moving_regions(movers.disparity_px, moved, velocity_mps)
         summary = replace(summary, regions=regions)
     if summary.points is not None and context.rig is not None:
         s = context.settings

@@ -239,6 +239,8 @@ def test_a_thing_has_to_move_on_as_it_did(places, size, wall_px, even):
         now = Moment(pyramid(view, other), disparity, step, 0.1 * number)
         movers, moved, velocity_mps = see(movers, now, eye)
         found.append(moved)
+        known = np.isfinite(movers.disparity_px)
+        assert known.all() if number else 0.1 < known.mean() < 1
     assert not found[0].any()
     assert not found[1].any()  # nothing is known of the frame before
     inside = np.zeros(wall.shape, np.bool_)

@@ -160,6 +160,11 @@ class Movers:
     moments: tuple[Moment, ...] = ()
     moving: Real | None = None
 
+    @property
+    def disparity_px(self) -> Real:
+        """Disparity of the last frame, also where single edges tell it, NaN = unknown."""
+        return self.moments[-1].disparity_px
+
 
 def pyramid(view: Grey, other: Grey) -> tuple[Grey, ...]:
     """Return two views at each level, as they are compared."""

@@ -32,11 +32,11 @@ if TYPE_CHECKING:
 
 #: Scenes, by the name in the table; those that are held out had no part in the choice of values.
 SCENES: dict[str, dict[str, Any]] = {
-    "held-out street 51": {"scene": "street", "seed": 51, "street_winding_deg": 25.0},
-    "held-out street 52": {"scene": "street", "seed": 52},
-    "held-out street 53": {"scene": "street", "seed": 53, "street_winding_deg": 15.0},
-    "held-out street 54": {"scene": "street", "seed": 54, "street_winding_deg": 35.0},
-    "held-out corridor": {"scene": "corridor", "seed": 55, "frames": "200:255"},
+    "held-out street 65": {"scene": "street", "seed": 65, "street_winding_deg": 25.0},
+    "held-out street 66": {"scene": "street", "seed": 66},
+    "held-out street 67": {"scene": "street", "seed": 67, "street_winding_deg": 15.0},
+    "held-out street 68": {"scene": "street", "seed": 68, "street_winding_deg": 35.0},
+    "held-out corridor": {"scene": "corridor", "seed": 65, "frames": "200:255"},
     "street": {"scene": "street", "seed": 8, "street_winding_deg": 25.0},
     "straight street": {"scene": "street", "seed": 3},
     "corridor": {"scene": "corridor", "seed": 1, "frames": "70:125"},
