@@ -10,15 +10,12 @@ from hypothesis.extra.numpy import arrays
 
 from motionstereo_cli.compiled import bilateral
 from motionstereo_cli.compiled import dense as loops
-from motionstereo_cli.method import dense, matching
+from motionstereo_cli.method import dense
 from motionstereo_cli.method.balance import balanced
 from motionstereo_cli.method.borders import hidden_filled, trimmed
 from motionstereo_cli.method.contrast import contrast, noise_of
 from motionstereo_cli.method.dense import WEIGHTS, match_dense, semi_global, smoothed, weights_of
 from motionstereo_cli.method.rows import enlarged, every_second, halved, halved_mask, reduced
-from motionstereo_cli.method.settings import Settings
-from motionstereo_cli.pipeline import process
-from motionstereo_cli.types import StereoFrame
 
 everywhere = np.ones((48, 96), np.bool_)
 nothing_proposed = np.full((24, 96), np.nan, np.float32)
@@ -374,21 +371,3 @@ class TestHalfTheSize:
         for y in range(rows):
             for x in range(width):
                 assert back[y, x] == firsts[min(y // 2, rows // 2 - 1), min(x // 2, width // 2 - 1)]
-
-    @pytest.mark.parametrize("large", [(70, 150), (35, 75)])
-    @pytest.mark.parametrize("size", [(80, 160), (81, 163), (95, 157), (82, 161)])
-    def test_large_views_are_matched_at_half_the_size_and_refined(self, monkeypatch, large, size):
-        monkeypatch.setattr(matching, "_LARGE_PX", large)
-        wall = textured(size[0], size[1] + 40, grain_px=3)
-        frames = []
-        for index in range(3):
-            at = slice(40 - 3 * index, 40 - 3 * index + size[1]), slice(27 - 3 * index, None)
-            right, left = (wall[:, part][:, : size[1]] for part in at)
-            frames.append(StereoFrame(index, index, None, left, right))
-        found = list(process(frames, Settings(max_disparity=24, depth_of="all"), extras=()))[
-            -1
-        ].disparity_px
-        inside = found[:, : size[1] - 13]
-        assert np.mean(~np.isnan(inside)) > 0.95
-        np.testing.assert_allclose(np.nanmedian(inside), 13, atol=0.1)
-        assert np.nanmean(np.abs(inside - 13) > 1) < 0.02

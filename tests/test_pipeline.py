@@ -3,10 +3,12 @@
 import dataclasses
 import math
 
+import cv2
 import numpy as np
 import pytest
 
 from motionstereo_cli.errors import SettingsError
+from motionstereo_cli.method import matching
 from motionstereo_cli.method.bands import band_table
 from motionstereo_cli.method.charge import permanency
 from motionstereo_cli.method.memory import keys_of, see
@@ -277,3 +279,24 @@ def test_matchers_of_images_need_no_memory_of_the_other_view(monkeypatch, matche
         resting = left if reference == "right" else right
         assert not resting.moved.any()
     assert any(np.isfinite(result.disparity_px).any() for result in found)
+
+
+@pytest.mark.parametrize("large", [(70, 150), (35, 75)])
+@pytest.mark.parametrize("size", [(80, 160), (81, 163), (95, 157), (82, 161)])
+def test_large_views_are_matched_at_half_the_size_and_refined(monkeypatch, large, size):
+    monkeypatch.setattr(matching, "_LARGE_PX", large)
+    height, width = size
+    noise = np.random.default_rng(0).standard_normal((height, width + 40)).astype(np.float32)
+    smooth = cv2.GaussianBlur(noise, (0, 0), 3)
+    wall = (120 + 35 * smooth / smooth.std()).clip(0, 255).astype(np.uint8)
+    frames = []
+    for index in range(3):
+        first = 40 - 3 * index  # 13 px further to the left in the left view
+        right, left = (wall[:, begin : begin + width] for begin in (first, first - 13))
+        frames.append(StereoFrame(index, index, None, left, right))
+    *_, last = process(frames, Settings(max_disparity=24, depth_of="all"))
+    inside = last.disparity_px[:, : width - 13]
+    assert np.mean(~np.isnan(inside)) > 0.95
+    np.testing.assert_allclose(np.nanmedian(inside), 13, atol=0.1)
+    assert np.nanmean(np.abs(inside - 13) > 1) < 0.02
+    np.testing.assert_array_equal(np.isnan(last.confidence), np.isnan(last.disparity_px))
