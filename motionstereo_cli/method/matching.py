@@ -71,7 +71,8 @@ class Found(NamedTuple):
 #: Disparities so close to the limit of the range, in px, may be beyond it.
 _LIMIT_PX = 0.5
 
-#: Trails are looked for in every so many rows: their proposals are those of the rows in between.
+#: Trails are looked for in every so many rows, in blocks that are twice as high as usual: their
+#: proposals are those of the rows in between, too.
 _TRAIL_ROWS = 4
 
 #: Texture is fine where more than this share of the pixels begin a trail.
@@ -231,7 +232,7 @@ def _proposed(
         some,
         left_some,
         max_disparity,
-        block_px=(max(s.vote_rows // _TRAIL_ROWS, 1), s.vote_columns),
+        block_px=(max(s.vote_rows // ROWS, 1), s.vote_columns),
         max_ratio=s.max_ratio,
         min_votes=max(s.min_votes // _TRAIL_ROWS, 1),
     )
