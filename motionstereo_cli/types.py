@@ -131,6 +131,11 @@ class FrameTime:
         """Time in s, the number of the frame where the source has no times."""
         return float(self.index) if self.time_s is None else self.time_s
 
+    @property
+    def place(self) -> int:
+        """Place of the image in its recording, from 0."""
+        return self.index if self.number is None else self.number
+
 
 @dataclass(frozen=True, slots=True)
 class StereoFrame:

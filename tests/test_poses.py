@@ -3,6 +3,7 @@
 import math
 import re
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given
@@ -13,6 +14,7 @@ from motionstereo_cli.errors import InputError, SettingsError
 from motionstereo_cli.rig.pose_forms import quaternions, read_pose_table, rotations
 from motionstereo_cli.rig.poses import HEAD, as_written, format_pose, read_poses
 from motionstereo_cli.rig.settings import PoseSettings
+from motionstereo_cli.sources.opening import open_stereo
 from motionstereo_cli.types import Pose, Rig, StereoFrame
 
 RIG = Rig(640, 480, 500.0, 0.2, 320.0, 240.0)
@@ -376,6 +378,37 @@ def test_a_run_goes_on_where_the_poses_have_a_gap_or_end(tmp_path, capsys):
     assert main(again) == 0
     for name in ("steering.csv", "objects.csv", "map.png"):
         assert (tmp_path / "again" / name).read_bytes() == (out / name).read_bytes(), name
+
+
+@pytest.mark.parametrize(
+    "chosen", [["--every", "2"], ["--start", "3"], ["--start", "2", "--every", "3"]]
+)
+def test_poses_of_chosen_frames_can_be_given_back(tmp_path, chosen):
+    scene, numbered = tmp_path / "scene", ["--pose-time-unit", "frames"]
+    size = ["--width", "64", "--height", "48", "--frames", "12", "--lossless"]
+    assert main(["simulate", str(scene), *size]) == 0
+    for name in ("left", "right"):
+        (scene / name).mkdir()
+    with open_stereo(scene / "left.mkv", scene / "right.mkv") as source:
+        for frame in source:
+            for name, view in (("left", frame.left), ("right", frame.right)):
+                cv2.imwrite(str(scene / name / f"{frame.index:03d}.png"), view)
+    lines = [each for each in (scene / "poses.txt").read_text().splitlines() if each[0] != "#"]
+    numbers = [f"{n} {line.partition(' ')[2]}" for n, line in enumerate(lines)]
+    (tmp_path / "poses.txt").write_text("\n".join(numbers))
+    command = ["run", str(scene / "left"), str(scene / "right"), "--rig", str(scene / "rig.yaml")]
+    command += [*chosen, "--save", "steering,poses,poses-kitti", "--no-check"]
+    given = ["--poses", str(tmp_path / "poses.txt"), *numbered]
+    assert main([*command, *given, "-o", str(tmp_path / "out")]) == 0
+    for name in ("poses", "poses-kitti"):
+        given = ["--poses", str(tmp_path / "out" / f"{name}.txt")]
+        assert main([*command, *given, "-o", str(tmp_path / name)]) == 0
+        one, other = (np.loadtxt(tmp_path / out / "poses-kitti.txt") for out in ("out", name))
+        assert np.allclose(one, other, atol=1e-5, equal_nan=True)
+        assert (
+            np.isfinite(one).all(axis=1).sum()
+            == len((tmp_path / name / "poses.txt").read_text().splitlines()) - 1
+        )
 
 
 @pytest.mark.parametrize(

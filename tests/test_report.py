@@ -230,6 +230,19 @@ def test_the_page_says_where_the_rigs_own_motion_is_unknown(copy, by_itself, tol
     ) == told
 
 
+def test_the_page_says_why_speeds_are_unknown_without_times(copy):
+    path = copy / "objects.csv"
+    header = path.read_text().splitlines()[0]
+    rows = [f"{n},7,40,20,12,12,4.000,,,0.50,,,," for n in range(12, 20)]
+    path.write_text("\n".join([header, *rows]) + "\n")
+    table = rows_of(copy / "steering.csv")
+    lines = [",".join(table[0]), *(",".join((row | {"time_s": ""}).values()) for row in table)]
+    (copy / "steering.csv").write_text("\n".join(lines) + "\n")
+    page = " ".join(run_page(copy, copy / "report.html").split())
+    assert "speeds are unknown, give <code>--frame-rate</code>" in page
+    assert "own motion is unknown" not in page
+
+
 def test_the_histogram_counts_known_pixels(copy):
     import cv2
 

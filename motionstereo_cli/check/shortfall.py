@@ -139,7 +139,7 @@ def lost_poses(frames: int, lost: int, first_lost: tuple[int, int] | None) -> st
     return (
         f"own motion is unknown in {lost} of {frames} frames (first in {where}): there the path "
         "takes the likeliest motion or goes straight on, and from then on it is off by what was "
-        "not seen; --save odometry tells which they are"
+        "not seen; odometry.csv (--save odometry) tells which they are"
     )
 
 

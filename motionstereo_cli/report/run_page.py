@@ -151,6 +151,8 @@ def _about(record: RunRecord, steering: SteeringTable | None) -> list[str]:
             about.append(f"{float(Fraction(each.frame_rate)):.4g} frames per second")
     if rig := record.camera:
         about.append(f"baseline {rig.baseline_m * 1000:.4g} mm, focal {rig.focal_px:.4g} px")
+        if inputs and (rig.width, rig.height) != (inputs[0].width, inputs[0].height):
+            about[-1] += f" at {rig.width}x{rig.height} px"
     elif record.rig is None:
         about.append("no calibration: results are in px")
     return about
@@ -263,7 +265,7 @@ def _objects(run: Results, steering: SteeringTable) -> dict[str, Any] | None:
     step = float(np.median(np.diff(places))) if len(steering) > 1 else FRAME_S
     x_of = dict(zip(steering.frames.tolist(), places.tolist(), strict=True))
     try:
-        return tracks(rows, x_of, step)._asdict()
+        return tracks(rows, x_of, step)._asdict() | {"timed": steering.timed}
     except ValueError as error:
         raise InputError(f"cannot show {run.path / 'objects.csv'}: {error}") from error
 

@@ -118,6 +118,9 @@ def read_pose_table(path: str | Path) -> PoseTable:
         words = _words(line, header)
         if not words:
             continue
+        if form is None and len(words) == 12 and _is_lost(words):
+            lost += 1
+            continue
         if line.lstrip()[:1] in "#%" or (not count and words[0][:1].isalpha() and form is None):
             found = read_header(line)
             header = found if header is None or header.problem else header

@@ -266,11 +266,25 @@ def job_of(plan: RunPlan, source: StereoSource, warned: Warned, *, in_order: boo
     _log_job(job)
     if plan.folder is not None:
         check_video_size(job.save, source.width, source.height)
+    _tell_of_motion(job, note)
+    return job
+
+
+def _tell_of_motion(job: Job, note: Callable[[str], object]) -> None:
+    """Say what is done, or missing, for own motion and speeds.
+
+    Raises:
+        SettingsError: a goal needs poses.
+    """
+    plan = job.plan
     if job.with_own_motion and plan.poses is None:
         rows = ((name, OUTPUTS[name]) for name in job.save)
         asking = ", ".join(name for name, row in rows if row.needs_poses or row.needs_movers)
         note(f"{asking}: the rig's own motion is found, as by --poses auto")
-    return job
+    if "objects" in job.save and job.source.begin_s is None:
+        note("objects: the recordings have no times, and speeds are empty: give --frame-rate")
+    if plan.settings.goal and plan.poses is None:
+        raise SettingsError("--goal needs --poses: without it nothing is known of the world")
 
 
 def _log_job(job: Job) -> None:

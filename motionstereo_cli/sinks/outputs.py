@@ -364,10 +364,11 @@ OUTPUTS = {
     ),
     "poses-kitti": Output(
         "poses-kitti.txt",
-        "the same in KITTI's form, a row for each frame: the first three rows of the matrix "
-        "that takes places in the left camera, x right, y down, z forward, to those in its "
-        "first frame; where the rig was lost, the likeliest motion is taken, or else its last "
-        "one goes on; NaN where given poses have a gap",
+        "the same in KITTI's form, a row for each image of the recording up to the last one that "
+        "is used: the first three rows of the matrix that takes places in the left camera, x "
+        "right, y down, z forward, to those in its first frame; where the rig was lost, the "
+        "likeliest motion is taken, or else its last one goes on; NaN for images that are not "
+        "used, and where given poses have a gap",
         "poses_table.kitti_file",
         takes="step",
         needs_rig=True,

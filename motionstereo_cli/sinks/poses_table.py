@@ -21,6 +21,9 @@ if TYPE_CHECKING:
 ODOMETRY_HEADER = "frame,time_s,lost,sigma_m,sigma_rad,disparity_offset_px,agreeing"
 
 
+_UNKNOWN = " ".join(["nan"] * 12)
+
+
 def optical_matrix(pose: Pose, left_m: float) -> NDArray[np.float64]:
     """Return the matrix that takes places in a camera's optical frame to the world, (4, 4).
 
@@ -56,36 +59,40 @@ class TumFile(TableFile):
             self.add([(NUMBERED_HEAD if time.time_s is None else HEAD).rstrip("\n")])
             self._has_head = True
         if step.place is not None:
-            number = time.index if time.number is None else time.number
             words = format_pose(time.time_s or 0.0, step.place).rstrip("\n")
             if time.time_s is None:
-                words = f"{number} {words.partition(' ')[2]}"
+                words = f"{time.place} {words.partition(' ')[2]}"
             self.add([words])
 
 
+#: What a Kitti file is continued from: its table, the number of its lines, and the first pose.
+KittiMark = tuple[TableMark, int, tuple[float, ...]]
+
+
 class KittiFile(TableFile):
-    """Poses in the format of KITTI: a line for each frame, of NaN where no pose is given.
+    """Poses in the format of KITTI: a line for each image of the recording up to the last one.
+
+    It is of NaN where the image is no frame of the run, or its pose is unknown.
 
     Args:
         path: final name.
         baseline_m: distance between the cameras.
-        since: continue from this checkpoint: one of the table, and the first pose.
+        since: continue from this checkpoint of an earlier table.
     """
 
-    def __init__(
-        self,
-        path: Path,
-        baseline_m: float,
-        since: tuple[TableMark, tuple[float, ...]] | None = None,
-    ) -> None:
+    def __init__(self, path: Path, baseline_m: float, since: KittiMark | None = None) -> None:
         super().__init__(path, "", None if since is None else since[0])
         self._to_left_m = baseline_m / 2
-        self._first = None if since is None else np.reshape(since[1], (4, 4))
+        self._lines = 0 if since is None else since[1]
+        self._first = np.reshape(since[2], (4, 4)) if since is not None and since[2] else None
 
     def write(self, step: Step) -> None:
         """Append the line of a frame."""
+        number = step.time.place
+        left_out = number if step.pose is not None else number + 1
+        self.add(_UNKNOWN for _ in range(self._lines, left_out))
+        self._lines = max(self._lines, number + 1)
         if step.pose is None:
-            self.add([" ".join(["nan"] * 12)])
             return
         here = optical_matrix(step.pose, self._to_left_m)
         if self._first is None:
@@ -93,10 +100,10 @@ class KittiFile(TableFile):
         rows = (np.linalg.inv(self._first) @ here)[:3]
         self.add([" ".join(f"{value:z.9e}" for value in rows.ravel().tolist())])
 
-    def checkpoint(self) -> tuple[TableMark, tuple[float, ...]]:  # type: ignore[override]
+    def checkpoint(self) -> KittiMark:  # type: ignore[override]
         """Make sure that all so far is on the disk."""
-        first = np.eye(4) if self._first is None else self._first
-        return super().checkpoint(), tuple(first.ravel().tolist())
+        first = () if self._first is None else tuple(self._first.ravel().tolist())
+        return super().checkpoint(), self._lines, first
 
 
 class OdometryFile(TableFile):
@@ -122,9 +129,7 @@ def tum_file(path: Path, _: RunContext, since: TableMark | None = None) -> TumFi
     return TumFile(path, since)
 
 
-def kitti_file(
-    path: Path, context: RunContext, since: tuple[TableMark, tuple[float, ...]] | None = None
-) -> KittiFile:
+def kitti_file(path: Path, context: RunContext, since: KittiMark | None = None) -> KittiFile:
     """Return a sink for poses in the format of KITTI."""
     assert context.rig is not None
     return KittiFile(path, context.rig.baseline_m, since)
