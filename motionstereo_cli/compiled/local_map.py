@@ -2,7 +2,7 @@
 
 import cython
 import numpy as np
-from cython.cimports.libc.math import ceil, fabs, fabsf
+from cython.cimports.libc.math import ceil, fabs
 
 NAN = cython.declare(cython.float, np.nan)
 HALF = cython.declare(cython.float, 0.5)
@@ -283,8 +283,8 @@ def sight(
                 depth: cython.float = camera.focal_baseline / near[b]
                 free[row, column] = off < camera.focal_baseline / (near[b] + camera.free_px)
                 is_there: cython.bint = (
-                    fabsf(camera.focal_baseline / off - near[b]) < camera.error_px
-                ) | (fabsf(off - depth) < camera.error_m)
+                    abs(camera.focal_baseline / off - near[b]) < camera.error_px
+                ) | (abs(off - depth) < camera.error_m)
                 is_there = is_there & (depth < camera.reach_m) & (solid[b] != 0)
                 hit[row, column] = is_there | ((off > depth) & (off < far[b]))
 

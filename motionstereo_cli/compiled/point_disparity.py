@@ -2,7 +2,7 @@
 
 import cython
 import numpy as np
-from cython.cimports.libc.math import fabs, fabsf, floor, sqrt
+from cython.cimports.libc.math import fabs, floor, sqrt
 
 NAN = cython.declare(cython.float, np.nan)
 
@@ -105,7 +105,7 @@ def slopes_of_row(
         left: cython.float = above[x - 1] + 2 * here[x - 1] + below[x - 1]
         lower: cython.float = below[x - 1] + 2 * below[x] + below[x + 1]
         upper: cython.float = above[x - 1] + 2 * above[x] + above[x + 1]
-        slope[x] = along * fabsf(right - left) + down * fabsf(lower - upper)
+        slope[x] = along * abs(right - left) + down * abs(lower - upper)
 
 
 def edges(
