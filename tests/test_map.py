@@ -566,7 +566,7 @@ def test_a_run_on_a_drive_gives_the_same_map(drive_out, tmp_path):
     matched = [round(float(row["matched"]) * 160 * 120) for row in rows]
     found = [len(read_ply(path.read_bytes())) for path in sorted((tmp_path / "points").iterdir())]
     # The table has four decimals, and a disparity of 0 is no point.
-    np.testing.assert_allclose(found, matched, atol=30)
+    np.testing.assert_allclose(found, matched, atol=60)
 
 
 def test_the_plan_shows_the_occupied_cells():

@@ -62,11 +62,11 @@ _HIDDEN_PX, _HIDDEN_SHARE = 1.5, 0.25
 #: A patch moved if that is so many squared standard deviations and px, if so little of what
 #: differed is left, if disparity then was what it had to be, and if nearness changed by no larger
 #: share of it.
-_SURE, _LEAST_PX, _LEFT = 40.0, 0.5, 0.3
+_SURE, _LEAST_PX, _LEFT = 100.0, 0.5, 0.3
 _OFF_PX, _OFF_SHARE = 0.5, 0.05
 _MAX_NEARER = 0.3
 #: Maximum difference of the shifts of neighbouring patches of a mover: the larger of these.
-_ALIKE_PX, _ALIKE_SHARE = 1.0, 0.2
+_ALIKE_PX, _ALIKE_SHARE = 0.7, 0.2
 #: Minimum number of patches of a mover, and the share of them that also moved in the last frame.
 _MIN_PATCHES, _LASTING = 3, 0.45
 #: That is, by a shift that differs by at most the larger of these.
