@@ -177,10 +177,10 @@ def difference(
         row: cython.int = y if beside else min(max(y + k, 0), height - 1)
         column: cython.int = min(max(x + k, 0), width - 1) if beside else x
         partner: cython.int = min(column + whole, width - 1)
-        near: cython.int = scene.left[row, partner]
-        after: cython.int = scene.left[row, min(partner + 1, width - 1)]
+        near: cython.int = cython.cast(cython.int, scene.left[row, partner])
+        after: cython.int = cython.cast(cython.int, scene.left[row, min(partner + 1, width - 1)])
         left: cython.int = near * (PER_PX - share) + after * share
-        right: cython.int = scene.right[row, column]
+        right: cython.int = cython.cast(cython.int, scene.right[row, column])
         total += min(abs(right * PER_PX - left), limits.max_grey)
     return total // 3
 
