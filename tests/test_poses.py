@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from motionstereo_cli.__main__ import main
 from motionstereo_cli.errors import InputError, SettingsError
+from motionstereo_cli.evaluation.poses import evaluate_poses
 from motionstereo_cli.rig.pose_forms import quaternions, read_pose_table, rotations
 from motionstereo_cli.rig.poses import HEAD, as_written, format_pose, read_poses
 from motionstereo_cli.rig.settings import PoseSettings
@@ -409,6 +410,14 @@ def test_poses_of_chosen_frames_can_be_given_back(tmp_path, chosen):
             np.isfinite(one).all(axis=1).sum()
             == len((tmp_path / name / "poses.txt").read_text().splitlines()) - 1
         )
+    # Those of the whole recording have other frames in between, but the same images.
+    whole = [each for each in command if each not in chosen]
+    given = ["--poses", str(tmp_path / "poses.txt"), *numbered]
+    assert main([*whole, *given, "-o", str(tmp_path / "whole")]) == 0
+    for name in ("poses.txt", "poses-kitti.txt"):
+        report = evaluate_poses(tmp_path / "out" / name, tmp_path / "whole" / name)
+        assert report.poses == np.isfinite(one).all(axis=1).sum()
+        assert report.ate_m < 1e-4
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -10,9 +10,8 @@ import numpy as np
 
 from motionstereo_cli.errors import InputError
 from motionstereo_cli.rig.pose_forms import rotations
-from motionstereo_cli.rig.poses import Trajectory, read_poses
+from motionstereo_cli.rig.poses import read_poses
 from motionstereo_cli.rig.settings import PoseSettings
-from motionstereo_cli.sinks.read_back import numbering_in
 from motionstereo_cli.types import Pose
 
 if TYPE_CHECKING:
@@ -67,7 +66,7 @@ def evaluate_poses(found: str | Path, true: str | Path) -> PoseReport:
         InputError: one cannot be read, or they have fewer than two poses in common.
     """
     settings = PoseSettings(pose_frame="robot")
-    one, other = (_by_recording(read_poses(path, settings), path) for path in (found, true))
+    one, other = read_poses(found, settings), read_poses(true, settings)
     if one.by_number != other.by_number:
         raise InputError(
             f"{found} and {true}: only one has times: give both in the same form (run "
@@ -87,14 +86,6 @@ def evaluate_poses(found: str | Path, true: str | Path) -> PoseReport:
         )
     rows = [[getattr(pose, name) for name in Pose.__slots__] for pose in truth if pose is not None]
     return compare(_matrices(one.poses[inside]), _matrices(np.array(rows)))
-
-
-def _by_recording(poses: Trajectory, path: str | Path) -> Trajectory:
-    """Return poses of a run that go by number by the places of its frames in the recording."""
-    if not poses.by_number:
-        return poses
-    first, every, _ = numbering_in(Path(path).parent)
-    return replace(poses, time_s=first + every * poses.time_s)
 
 
 def _matrices(poses: Reals) -> Reals:

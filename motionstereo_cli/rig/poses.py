@@ -123,11 +123,12 @@ class Trajectory:
         Raises:
             InputError: the frame has no time, or one before the first pose.
         """
+        time = frame.time if isinstance(frame, StereoFrame) else frame
         if self.by_number:
-            return self.at(frame.index if frame.number is None else frame.number)
-        if frame.time_s is None:
+            return self.at(time.place)
+        if time.time_s is None:
             raise self._timeless()
-        return self.at(frame.time_s)
+        return self.at(time.time_s)
 
     def _are_gaps(self, steps: Reals) -> NDArray[np.bool_]:
         """Return which steps between two poses, (n,) in s or frames, are gaps."""
