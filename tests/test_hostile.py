@@ -41,6 +41,7 @@ from motionstereo_cli.runs.folder_files import CHECKPOINT
 from motionstereo_cli.runs.open_outputs import Totals
 from motionstereo_cli.runs.plan import RunPlan
 from motionstereo_cli.runs.run import run
+from motionstereo_cli.sinks import writers
 from motionstereo_cli.sinks.writers import cell_text, text_cell
 
 FRAMES, HEIGHT, WIDTH = 9, 32, 48
@@ -494,21 +495,31 @@ def test_no_planted_link_is_written_through(recording, monkeypatch, frame):
     assert Path("victim").read_text() == "precious"
 
 
-def test_a_folder_that_becomes_a_link_ends_the_run(recording, monkeypatch, capsys):
+@pytest.mark.parametrize("moment", ["between two files", "within a file"])
+def test_a_folder_that_becomes_a_link_ends_the_run(recording, monkeypatch, capsys, moment):
     Path("photos").mkdir()
-    whole = run_module.steps
+    link = Path("out/charge-png")
+    written = 0
 
-    def planting(*args, **options):
-        for frame, step, state in whole(*args, **options):
-            if frame.index == 3:
-                Path("out/charge-png").rename("away")
-                Path("out/charge-png").symlink_to(recording / "photos")
-            yield frame, step, state
+    def plant():
+        link.rename("away")
+        link.symlink_to(recording / "photos")
 
-    monkeypatch.setattr(run_module, "steps", planting)
+    def write(path, content):
+        nonlocal written
+        written += path.parent == link
+        if moment == "within a file" and written == 3:
+            plant()
+            (recording / "photos").rmdir()  # what is opened through the link is not there
+        whole(path, content)
+        if moment == "between two files" and written == 3:
+            plant()
+
+    whole = writers.write_whole
+    monkeypatch.setattr(writers, "write_whole", write)
     assert ran("-o", "out", "--save", "charge-png") == 1
     assert "charge-png has become a link" in capsys.readouterr().err
-    assert not contents("photos")
+    assert not Path("photos").exists() or not contents("photos")
 
 
 # Deletion that is cut short, and what goes on.

@@ -6,7 +6,7 @@ import contextlib
 import hashlib
 import math
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from io import BufferedRandom, BufferedWriter
 from pathlib import Path
 
@@ -165,18 +165,16 @@ class NumberedFiles:
         """Write the file of a frame."""
         self._check_folder()
         path = self._named(number)
-        write_whole(path, content)
+        with self._link_told():
+            write_whole(path, content)
         self._unsynced.append(path)
         self._count(hashlib.sha256(content).digest())
 
     def checkpoint(self) -> FilesMark:
         """Make sure that all so far is on the disk."""
-        try:
+        with self._link_told():
             for path in self._unsynced:
                 sync(path)
-        except OutputError:
-            self._check_folder()  # a link says more than that a file is not there
-            raise
         self._unsynced.clear()
         return self._mark
 
@@ -185,6 +183,15 @@ class NumberedFiles:
 
     def abandon(self, *, keep: bool) -> None:
         """Do nothing: every file is complete."""
+
+    @contextlib.contextmanager
+    def _link_told(self) -> Iterator[None]:
+        """Report a link in place of the folder, rather than that a file is not there."""
+        try:
+            yield
+        except OutputError:
+            self._check_folder()
+            raise
 
     def _check_folder(self) -> None:
         folder = self._path.parent
