@@ -142,6 +142,7 @@ class StreamContext(NamedTuple):
         tracker: follows moving objects; None if not requested.
         odometer: finds the rig's own motion; None if not requested.
         mover_finder: finds movers; None if not requested.
+        objects_are_movers: while the rig moves, only movers may be objects.
         extras: which of :data:`EXTRAS` the images have.
         with_points: whether steps have points.
         poses_are_given: a frame without a pose is one in which the rig is lost.
@@ -153,6 +154,7 @@ class StreamContext(NamedTuple):
     tracker: Tracker | None
     odometer: Odometer | None
     mover_finder: MoverFinder | None
+    objects_are_movers: bool
     extras: frozenset[str]
     with_points: bool
     poses_are_given: bool
@@ -168,13 +170,14 @@ class StreamContext(NamedTuple):
         poses_are_given: bool = False,
         with_own_motion: bool = False,
         with_movers: bool = False,
+        objects_are_movers: bool = True,
         motion_offset_px: float = 0.0,
         extras: Collection[str] = EXTRAS,
         with_points: bool = False,
     ) -> StreamContext:
         """Return the context of a stream.
 
-        With movers, own motion is found too; ``motion_offset_px`` is added to disparity for that.
+        Movers are found by own motion; ``motion_offset_px`` is added to disparity for that.
 
         Raises:
             SettingsError: ``max_disparity`` is still to be measured, or a rig is missing.
@@ -193,8 +196,9 @@ class StreamContext(NamedTuple):
             if with_movers:
                 mover_finder = MoverFinder(rig, settings.reference, settings.max_disparity)
         finders = tracker, odometer, mover_finder
+        objects_are_movers &= mover_finder is not None
         asked = frozenset(extras), with_points, poses_are_given
-        return cls(settings, rig, guide, *finders, *asked)
+        return cls(settings, rig, guide, *finders, objects_are_movers, *asked)
 
 
 def process(
@@ -422,10 +426,7 @@ def remembered(
 def with_movers(
     before: State, after: State, found: FrameAnalysis, context: StreamContext
 ) -> tuple[State, FrameAnalysis]:
-    """Return the state after a frame, and its analysis, with movers.
-
-    While the rig moves, only movers may be objects.
-    """
+    """Return the state after a frame, and its analysis, with movers."""
     images, summary = found
     if context.mover_finder is None or after.right is None or after.left is None:
         return after, found
@@ -435,7 +436,7 @@ def with_movers(
         time_s=summary.time.clock_s,
     )
     charge = charged(before.own_charge, moved, context.settings)
-    if context.tracker is not None and not stands(summary.motion):
+    if context.tracker and context.objects_are_movers and not stands(summary.motion):
         regions = context.tracker.moving_regions(movers.disparity_px, moved, velocity_mps)
         summary = replace(summary, regions=regions)
     if summary.points is not None and context.rig is not None:
@@ -512,8 +513,7 @@ def described(
     """
     s, rig, disparity_px = context.settings, context.rig, found.disparity_px
     regions: tuple[Region, ...] = ()
-    # Movers are the objects of a rig that is known to move.
-    if context.tracker is not None and (context.mover_finder is None or stands(motion)):
+    if context.tracker and (stands(motion) or not context.objects_are_movers):
         fresh = age_of(shown, s) <= FRESH_FRAMES
         regions = context.tracker.regions(disparity_px, fresh, earlier_px)
     images = FrameImages(

@@ -8,7 +8,7 @@ import pytest
 
 from motionstereo_cli.compiled import movers as loops
 from motionstereo_cli.method.settings import Settings
-from motionstereo_cli.pipeline import process
+from motionstereo_cli.pipeline import StreamContext, process, steps
 from motionstereo_cli.robot.movers import Eye, Moment, Movers, pyramid, see
 from motionstereo_cli.simulate.scenes import render_scene
 from motionstereo_cli.simulate.settings import SimulateSettings
@@ -188,6 +188,40 @@ def test_an_oncoming_car_is_seen_and_what_is_passed_is_not(reference):
     assert speeds == pytest.approx([8.0] * len(speeds), abs=1)
     for x, y, width, height in boxes:
         assert near[y : y + height, x : x + width].any()
+
+
+def test_what_moves_by_itself_is_not_in_a_map_that_has_poses_and_the_heading_is_the_same():
+    rig, shots, frames = frames_of(scene="street", frames="14:30", seed=8, street_winding_deg=25)
+    entered, headings = [], []
+    for with_movers in (False, True):
+        context = StreamContext.of(
+            *(Settings(max_disparity=48), rig),
+            with_poses=True,
+            with_objects=True,
+            poses_are_given=True,
+            with_own_motion=with_movers,
+            with_movers=with_movers,
+            objects_are_movers=False,
+            extras=("depth_m",),
+            with_points=True,
+        )
+        found = [
+            step for _, step, _ in steps(frames, context, lambda f: shots[f.index].pose.rig_pose)
+        ]
+        headings.append([step.steering for step in found])
+        on_movers, others = 0, 0
+        for shot, step in zip(shots[5:], found[5:], strict=True):
+            x, y, z = step.points[0].T
+            column = np.rint(x / z * rig.focal_px + rig.cx).astype(int)
+            row = np.rint(y / z * rig.fy_px + rig.cy).astype(int)
+            on_mover = shot.mover[row, column] > 0
+            on_movers, others = on_movers + on_mover.sum(), others + (~on_mover).sum()
+        entered.append((on_movers, others))
+    (before, standing), (after, standing_after) = entered
+    assert before > 1000
+    assert after < 0.3 * before, (before, after)
+    assert standing_after > 0.9 * standing
+    assert headings[0] == headings[1]
 
 
 def test_in_a_corridor_where_nothing_moves_nothing_is_listed():

@@ -261,6 +261,17 @@ class TestRun:
         steering = [(each / "steering.csv").read_bytes() for each in (out, plain)]
         assert steering[0] == steering[1]  # the guidance has poses only where they are asked for
 
+    def test_given_poses_do_not_tell_what_moves_by_itself(self, recording, tmp_path, capsys):
+        poses, tables = ("--poses", str(recording / "poses.txt")), []
+        for number, save in enumerate(("map", "own-charge", "odometry")):
+            out = self.run(recording, tmp_path / save, *poses, "--save", f"{save},steering")
+            said = capsys.readouterr().err
+            sought = f"{save}: the rig's own motion is found, to tell what moves by itself" in said
+            assert sought == (number < 2)
+            assert "poses" not in json.loads((out / "run.json").read_text())
+            tables.append((out / "steering.csv").read_bytes())
+        assert tables[0] == tables[1] == tables[2]
+
     def test_a_wrong_offset_is_said_measured_and_mended(self, recording, tmp_path, capsys):
         text = (recording / "rig.yaml").read_text().replace("doffs: 0.0", "doffs: 1.0")
         (recording / "off.yaml").write_text(text)

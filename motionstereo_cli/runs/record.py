@@ -187,9 +187,9 @@ class Job:
             with_objects=with_poses or any(row.needs_objects for row in rows),
             poses_are_given=self.poses is not None,
             with_own_motion=self.with_own_motion,
-            # A map shall not have what moves by itself.
-            with_movers=self.with_own_motion
-            and any(row.needs_movers or row.needs_points for row in rows),
+            with_movers=self.with_own_motion and any(row.needs_movers for row in rows),
+            # The heading is the same with a map and without.
+            objects_are_movers=any(row.needs_objects for row in rows),
             motion_offset_px=self.motion_offset_px,
             extras={extra for row in rows for extra in row.extras},
             with_points=any(row.needs_points for row in rows),
@@ -223,7 +223,7 @@ def identity_of(job: Job, inputs: Iterable[Path]) -> RunRecord:
         grey=GREY,
         rig_settings=UNSET if context.rig is None else dataclasses.asdict(plan.rig_settings),
         pose_settings=dataclasses.asdict(job.poses.settings) if job.poses else UNSET,
-        poses=AUTO_POSES if plan.poses and own_motion else UNSET,
+        poses=AUTO_POSES if plan.poses and not job.poses else UNSET,
         motion_offset_px=job.motion_offset_px if own_motion else UNSET,
         measured=list(plan.measured) or UNSET,
         warnings=list(job.warned.found),

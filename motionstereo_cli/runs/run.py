@@ -277,10 +277,11 @@ def _tell_of_motion(job: Job, note: Callable[[str], object]) -> None:
         SettingsError: a goal needs poses.
     """
     plan = job.plan
-    if job.with_own_motion and plan.poses is None:
+    if job.with_own_motion and (plan.poses is None or job.poses):
         rows = ((name, OUTPUTS[name]) for name in job.save)
-        asking = ", ".join(name for name, row in rows if row.needs_poses or row.needs_movers)
-        note(f"{asking}: the rig's own motion is found, as by --poses auto")
+        asking = (n for n, row in rows if row.needs_movers or (row.needs_poses and not job.poses))
+        how = "to tell what moves by itself" if job.poses else "as by --poses auto"
+        note(f"{', '.join(asking)}: the rig's own motion is found, {how}")
     if "objects" in job.save and job.source.begin_s is None:
         note("objects: the recordings have no times, and speeds are empty: give --frame-rate")
     if plan.settings.goal and plan.poses is None:

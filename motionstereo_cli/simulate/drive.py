@@ -122,7 +122,7 @@ def drive(
         surroundings = MapFiles(out / "map.ply", context)
         folder.add("map", lambda _: surroundings)
         folder.add("steering", lambda _: SteeringFile(out / "steering.csv"))
-        for frame, step in driven(world, settings):
+        for frame, step in driven(world, settings, with_map=True):
             assert step.pose is not None
             poses.append(format_pose(frame.pts * float(_TIME_BASE), step.pose))
             folder.write(step)
@@ -162,10 +162,12 @@ def aimed(settings: Settings, world: RobotWorld) -> Settings:
     return dataclasses.replace(settings, goal=",".join(map(repr, world.goal)))
 
 
-def driven(world: RobotWorld, settings: Settings) -> Iterator[tuple[StereoFrame, Step]]:
-    """Yield each frame and its step, with points; the caller moves the robot before the next.
+def driven(
+    world: RobotWorld, settings: Settings, *, with_map: bool = False
+) -> Iterator[tuple[StereoFrame, Step]]:
+    """Yield each frame and its step; the caller moves the robot before the next.
 
-    See :meth:`RobotWorld.act_on`.
+    See :meth:`RobotWorld.act_on`. Steps have points for a map if it is asked for.
     """
     shot: Shot
 
@@ -182,7 +184,10 @@ def driven(world: RobotWorld, settings: Settings) -> Iterator[tuple[StereoFrame,
         with_poses=True,
         with_objects=True,
         poses_are_given=True,
-        with_points=True,
+        with_own_motion=with_map,
+        with_movers=with_map,
+        objects_are_movers=False,
+        with_points=with_map,
         extras=("depth_m",),
     )
     return ((frame, step) for frame, step, _ in steps(frames(), stream, pose_of))

@@ -417,10 +417,11 @@ OUTPUTS = {
     ),
     "map": Output(
         "map.ply",
-        "what moved in the image, fused over all frames: points in the world of the poses in m, "
-        "with the colour of the reference view; map.png from above, 0 = occupied, 254 = free, "
-        "205 = unknown, its place and scale in map.yaml as ROS's map_server has it; map-sheet.png, "
-        "the same to look at, with the path of the rig, the meaning of its colours and a scale",
+        "what moved in the image, but not by itself, fused over all frames: points in the world of "
+        "the poses in m, with the colour of the reference view; map.png from above, 0 = occupied, "
+        "254 = free, 205 = unknown, its place and scale in map.yaml as ROS's map_server has it; "
+        "map-sheet.png, the same to look at, with the path of the rig, the meaning of its colours "
+        "and a scale",
         "map.MapFiles",
         shows_colours=True,
         needs_rig=True,
@@ -428,6 +429,7 @@ OUTPUTS = {
         beside=("map.png", "map.yaml", "map-sheet.png"),
         takes="step",
         extras=_DEPTH,
+        needs_movers=True,
         needs_points=True,
     ),
 }

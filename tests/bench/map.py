@@ -117,7 +117,7 @@ def score(settings: DriveSettings, cell_m: float) -> MapScore:
     """Return how true the map of a drive is."""
     world = _Watched(settings)
     mapper = Mapper(SETTINGS, settings.rig, cell_m)
-    for _, step in driven(world, SETTINGS):
+    for _, step in driven(world, SETTINGS, with_map=True):
         assert step.points is not None
         assert step.pose is not None
         mapper.add(*step.points, step.pose)
