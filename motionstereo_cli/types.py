@@ -214,6 +214,8 @@ class MovingObject:
         sigma_mps: standard deviation of the velocity; None without one.
         by_itself: whether it moves over ground, by more than its standard deviation explains;
             None if unknown.
+        shadow: whether it is as deep as what lies beside it, as a shadow or a patch of light is;
+            None if too little is known there.
     """
 
     id: int
@@ -229,6 +231,7 @@ class MovingObject:
     velocity_mps: tuple[float, float] | None = None
     sigma_mps: float | None = None
     by_itself: bool | None = None
+    shadow: bool | None = None
 
     @property
     def over_ground_mps(self) -> float | None:

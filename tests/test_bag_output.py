@@ -172,16 +172,18 @@ def test_what_moves_by_itself_is_told_apart(results, tmp_path):
             confidence=0.8,
             velocity_mps=(0.6, 0.8),
             by_itself=by_itself,
+            shadow=number == 3,
         )
-        for number, by_itself in ((1, True), (2, False))
+        for number, by_itself in ((1, True), (2, False), (3, True))
     )
     result = dataclasses.replace(results[-1], objects=objects)
     ((_, array),) = messages_of(written(tmp_path, [result]))["/objects"]
-    first, cube, text, other = array.markers
-    assert (first.action, cube.id, other.id) == (3, 1, 2)
+    first, cube, text, other, shadow = array.markers
+    assert (first.action, cube.id, other.id, shadow.id) == (3, 1, 2, 3)
     assert text.text == "#1, 1.0 m/s, contact in 4.0 s"
     assert cube.color.r > 2 * cube.color.g
     assert other.color.r == pytest.approx(other.color.g)
+    assert shadow.color == other.color
 
 
 def test_where_a_run_was_interrupted_makes_no_difference(results, tmp_path):

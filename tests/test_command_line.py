@@ -823,18 +823,23 @@ def test_the_summary_says_how_much_of_the_image_has_depth(run_args, tmp_path, ca
 
 @pytest.mark.parametrize(
     ("ids", "said"),
-    [("", "no moving objects"), ("4", "1 moving object"), ("474", "2 moving objects")],
+    [
+        ("", "no moving objects found"),
+        ("4", "1 moving object found"),
+        ("474", "2 moving objects found"),
+        ("45", "2 moving objects found, 1 marked as shadow"),
+    ],
 )
 def test_the_summary_says_how_many_objects_were_found(
     run_args, tmp_path, monkeypatch, capsys, ids, said
 ):
     def write(self, step):
         n = step.time.index
-        self.add(f"{n},{each},1,1,9,9,,,,0.50,,,," for each in ids[n : n + 1])
+        self.add(f"{n},{each},1,1,9,9,,,,0.50,,,,,{int(each == '5')}" for each in ids[n : n + 1])
 
     monkeypatch.setattr(ObjectsFile, "write", write)
     assert main([*run_args, "-o", str(tmp_path / "o"), "--save", "objects"]) == 0
-    assert f"note: {said} found\n" in capsys.readouterr().err
+    assert f"note: {said}\n" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -110,7 +110,8 @@ def test_rows_where_nothing_is_labelled_are_not_judged(tmp_path):
 
 @pytest.mark.parametrize("form", ["--json", "--csv", None])
 def test_the_command_compares_a_table_with_labels(tmp_path, capsys, form):
-    rows = [f"{n},3,10,20,40,40,{20.5 - n},,2.000,1.00,,,," for n in range(1, 5)]
+    rows = [f"{n},3,10,20,40,40,{20.5 - n},,2.000,1.00,,,,,0" for n in range(1, 5)]
+    rows += [f"{n},4,10,20,40,40,2.0,,2.000,1.00,,,,,1" for n in range(1, 5)]  # a shadow
     (tmp_path / "objects.csv").write_text("\n".join([HEADER, *rows]) + "\n")
     files = [str(tmp_path / "objects.csv"), str(labels(tmp_path / "0000.txt"))]
     assert main(["evaluate", *files, *([form, "-"] if form else [])]) == 0
@@ -118,6 +119,7 @@ def test_the_command_compares_a_table_with_labels(tmp_path, capsys, form):
     if form == "--json":
         report = json.loads(out)
         assert report["found"] == pytest.approx(0.8)
+        assert report["false_rows"] == 0
         assert report["over_ground_error_mps"] is None
         assert 0.02 < report["depth_error"] < 0.04
     elif form == "--csv":
@@ -128,7 +130,7 @@ def test_the_command_compares_a_table_with_labels(tmp_path, capsys, form):
 
 
 def test_a_run_that_began_later_is_compared_from_there(tmp_path):
-    (tmp_path / "objects.csv").write_text(f"{HEADER}\n0,3,10,20,40,40,17.0,,,1.00,,,,\n")
+    (tmp_path / "objects.csv").write_text(f"{HEADER}\n0,3,10,20,40,40,17.0,,,1.00,,,,,0\n")
     record = {"input_settings": {"start": "3", "every": 2}, "counts": {"written": 1}}
     (tmp_path / "run.json").write_text(json.dumps(record))
     report = evaluate_objects(tmp_path / "objects.csv", labels(tmp_path / "0000.txt"))
@@ -149,7 +151,7 @@ def test_a_run_that_began_later_is_compared_from_there(tmp_path):
 )
 def test_what_is_no_file_of_objects_is_said(tmp_path, capsys, content, said):
     good, bad = tmp_path / "good.csv", tmp_path / "bad.txt"
-    good.write_text(f"{HEADER}\n" + ("" if "neither" in said else "0,1,1,1,5,5,,,,,,,,\n"))
+    good.write_text(f"{HEADER}\n" + ("" if "neither" in said else "0,1,1,1,5,5,,,,,,,,,\n"))
     bad.write_text(content)
     assert main(["evaluate", str(good), str(bad)]) == 1
     assert said in capsys.readouterr().err

@@ -17,7 +17,9 @@ from hypothesis.extra.numpy import arrays
 
 from bench import objects as bench
 from motionstereo_cli.commands import cli
+from motionstereo_cli.compiled import objects as loops
 from motionstereo_cli.method.settings import Settings
+from motionstereo_cli.pipeline import process
 from motionstereo_cli.robot import objects
 from motionstereo_cli.robot.assignment import assignment
 from motionstereo_cli.robot.guide import MapGuide, nearest_contact
@@ -33,6 +35,7 @@ from motionstereo_cli.robot.objects import (
     uncovered,
 )
 from motionstereo_cli.robot.tracker import MAX_CONTACT_S, Tracker, Tracks
+from motionstereo_cli.simulate.scenes import render_scene
 from motionstereo_cli.simulate.settings import SimulateSettings
 from motionstereo_cli.sinks.outputs import OUTPUTS
 from motionstereo_cli.sinks.sink import RunContext
@@ -419,6 +422,7 @@ class TestNearestContact:
             thing(2, there_s=2.5),
             thing(3, there_s=1.5),
             thing(4, there_s=0.5, confidence=0.1),
+            thing(5, there_s=0.5, shadow=True),
         ]
         assert nearest_contact(things).id == 3
         assert nearest_contact(things[:1]) is None
@@ -455,6 +459,7 @@ class TestNearestContact:
             {"velocity_mps": (-9.0, 0.0)},  # a mistake
             {"y": 94, "height": 2, "depth_m": 4.0},  # on the floor
             {"confidence": 0.1},
+            {"shadow": True},
             {"there_s": None},
             {"place_m": None},
         ],
@@ -465,7 +470,7 @@ class TestNearestContact:
 
 def test_the_table_to_the_letter(tmp_path):
     sink = OUTPUTS["objects"].open(tmp_path, RunContext(Fraction(1, 30), Settings(), None))
-    more = {"velocity_mps": (0.0, 1.5), "sigma_mps": 0.25, "by_itself": True}
+    more = {"velocity_mps": (0.0, 1.5), "sigma_mps": 0.25, "by_itself": True, "shadow": False}
     known = MovingObject(3, 0, 4, 8, 12, 2.71849, -0.00001, 12.5, 1 / 3, **more)
     unknown = MovingObject(12, 100, 4, 8, 12, None, None, None, 1.0)
     for index, seen in ((0, ()), (7, (known, unknown))):
@@ -475,9 +480,9 @@ def test_the_table_to_the_letter(tmp_path):
     sink.close()
     assert (tmp_path / "objects.csv").read_bytes() == (
         b"frame,id,x,y,width,height,depth_m,closing_mps,time_to_contact_s,confidence,"
-        b"over_ground_mps,direction_rad,sigma_mps,by_itself\n"
-        b"7,3,0,4,8,12,2.718,0.000,12.500,0.33,1.500,1.571,0.250,1\n"
-        b"7,12,100,4,8,12,,,,1.00,,,,\n"
+        b"over_ground_mps,direction_rad,sigma_mps,by_itself,shadow\n"
+        b"7,3,0,4,8,12,2.718,0.000,12.500,0.33,1.500,1.571,0.250,1,0\n"
+        b"7,12,100,4,8,12,,,,1.00,,,,,\n"
     )
 
 
@@ -561,14 +566,69 @@ def test_tracks_and_regions_are_paired_at_the_least_cost(cost):
     assert sum(cost[pair] for pair in pairs) == pytest.approx(best)
 
 
-def test_shadows_on_the_floor_below_a_camera_are_no_objects():
+def test_shadows_on_the_floor_below_a_camera_lie_on_it():
     """A camera looks down from 2.7 m: a shadow lies on the floor, a head is 1 m above it."""
     near = np.full((HEIGHT, WIDTH), FB / 2.7, np.float32)
     moved = np.zeros(near.shape, np.bool_)
     moved[20:50, 20:50] = moved[60:90, 90:120] = True
     near[20:50, 20:50] = FB / 1.7
-    found = Tracker(Settings(), RIG).regions(near, moved)
-    assert [round(FB / each.nearness_px, 1) for each in found] == [1.7]
+    tracker, tracks = Tracker(Settings(), RIG), Tracks()
+    for n in range(3):
+        tracks, seen = tracker.follow(tracks, tracker.regions(near, moved), frame(n, n / 10).time)
+    marks = {round(each.depth_m, 1): each.shadow for each in seen}
+    assert marks == {1.7: False, 2.7: True}
+
+
+def beside(labels, cells, gap, reach, jump_px, jump_share, min_near):
+    """Rows of each region that are nearer than what is beside them, and as near, cell by cell."""
+    counts = np.zeros((labels.max() + 1, 2), np.int32)
+    for label in range(1, len(counts)):
+        for row, owners in zip(cells, labels, strict=True):
+            mine = np.flatnonzero(owners == label)
+            if not len(mine):
+                continue
+            known = [x for x in range(len(row)) if owners[x] != label and not np.isnan(row[x])]
+            left = [x for x in known if gap < mine[0] - x <= reach][-1:]
+            right = [x for x in known if gap < x - mine[-1] <= reach][:1]
+            ends = left + right
+            if not ends:
+                continue
+            middle = (mine[0] + mine[-1]) / 2
+            there = np.interp(middle, ends, [row[x] for x in ends])
+            here = np.mean(row[mine], dtype=float)
+            limit = max(jump_px, jump_share * here)
+            counts[label, 0] += here - there > limit
+            counts[label, 1] += abs(here - there) <= limit and here >= min_near
+    return counts
+
+
+@given(
+    arrays(np.int32, (4, 24), elements=st.integers(0, 3)),
+    arrays(np.float32, (4, 24), elements=st.sampled_from([NAN, 4, 6, 6.25, 8, 8.375, 9])),
+    st.integers(0, 2),
+    st.integers(2, 9),
+)
+def test_rows_are_compared_with_what_is_beside_them(labels, cells, gap, reach):
+    labels[np.isnan(cells)] = 0
+    count, limits = labels.max() + 1, (gap, reach, 0.5, 0.0625, 7.0)
+    counts = np.empty((count, 2), np.int32)
+    loops.compare_beside(labels, cells, *limits, np.empty((count, 4)), counts)
+    np.testing.assert_array_equal(counts[1:], beside(labels, cells, *limits)[1:])
+
+
+def test_shadows_on_a_wall_are_marked_and_cards_are_not():
+    """Rendered cards that move before a wall, with their shadows on it."""
+    rendered = SimulateSettings(
+        scene="cards", frames="100:112", width=240, height=160, baseline_m=0.24, shadows=True
+    )
+    shots = render_scene(rendered)
+    frames = [StereoFrame(n, n, n / 30, s.left, s.right) for n, s in enumerate(shots)]
+    marks = Counter()
+    for result in process(frames, rig=rendered.rig, extras=()):
+        marks.update((each.depth_m > 6.5, each.shadow) for each in result.objects)
+    assert marks[True, True] > 5
+    assert marks[True, False] == marks[False, True] == 0
+    assert marks[False, False] > 10
 
 
 @pytest.mark.parametrize(("top", "stands"), [(60, True), (4, False)])

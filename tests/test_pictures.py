@@ -202,8 +202,8 @@ def test_what_moves_by_itself_has_a_box_with_its_figures():
     assert columns.min() >= 18
     assert rows.min() < 20  # its figures are above it
     assert mover_text(mover) == "7  1.0 m/s  1.5 s"
-    passed = dataclasses.replace(mover, by_itself=False)
-    assert with_movers(view, [passed], 0.5) is view
+    for change in ({"by_itself": False}, {"shadow": True}):
+        assert with_movers(view, [dataclasses.replace(mover, **change)], 0.5) is view
     for x, y in ((0, 0), (600, 0), (600, 230), (0, 230)):  # labels stay within the view
         assert with_movers(view, [dataclasses.replace(mover, x=x, y=y)], 0.5).any()
 

@@ -137,9 +137,9 @@ def test_a_run_without_most_outputs_says_what_is_missing(copy):
 @pytest.mark.parametrize(
     ("row", "said"),
     [
-        ("12,z,40,20,12,12,4,,,0.5,,,,1", "id of frame 12 is 'z' and no number"),
-        ("12,7,40,20,12,12,4..1,,,0.5,,,,1", "depth_m of frame 12 is '4..1' and no number"),
-        ("12,7,40,20,12,12,4,,,0.5,q,,,1", "over_ground_mps of frame 12 is 'q' and no number"),
+        ("12,z,40,20,12,12,4,,,0.5,,,,1,", "id of frame 12 is 'z' and no number"),
+        ("12,7,40,20,12,12,4..1,,,0.5,,,,1,", "depth_m of frame 12 is '4..1' and no number"),
+        ("12,7,40,20,12,12,4,,,0.5,q,,,1,", "over_ground_mps of frame 12 is 'q' and no number"),
     ],
 )
 def test_a_wrong_cell_of_objects_is_named(copy, capsys, row, said):
@@ -222,7 +222,7 @@ def test_objects_are_bars_by_their_time_to_contact():
 @pytest.mark.parametrize(("by_itself", "told"), [("", True), ("0", False), ("1", False)])
 def test_the_page_says_where_the_rigs_own_motion_is_unknown(copy, by_itself, told):
     header = (copy / "objects.csv").read_text().splitlines()[0]
-    rows = [f"{n},7,40,20,12,12,4.000,,,0.50,,,,{by_itself}" for n in range(12, 20)]
+    rows = [f"{n},7,40,20,12,12,4.000,,,0.50,,,,{by_itself}," for n in range(12, 20)]
     (copy / "objects.csv").write_text("\n".join([header, *rows]) + "\n")
     page = run_page(copy, copy / "report.html")
     assert (
@@ -233,7 +233,7 @@ def test_the_page_says_where_the_rigs_own_motion_is_unknown(copy, by_itself, tol
 def test_the_page_says_why_speeds_are_unknown_without_times(copy):
     path = copy / "objects.csv"
     header = path.read_text().splitlines()[0]
-    rows = [f"{n},7,40,20,12,12,4.000,,,0.50,,,," for n in range(12, 20)]
+    rows = [f"{n},7,40,20,12,12,4.000,,,0.50,,,,," for n in range(12, 20)]
     path.write_text("\n".join([header, *rows]) + "\n")
     table = rows_of(copy / "steering.csv")
     lines = [",".join(table[0]), *(",".join((row | {"time_s": ""}).values()) for row in table)]
@@ -435,7 +435,7 @@ def with_way(copy):
         if n != 5
     ]
     (copy / "poses.txt").write_text("\n".join(["# TUM", *lines]) + "\n")
-    rows = [f"{n},7,40,20,12,12,4.000,,,0.50,1.000,0.000,0.100,1" for n in (12, 13, 14)]
+    rows = [f"{n},7,40,20,12,12,4.000,,,0.50,1.000,0.000,0.100,1," for n in (12, 13, 14)]
     header = (copy / "objects.csv").read_text().splitlines()[0]
     (copy / "objects.csv").write_text("\n".join([header, *rows]) + "\n")
     image = np.full((40, 20), 254, np.uint8)
@@ -484,13 +484,20 @@ def test_what_moves_by_itself_is_said_of_each_object():
             "by_itself": own,
             "over_ground_mps": speed,
             "confidence": sure,
+            "shadow": shadow,
         }
-        for n, (own, speed, sure) in enumerate(
-            [("", "", "0.2"), ("0", "0.2", "0.4"), ("1", "1.4", "0.6"), ("1", "1.2", "0.8")]
+        for n, (own, speed, sure, shadow) in enumerate(
+            [
+                ("", "", "0.2", ""),
+                ("1", "0.2", "0.4", "1"),
+                ("1", "1.4", "0.6", "0"),
+                ("1", "1.2", "0.8", "0"),
+            ]
         )
     ]
     [track] = tracks(rows, {n: n / 10 for n in range(4)}, 0.1).shown
     assert (track["own"], track["known"], track["frames"], track["speed"]) == (2, 3, 4, 1.4)
+    assert track["shadow"] == 1
     assert track["confidence"] == pytest.approx(0.5)
     assert track["spans"] == [pytest.approx([0, 0.2, 2, 0]), pytest.approx([0.2, 0.4, 2, 1])]
 

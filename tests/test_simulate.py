@@ -283,6 +283,20 @@ def test_disparities_of_the_cards_scene_suit_a_search_of_64_px():
     assert disparity / min(depths) < 50
 
 
+def test_shadows_of_cards_lie_on_the_wall_and_have_no_depth():
+    plain, shaded = (
+        next(render_scene(small(scene="cards", frames="20:21", shadows=shadows)))
+        for shadows in (False, True)
+    )
+    np.testing.assert_array_equal(shaded.disparity_px, plain.disparity_px)
+    np.testing.assert_array_equal(shaded.mover, plain.mover)
+    darker = shaded.right < plain.right
+    assert 0.01 < darker.mean() < 0.3
+    inner = cv2.erode((plain.mover > 0).astype(np.uint8), np.ones((3, 3))) > 0
+    assert not darker[inner].any()
+    np.testing.assert_array_equal(shaded.right[~darker], plain.right[~darker])
+
+
 def test_panning_moves_the_wall_a_few_pixels_a_frame():
     moved = [
         abs(pan_pose((t + 1) / 30).yaw_rad - pan_pose(t / 30).yaw_rad) * 0.87 * 480

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections import Counter
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -187,8 +188,12 @@ def _found(folder: Path) -> str:
     """Return in words how many moving objects a run found."""
     from motionstereo_cli.report.run_folder import read_results
 
-    count = len({row["id"] for row in read_results(folder).objects() or ()})
-    return f"{count or 'no'} moving object{'' if count == 1 else 's'} found"
+    marks = Counter[str]()
+    for row in read_results(folder).objects() or ():
+        marks[row["id"]] += 1 if row.get("shadow") == "1" else -1
+    count, dark = len(marks), sum(mark > 0 for mark in marks.values())
+    also = f", {dark} marked as shadow{'' if dark == 1 else 's'}" if dark else ""
+    return f"{count or 'no'} moving object{'' if count == 1 else 's'} found{also}"
 
 
 def _shares_terminal(plan: RunPlan) -> bool:

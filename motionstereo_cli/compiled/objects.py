@@ -2,6 +2,7 @@
 
 import cython
 import numpy as np
+from cython.cimports.libc.math import isfinite
 
 NAN = cython.declare(cython.float, np.nan)
 
@@ -151,3 +152,95 @@ def boxes(
                 box[label, 1] = min(box[label, 1], row)
                 box[label, 2] = max(box[label, 2], column + 1)
                 box[label, 3] = max(box[label, 3], row + 1)
+
+
+def compare_beside(
+    labels: cython.const[cython.int][:, ::1],
+    cells: cython.const[cython.float][:, ::1],
+    gap: cython.int,
+    reach: cython.int,
+    jump_px: cython.double,
+    jump_share: cython.double,
+    min_near: cython.double,
+    work: cython.double[:, ::1],
+    result: cython.int[:, ::1],
+) -> None:
+    """Count the rows of each region that are nearer than what is known beside them, or alike.
+
+    What is beside a row is the nearest known cell of another region or of none, at both ends; a
+    slanted surface lies between these.
+
+    Args:
+        labels: region of each cell, (rows, columns) int32, 0..n - 1; 0 = none.
+        cells: nearness in px, (rows, columns) float32, NaN = unknown.
+        gap: so many cells beside the end of a row may be of either.
+        reach: the farthest that is looked at, in cells from the end of a row.
+        jump_px, jump_share: nearness differs by more than the larger of these, or is alike.
+        min_near: nearness in px below which alike says nothing.
+        work: (n, 4), used again and again.
+        result: (n, 2) int32 gets the rows that are nearer, and those that are alike.
+    """
+    row: cython.int
+    column: cython.int
+    label: cython.int
+    columns: cython.int = cython.cast(cython.int, labels.shape[1])
+    with cython.nogil:
+        result[:, :] = 0
+        for row in range(cython.cast(cython.int, labels.shape[0])):
+            work[:, :] = 0
+            for column in range(columns):
+                label = labels[row, column]
+                if label:
+                    if not work[label, 0]:
+                        work[label, 2] = column
+                    work[label, 0] += 1
+                    work[label, 1] += cells[row, column]
+                    work[label, 3] = column
+            for label in range(1, cython.cast(cython.int, result.shape[0])):
+                if not work[label, 0]:
+                    continue
+                first: cython.int = cython.cast(cython.int, work[label, 2])
+                last: cython.int = cython.cast(cython.int, work[label, 3])
+                left: cython.int = first - gap - 1
+                while (
+                    left >= 0
+                    and first - left <= reach
+                    and not is_other(labels, cells, row, left, label)
+                ):
+                    left -= 1
+                right: cython.int = last + gap + 1
+                while (
+                    right < columns
+                    and right - last <= reach
+                    and not is_other(labels, cells, row, right, label)
+                ):
+                    right += 1
+                has_left: cython.bint = left >= 0 and first - left <= reach
+                has_right: cython.bint = right < columns and right - last <= reach
+                if not (has_left or has_right):
+                    continue
+                there: cython.double = cells[row, left if has_left else right]
+                if has_left and has_right:
+                    share: cython.double = (0.5 * (first + last) - left) / (right - left)
+                    there += share * (cells[row, right] - there)
+                here: cython.double = work[label, 1] / work[label, 0]
+                limit: cython.double = max(jump_px, jump_share * here)
+                if here - there > limit:
+                    result[label, 0] += 1
+                elif there - here <= limit and here >= min_near:
+                    result[label, 1] += 1
+
+
+@cython.cfunc
+@cython.nogil
+@cython.inline
+@cython.exceptval(check=False)
+def is_other(
+    labels: cython.const[cython.int][:, ::1],
+    cells: cython.const[cython.float][:, ::1],
+    row: cython.int,
+    column: cython.int,
+    label: cython.int,
+) -> cython.bint:
+    """Return whether a cell is known, and not of a region."""
+    return labels[row, column] != label and isfinite(cells[row, column])

@@ -172,6 +172,8 @@ def _of_table(path: Path) -> Iterator[ObjectBox]:
         if (frame, name) in seen:
             raise InputError(f"{path}: object {name} comes twice in frame {frame}")
         seen.add((frame, name))
+        if row.get("shadow") == "1":  # it says that this is no object
+            continue
 
         def number(column: str, row: dict[str, str] = row, frame: int = frame) -> float:
             cell = row.get(column, "")

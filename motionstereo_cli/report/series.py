@@ -117,9 +117,9 @@ def tracks(
         each with its begin, its end, its urgency (0 contact soon, 1 later, 2 hardly or unknown) and
         whether it moved by itself then (1 or 0); the least ``contact`` in s, ``nearest`` in m, each
         with its ``contact_frame`` or ``nearest_frame``, and most ``closing`` in m/s; in how many
-        ``frames`` it was, in how many of these it is ``known`` whether it moved by itself, and in
-        how many it did (``own``); its mean ``confidence``, and its greatest ``speed`` over ground
-        in m/s; None if unknown.
+        ``frames`` it was, in how many of these it is ``known`` whether it moved by itself, in how
+        many it did (``own``), and in how many it was marked as a ``shadow``; its mean
+        ``confidence``, and its greatest ``speed`` over ground in m/s; None if unknown.
 
     Raises:
         ValueError: a row is damaged, or there are too many.
@@ -135,12 +135,13 @@ def tracks(
             _number(row, name) for name in ("time_to_contact_s", "depth_m", "closing_mps")
         )
         level = 2 if contact is None or contact > LATER_S else 1 if contact > SOON_S else 0
-        kind = level, int(row.get("by_itself") == "1")
+        is_shadow = row.get("shadow") == "1"
+        kind = level, int(row.get("by_itself") == "1" and not is_shadow)
         begin, end = x_of[frame], x_of[frame] + frame_x
         track = found.setdefault(
             number,
             {"id": number, "frame": frame, "spans": []}
-            | dict.fromkeys(("frames", "known", "own"), 0)
+            | dict.fromkeys(("frames", "known", "own", "shadow"), 0)
             | dict.fromkeys(("contact", "nearest", "closing", "speed", "confidence"))
             | dict.fromkeys(("contact_frame", "nearest_frame")),
         )
@@ -162,6 +163,7 @@ def tracks(
         track["frames"] += 1
         track["known"] += bool(row.get("by_itself"))
         track["own"] += kind[1]
+        track["shadow"] += is_shadow
         track["speed"] = _most(track["speed"], _number(row, "over_ground_mps"))
         if (sure := _number(row, "confidence")) is not None:
             mean = track["confidence"] or 0.0

@@ -98,7 +98,7 @@ def _things(run: Results, steering: SteeringTable | None, poses: Reals) -> dict[
         try:
             time_s, depth_m = time_of[int(row["frame"])], float(row["depth_m"])
             middle = float(row["x"]) + float(row["width"]) / 2
-            moves = row["by_itself"] == "1"
+            moves = row["by_itself"] == "1" and row.get("shadow") != "1"
         except (KeyError, ValueError):
             continue
         index = min(int(np.searchsorted(poses[:, 0], time_s - _SAME_S)), len(poses) - 1)

@@ -139,11 +139,13 @@ def guide_of(settings: Settings, rig: Rig | None, *, with_poses: bool) -> Guide[
 
 
 def nearest_contact(objects: Iterable[MovingObject]) -> MovingObject | None:
-    """Return the object with the least time to contact; None if none arrives soon."""
+    """Return the object with the least time to contact, no shadow; None if none arrives soon."""
     first, first_s = None, CONTACT_S
     for each in objects:
         there_s = each.time_to_contact_s
-        if there_s is not None and there_s < first_s and each.confidence >= MIN_CONFIDENCE:
+        if each.shadow or each.confidence < MIN_CONFIDENCE:
+            continue
+        if there_s is not None and there_s < first_s:
             first, first_s = each, there_s
     return first
 

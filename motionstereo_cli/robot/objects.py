@@ -40,6 +40,13 @@ _BEHIND_SHARE, _BEFORE_SHARE = 0.5, 0.1
 _HIDDEN_PX, _HIDDEN_SHARE = 1.0, 0.06
 _SOON_FRAMES = 3
 
+#: What is beside a row of a region is known within the second number of cells, but for the first.
+_BESIDE_GAP, _BESIDE_CELLS = 1, 7
+#: Below this nearness, depths that differ by more than half a metre at 7 m look alike.
+_MIN_ALIKE_PX = 7.0
+#: An object whose rows can be compared lies on what is beside it, if no larger share is nearer.
+_MIN_COMPARED, _NEARER_ROWS = 4, 0.2
+
 #: Search range of an object about its expected position, in its sizes, and as a factor of nearness.
 _MAX_SIZES = 1.0
 _MAX_FACTOR = 1.3
@@ -80,6 +87,8 @@ class Region:
         velocity_mps: over ground, ahead and to the left of the camera; None where it is not
             measured in this frame alone.
         sigma_mps: standard deviation of that.
+        nearer, level: rows of cells that are nearer than what is known beside them, and rows that
+            are as near.
         cells: known share and nearness in px of the cells of its box, and their velocity if it is
             measured, (2 or 6, height / 4, width / 4) float32, NaN = not in it; None where it is
             remembered.
@@ -96,6 +105,8 @@ class Region:
     before: int = 0
     velocity_mps: tuple[float, float] | None = None
     sigma_mps: float = math.inf
+    nearer: int = 0
+    level: int = 0
     cells: Reals | None = field(default=None, compare=False, repr=False)
 
 
@@ -156,7 +167,8 @@ def regions(
     share, cells = _in_cells(nearness_px, fresh)
     bridged = _bridged(cells)
     count, labels = _labelled(bridged)
-    nearer, farther, sides = _neighbours(labels, bridged, nearness_px, count)
+    known = _around(cells, nearness_px)
+    nearer, farther, sides = _neighbours(labels, bridged, known, count)
     labels[np.isnan(cells)] = 0
     size, boxes = _boxes(labels, count)
     wanted = (nearer <= _BEHIND_SHARE * sides) | (farther > _BEFORE_SHARE * sides)
@@ -168,8 +180,17 @@ def regions(
         rows, columns = cells.shape
         measured.append(np.moveaxis(velocity_mps[:rows, :columns], -1, 0))
     each = np.concatenate(measured)
+    beside = np.empty((count, 2), np.int32)
+    loops.compare_beside(
+        *(np.ascontiguousarray(labels), known, _BESIDE_GAP, _BESIDE_CELLS, _JUMP_PX, _JUMP_SHARE),
+        *(_MIN_ALIKE_PX, np.empty((count, 4)), beside),
+    )
     return tuple(
-        _region(labels, label, boxes[label].tolist(), each)
+        replace(
+            _region(labels, label, boxes[label].tolist(), each),
+            nearer=int(beside[label, 0]),
+            level=int(beside[label, 1]),
+        )
         for label in np.flatnonzero(wanted).tolist()
     )
 
@@ -253,8 +274,17 @@ def _linked(a: Reals, b: Reals) -> NDArray[np.bool_]:
     return linked
 
 
+def _around(cells: Reals, nearness_px: Reals) -> Reals:
+    """Return the cells with those beside them in their rows, whether or not these have moved."""
+    moved = ~np.isnan(cells)
+    span = np.ones((1, 2 * _BESIDE_CELLS + 1), np.uint8)
+    beside = np.asarray(cv2.dilate(moved.view(np.uint8), span)).view(np.bool_) & ~moved
+    _, still = _in_cells(nearness_px, np.ones(nearness_px.shape, np.bool_), beside)
+    return np.where(moved, cells, still)
+
+
 def _neighbours(
-    labels: NDArray[np.int32], near: Reals, nearness_px: Reals, count: int
+    labels: NDArray[np.int32], near: Reals, around: Reals, count: int
 ) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
     """Return how often each region has a nearer one beside it in its rows, and any other end.
 
@@ -264,12 +294,7 @@ def _neighbours(
     left, right = labels[:, :-1][other], labels[:, 1:][other]
     left_is_near = near[:, :-1][other] > near[:, 1:][other]
     behind, sides = np.where(left_is_near, right, left), np.concatenate([left, right])
-    beside = np.zeros(labels.shape, np.bool_)
-    beside[:, :-1] = other
-    beside[:, 1:] |= other
-    beside &= near <= 0
-    _, still = _in_cells(nearness_px, np.ones(nearness_px.shape, np.bool_), beside)
-    known = np.where(near > 0, near, still)
+    known = np.where(near > 0, near, around)
     one, two = known[:, :-1][other], known[:, 1:][other]
     jump = np.maximum(np.float32(_JUMP_PX), _JUMP_SHARE * np.concatenate([one, two]))
     before = sides[np.concatenate([one - two, two - one]) > jump]
@@ -483,6 +508,13 @@ def moves_surely(track: Track) -> bool:
         if each.velocity_mps is not None
     ]
     return not sigmas or float(_median(np.array(sigmas))) > _SURE_SIGMAS
+
+
+def lies(track: Track) -> bool | None:
+    """Return whether an object is as near as what is beside it, as a shadow is; None if unknown."""
+    nearer = sum(each.region.nearer for each in track.observations)
+    compared = nearer + sum(each.region.level for each in track.observations)
+    return None if compared < _MIN_COMPARED else nearer <= _NEARER_ROWS * compared
 
 
 def _mean_velocity(

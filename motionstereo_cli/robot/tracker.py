@@ -21,6 +21,7 @@ from motionstereo_cli.robot.objects import (
     Track,
     expected_box,
     follow,
+    lies,
     movement,
     moves_surely,
     region_of,
@@ -112,8 +113,13 @@ class Tracker:
         surface_px = level_surface(strips, min_known=_SURFACE_STRIPS)
         if surface_px is None:
             return found
-        # What moves on a surface that fills the view is a shadow, or its light.
-        return tuple(each for each in found if each.nearness_px > surface_px)
+        # What moves on a surface that fills the view lies on it.
+        return tuple(
+            each
+            if each.nearness_px > surface_px
+            else replace(each, nearer=0, level=each.height // CELL_PX)
+            for each in found
+        )
 
     def moving_regions(
         self, disparity_px: Real, moved: NDArray[np.bool_], velocity_mps: Real
@@ -226,6 +232,7 @@ class Tracker:
             velocity_mps=moves.over_ground_mps if in_world and moves else None,
             sigma_mps=moves.sigma_mps if in_world and moves else None,
             by_itself=_by_itself(moves) if in_world and moves else None,
+            shadow=lies(track),
         )
 
 

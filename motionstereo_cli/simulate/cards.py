@@ -22,6 +22,10 @@ if TYPE_CHECKING:
 
 WALL_M = 7.0
 
+#: Where a card's shadow falls, to the left and down per m that it is before the wall; how dark.
+_SUN = 0.2, 0.1
+_SHADE = 0.5
+
 #: Panning: a sine of this amplitude and period.
 _PAN_RAD = math.radians(8)
 _PAN_S = 4.0
@@ -129,9 +133,11 @@ class Cards:
     Args:
         focal_px: focal length of the cameras; determines the grain of the textures.
         seed: seed of the textures.
+        shadows: whether the cards cast shadows on the wall.
     """
 
-    def __init__(self, focal_px: float, seed: int = 0) -> None:
+    def __init__(self, focal_px: float, seed: int = 0, *, shadows: bool = False) -> None:
+        self._shadows = shadows
         rng = np.random.default_rng([seed, 0])
         self._wall = _Texture.noise(rng, focal_px, WALL_M, _WALL_TILE_M, _WALL_GREY)
         self._cards = [
@@ -156,6 +162,14 @@ class Cards:
         depth_m = np.broadcast_to(wall.depth_m, grey.shape).astype(np.float32)
         mover = np.zeros(grey.shape, np.uint8)
         states = [card_state(card, time_s) for card in CARDS]
+        if self._shadows:
+            for card, state in zip(CARDS, states, strict=True):
+                before_m = WALL_M - state.x_m
+                right_m = state.y_m + _SUN[0] * before_m - card.width_m / 2
+                low_m = state.z_m - _SUN[1] * before_m - card.height_m / 2
+                across = _cover(wall.y_edges_m, right_m, right_m + card.width_m)
+                upward = _cover(wall.z_edges_m, low_m, low_m + card.height_m)
+                grey *= 1 - np.float32(_SHADE) * (upward * across).astype(np.float32)
         for number, state, card, texture in sorted(
             zip(range(1, len(CARDS) + 1), states, CARDS, self._cards, strict=True),
             key=lambda item: -item[1].x_m,

@@ -72,7 +72,7 @@ def _standing(world: World, settings: SimulateSettings, places: Places | None = 
 
 
 def _cards(settings: SimulateSettings) -> _Scene:
-    cards = Cards(settings.rig.focal_px, settings.seed)
+    cards = Cards(settings.rig.focal_px, settings.seed, shadows=settings.shadows)
     return _standing(cards, settings, cards.places)
 
 

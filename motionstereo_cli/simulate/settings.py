@@ -88,6 +88,7 @@ class SimulateSettings:
         high=60,
     )
     pan: bool = param(False, "Swing the camera from side to side. Only with cards and layers.")
+    shadows: bool = param(False, "The cards cast shadows on the wall. Only with cards.")
     noise_sigma: float = param(
         0.0,
         "Standard deviation of the sensor noise.",

@@ -433,10 +433,12 @@ class _Messages:
                 right_m = (item.x + item.width / 2 - self._cx) * m_per_px
                 down_m = (item.y + item.height / 2 - self._rig.cy) * m_per_row
                 high_m = item.height * m_per_row
-                place, colour = (right_m, down_m, item.depth_m), _COLOURS[item.by_itself]
+                place = right_m, down_m, item.depth_m
+                moves = False if item.shadow else item.by_itself
+                colour = _COLOURS[moves]
                 size = (item.width * m_per_px, high_m, 0.1)
                 markers.append(self._marker(header, item.id, place, size, colour))
-                if item.by_itself:
+                if moves:
                     over = (right_m, down_m - high_m / 2, item.depth_m)
                     text = _words_of(item)
                     markers.append(

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 HEADER = (
     "frame,id,x,y,width,height,depth_m,closing_mps,time_to_contact_s,confidence,"
-    "over_ground_mps,direction_rad,sigma_mps,by_itself"
+    "over_ground_mps,direction_rad,sigma_mps,by_itself,shadow"
 )
 
 
@@ -33,7 +33,7 @@ def object_row(frame: int, item: MovingObject) -> str:
             cell(item.over_ground_mps, 3),
             cell(item.direction_rad, 3),
             cell(item.sigma_mps, 3),
-            "" if item.by_itself is None else str(int(item.by_itself)),
+            *("" if is_so is None else str(int(is_so)) for is_so in (item.by_itself, item.shadow)),
         ]
     )
 

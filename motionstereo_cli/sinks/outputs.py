@@ -155,7 +155,8 @@ OUTPUTS = {
         "objects.csv",
         "a row for each moving object of each frame: box in px of the reference view, depth_m in "
         "m, closing_mps in m/s with positive = approaching, time_to_contact_s in s, confidence "
-        "0..1; over_ground_mps and sigma_mps in m/s, direction_rad in the world, by_itself 0 or 1; "
+        "0..1; over_ground_mps and sigma_mps in m/s, direction_rad in the world, by_itself 0 or 1, "
+        "shadow 0 or 1 = as deep as what lies beside it; "
         "empty = unknown",
         "objects_table.objects_file",
         kind="table",

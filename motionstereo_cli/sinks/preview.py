@@ -95,14 +95,15 @@ def with_movers(
 ) -> NDArray[np.uint8]:
     """Return a view, RGB, with a box around each object that moves by itself, or may do so.
 
-    Above it are its id, its speed over ground and its time to contact, as far as they are known.
+    Shadows have none. Above it are its id, its speed over ground and its time to contact, as far as
+    they are known.
 
     Args:
         view: (height, width, 3) uint8.
         objects: with boxes in px of the view before it was made smaller.
         scale: how many times smaller it is.
     """
-    shown = [each for each in objects if each.by_itself is not False]
+    shown = [each for each in objects if each.by_itself is not False and not each.shadow]
     if not shown:
         return view
     picture, labels = view.copy(), []

@@ -20,7 +20,7 @@ from bench.markdown import table
 from motionstereo_cli.files.video import VideoWriter
 from motionstereo_cli.pipeline import process
 from motionstereo_cli.simulate.camera import stereo_cameras
-from motionstereo_cli.simulate.cards import CARDS, Card, CardState, card_state
+from motionstereo_cli.simulate.cards import CARDS, WALL_M, Card, CardState, card_state
 from motionstereo_cli.simulate.scenes import SceneFrame, render_scene
 from motionstereo_cli.simulate.settings import SimulateSettings
 from motionstereo_cli.sources import open_stereo
@@ -56,6 +56,8 @@ class Score:
         wrong_signs: of these, those with the wrong sign.
         wrong_signs_turned: rows with the wrong sign soon after a card has turned round.
         across_mps: speed found of cards that neither come nor go.
+        marked: rows of cards that are marked as shadows.
+        shadows: rows at the depth of the wall that are no card's, and how many of them are marked.
     """
 
     visible: int = 0
@@ -66,6 +68,8 @@ class Score:
     wrong_signs: int = 0
     wrong_signs_turned: int = 0
     across_mps: list[float] = field(default_factory=list)
+    marked: int = 0
+    shadows: list[int] = field(default_factory=lambda: [0, 0])
 
     @property
     def switches_per_100(self) -> float:
@@ -95,11 +99,15 @@ def measure(settings: SimulateSettings) -> Score:
                 continue
             left.remove(found)
             score.found += 1
+            score.marked += bool(found.shadow)
             score.switches += last.get(card.name, found.id) != found.id
             last[card.name] = found.id
             if found.closing_mps is not None and seen[found.id] >= _FOLLOWED_FRAMES:
                 _score_speed(score, card, time_s, found.closing_mps)
-        score.others += len(left)
+        score.others += sum(not thing.shadow for thing in left)
+        lying = [each for each in left if abs((each.depth_m or 0) / WALL_M - 1) <= _MAX_OFF]
+        score.shadows[0] += len(lying)
+        score.shadows[1] += sum(bool(each.shadow) for each in lying)
     return score
 
 
@@ -180,6 +188,7 @@ def format_markdown(scores: dict[str, Score]) -> str:
     head = ["camera", "closing speed off by (median)", "wrong sign", "so soon after a turn"]
     head += ["speed found of what crosses (median, m/s)", "id switches per object in 100 frames"]
     head += ["cards found", "rows of nothing"]
+    head += ["rows of cards marked as shadows", "rows on the wall; marked"]
     lines = []
     for name, score in scores.items():
         rows = len(score.errors)
@@ -187,7 +196,9 @@ def format_markdown(scores: dict[str, Score]) -> str:
         signs = (score.wrong_signs, score.wrong_signs_turned)
         across, switches = f"{np.median(score.across_mps):.3f}", f"{score.switches_per_100:.2f}"
         found = f"{100 * score.found / score.visible:.0f} % of {score.visible}"
+        on_wall = "{}; {}".format(*score.shadows)
         lines.append([name, off, *signs, across, switches, found, score.others])
+        lines[-1] += [score.marked, on_wall]
     return table(head, lines)
 
 
@@ -198,6 +209,7 @@ def main(args: Sequence[str] | None = None) -> None:
     parser.add_argument("--noise-sigma", type=float, default=1.5, help="sensor noise, grey levels")
     parser.add_argument("--width", type=int, default=480, help="of the images, 3:2")
     parser.add_argument("--seed", type=int, default=0, help="of the cards' texture")
+    parser.add_argument("--shadows", action="store_true", help="the cards cast shadows")
     given = parser.parse_args(args)
     scores = {}
     for name in tqdm(("still", "panning"), unit="recording", disable=None):
@@ -210,6 +222,7 @@ def main(args: Sequence[str] | None = None) -> None:
                 noise_sigma=given.noise_sigma,
                 seed=given.seed,
                 pan=name == "panning",
+                shadows=given.shadows,
             )
         )
     print(format_markdown(scores))
