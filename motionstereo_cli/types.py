@@ -255,7 +255,8 @@ class Fix:
             very uncertain.
         sigma_m, sigma_rad: standard deviation of position and orientation, of errors that frames
             do not share.
-        disparity_offset_px: constant error of disparity, positive = too small; 0 if unknown.
+        disparity_offset_px: error of disparity at the left view's principal point, positive = too
+            small; 0 if unknown.
         agreeing: share of the points whose grey agrees with the motion, 0..1; 0 if unknown.
     """
 

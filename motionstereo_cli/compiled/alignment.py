@@ -5,10 +5,12 @@ import numpy as np
 from cython.cimports.libc.math import cos, fabs, isfinite, sin, sqrt
 
 NAN = cython.declare(cython.double, np.nan)
-#: Unknowns of an alignment: translation and rotation, gain and offset of both views, and the
-#: constant error of disparity. One view has the first six, two of its own, and the last.
-UNKNOWNS = cython.declare(cython.Py_ssize_t, 11)
-OF_ONE = cython.declare(cython.Py_ssize_t, 9)
+#: Unknowns of an alignment: translation and rotation, gain and offset of both views, and the error
+#: of disparity: its constant, and slopes to the right and down. One view has the first six, two of
+#: its own, and the last three.
+UNKNOWNS = cython.declare(cython.Py_ssize_t, 13)
+OF_ONE = cython.declare(cython.Py_ssize_t, 11)
+WITHOUT_ERROR = cython.declare(cython.Py_ssize_t, 8)
 #: Points in a block. Its rows, see :func:`at`, are:
 #:    0, 1: direction in the right camera; then their place now, over its depth
 #:    2: nearness; then inverse depth before    3: standard deviation of nearness    4: grey before
@@ -16,12 +18,12 @@ OF_ONE = cython.declare(cython.Py_ssize_t, 9)
 #:    8: residual in standard deviations    9: weight, 0 where it is not seen    10: 1 = in view
 #:    11..22: grey of the pixels around: two above, four and four beside, two below; then, in the
 #:        first three, grey between them, and its slopes along x and y
-#:    23..32: slopes of the residual by the unknowns of one view, and the residual
-#:    33..41: these slopes times the weight
+#:    23..34: slopes of the residual by the unknowns of one view, and the residual
+#:    35..45: these slopes times the weight    46, 47: direction in the left camera before
 LANES = cython.declare(cython.Py_ssize_t, 32)
-ROWS = cython.declare(cython.Py_ssize_t, 42)
+ROWS = cython.declare(cython.Py_ssize_t, 48)
 SLOPES = cython.declare(cython.Py_ssize_t, 23)
-WEIGHTED = cython.declare(cython.Py_ssize_t, 33)
+WEIGHTED = cython.declare(cython.Py_ssize_t, 35)
 MIN_DEPTH = cython.declare(cython.double, 0.05)
 
 
@@ -90,6 +92,7 @@ class Workspace:
     block: cython.double[::1]
     sums: cython.double[::1]  # of the products of slopes, a row for each pair
     one: cython.double[:, ::1]  # normal equations of one view, the right side last
+    normal: cython.double[:, ::1]  # of both
     factor: cython.double[:, ::1]
     step: cython.double[::1]
     turn: cython.double[::1]  # a rotation, row by row
@@ -97,10 +100,11 @@ class Workspace:
 
     def __init__(self):
         self.block = np.zeros(ROWS * LANES)
-        self.sums = np.zeros(54 * LANES)
-        self.one = np.zeros((9, 10))
-        self.factor = np.zeros((11, 11))
-        self.step = np.zeros(11)
+        self.sums = np.zeros(77 * LANES)
+        self.one = np.zeros((11, 12))
+        self.normal = np.zeros((13, 13))
+        self.factor = np.zeros((13, 13))
+        self.step = np.zeros(13)
         self.turn = np.zeros(9)
         self.turned = np.zeros(12)
 
@@ -110,6 +114,7 @@ def align(
     camera: RigLevel,
     weights: Weights,
     prior: cython.const[cython.double][:, ::1],
+    with_error: cython.bint,
     iterations: cython.int,
     least_step: cython.double,
     work: Workspace,
@@ -121,13 +126,14 @@ def align(
 
     Args:
         views, camera, weights: what is aligned, and how.
-        prior: (2, 11) wanted values of the last five unknowns, and information on all.
+        prior: (2, 13) wanted values of the last seven unknowns, and information on all.
+        with_error: whether the constant error of disparity is unknown, or stays as it is.
         iterations: maximum number.
         least_step: iterations end with a smaller step, in px of this level.
         work: the workspace.
-        state: (17,) the motion as a matrix (3, 4), row by row, that takes places before to places
-            now; gain and offset of the right and of the left view; constant error of disparity.
-        normal: (11, 11) receives the normal equations.
+        state: (19,) the motion as a matrix (3, 4), row by row, that takes places before to places
+            now; gain and offset of the right and of the left view; error of disparity.
+        normal: (13, 14) receives the normal equations, the right side last; or (0, 14).
         residual: (n,) receives what the right view's points differ by, in standard deviations,
             NaN = not seen.
 
@@ -137,16 +143,18 @@ def align(
     seen: cython.int = 0
     with cython.nogil:
         for _count in range(iterations):
-            seen = equations(views, camera, weights, prior, state, work, normal, residual)
-            if seen < 8 or not solved(normal, work):
-                seen = -1
-                break
-            moved: cython.double = take_step(state, camera, views.points, work)
+            columns: cython.Py_ssize_t = WITHOUT_ERROR + with_error
+            seen = equations(views, camera, weights, prior, columns, state, work, residual)
+            solvable: cython.bint = seen >= 8 and solved(work)
+            moved: cython.double = take_step(state, camera, views.points, work) if solvable else NAN
             if not isfinite(moved):
                 seen = -1
+            if seen < 0 or moved < least_step:
                 break
-            if moved < least_step:
-                break
+        if seen >= 0 and normal.shape[0]:
+            seen = equations(views, camera, weights, prior, OF_ONE, state, work, residual)
+            normal[:, :UNKNOWNS] = work.normal
+            normal[:, UNKNOWNS] = work.step
     return seen
 
 
@@ -167,7 +175,7 @@ def mismatches(
     count: cython.Py_ssize_t = (views.points.shape[0] + views.stride - 1) // views.stride
     with cython.nogil:
         for n in range(states.shape[0]):
-            one_view(views, camera, weights, states[n], 0, work, residual, False)
+            one_view(views, camera, weights, states[n], 0, 0, work, residual)
             total: cython.double = 0
             for p in range(count):
                 off: cython.double = residual[p * views.stride]
@@ -183,22 +191,22 @@ def equations(
     camera: RigLevel,
     weights: Weights,
     prior: cython.const[cython.double][:, ::1],
+    columns: cython.Py_ssize_t,
     state: cython.double[::1],
     work: Workspace,
-    normal: cython.double[:, ::1],
     residual: cython.float[::1],
 ) -> cython.int:
     """Fill in the normal equations of both views and the prior."""
     i: cython.Py_ssize_t
     side: cython.int
-    normal[:, :] = 0
+    work.normal[:, :] = 0
     work.step[:] = 0
     seen: cython.int = 0
     for side in range(1, -1, -1):  # the right one last: its residuals stay
-        seen = one_view(views, camera, weights, state, side, work, residual, True)
-        add(work, 2 * side, normal)
+        seen = one_view(views, camera, weights, state, side, columns, work, residual)
+        add(work, 2 * side, columns)
     for i in range(UNKNOWNS):
-        normal[i, i] += prior[1, i]
+        work.normal[i, i] += prior[1, i]
         if i >= 6:
             work.step[i] += prior[1, i] * (state[6 + i] - prior[0, i])
     return seen
@@ -207,16 +215,15 @@ def equations(
 @cython.cfunc
 @cython.nogil
 @cython.exceptval(check=False)
-def add(work: Workspace, shift: cython.Py_ssize_t, normal: cython.double[:, ::1]) -> cython.void:
+@cython.locals(i=cython.Py_ssize_t, k=cython.Py_ssize_t)
+def add(work: Workspace, shift: cython.Py_ssize_t, columns: cython.Py_ssize_t) -> cython.void:
     """Add the equations of one view: its gain and offset come ``shift`` after the sixth."""
-    i: cython.Py_ssize_t
-    k: cython.Py_ssize_t
-    for i in range(OF_ONE):
-        row: cython.Py_ssize_t = i if i < 6 else (i + shift if i < 8 else UNKNOWNS - 1)
+    for i in range(columns):
+        row: cython.Py_ssize_t = i if i < 6 else (i + shift if i < 8 else i + 2)
         work.step[row] += work.one[i, OF_ONE]
-        for k in range(OF_ONE):
-            column: cython.Py_ssize_t = k if k < 6 else (k + shift if k < 8 else UNKNOWNS - 1)
-            normal[row, column] += work.one[min(i, k), max(i, k)]
+        for k in range(columns):
+            column: cython.Py_ssize_t = k if k < 6 else (k + shift if k < 8 else k + 2)
+            work.normal[row, column] += work.one[min(i, k), max(i, k)]
 
 
 @cython.cfunc
@@ -230,35 +237,35 @@ def one_view(
     weights: Weights,
     m: cython.const[cython.double][::1],
     side: cython.int,
+    columns: cython.Py_ssize_t,
     work: Workspace,
     residual: cython.float[::1],
-    summed: cython.bint,
 ) -> cython.int:
-    """Fill in residuals of the right (0) or left (1) view, and its normal equations if asked."""
+    """Fill in residuals of the right (0) or left (1) view, and equations of the first unknowns."""
     seen: cython.int = 0
     view: cython.const[cython.float][:, ::1] = views.left if side else views.right
     aside_m: cython.double = camera.baseline_m if side else 0.0
-    # In the left view disparity is smaller than nearness by the constant error.
+    # In the left view disparity is smaller than nearness by the error.
     error: cython.double = -camera.scale if side else 0.0
-    shift: cython.double = error * m[16] + (camera.left_cx if side else camera.right_cx)
+    cx: cython.double = camera.left_cx if side else camera.right_cx
     count: cython.Py_ssize_t = (views.points.shape[0] + views.stride - 1) // views.stride
     work.sums[:] = 0
     for number in range((count + LANES - 1) // LANES):
         n = number * LANES
         here: cython.Py_ssize_t = min(count - n, LANES)
-        take_points(views.points, views.grey, n * views.stride, views.stride, here, work.block)
-        project(camera, m, aside_m, shift, work.block)
+        project(views, n * views.stride, here, camera, m, aside_m, cx, error, work.block)
         seen += look_up(view, here, work.block)
-        interpolate(work.block)
         differentiate(camera, weights, m, side, aside_m, error, work.block)
         for lane in range(here):
             off: cython.double = work.block[at(8, lane)] if work.block[at(10, lane)] else NAN
             residual[(n + lane) * views.stride] = cython.cast(cython.float, off)
-        if summed:
-            add_products(work.block, work.sums)
+        if columns > 0:
+            add_products(work.block, columns, work.sums)
     n = 0
-    for i in range(OF_ONE):
+    for i in range(columns):
         for k in range(i, OF_ONE + 1):
+            if columns <= k < OF_ONE:
+                continue
             total: cython.double = 0
             for lane in range(LANES):
                 total += work.sums[n + lane]
@@ -279,46 +286,31 @@ def at(row: cython.Py_ssize_t, lane: cython.Py_ssize_t) -> cython.Py_ssize_t:
 @cython.cfunc
 @cython.nogil
 @cython.exceptval(check=False)
-def take_points(
-    points: cython.const[cython.float][:, ::1],
-    grey: cython.const[cython.float][::1],
-    first: cython.Py_ssize_t,
-    stride: cython.Py_ssize_t,
-    count: cython.Py_ssize_t,
-    block: cython.double[::1],
-) -> cython.void:
-    """Fill in what is known of the points of a block."""
-    lane: cython.Py_ssize_t
-    for lane in range(count):
-        p: cython.Py_ssize_t = first + lane * stride
-        block[at(0, lane)] = points[p, 0]
-        block[at(1, lane)] = points[p, 1]
-        block[at(2, lane)] = points[p, 2]
-        block[at(3, lane)] = points[p, 3]
-        block[at(4, lane)] = grey[p]
-
-
-@cython.cfunc
-@cython.nogil
-@cython.exceptval(check=False)
 def project(
+    views: Views,
+    first: cython.Py_ssize_t,
+    count: cython.Py_ssize_t,
     camera: RigLevel,
     m: cython.const[cython.double][::1],
     aside_m: cython.double,
-    shift: cython.double,
+    cx: cython.double,
+    error: cython.double,
     block: cython.double[::1],
 ) -> cython.void:
-    """Fill in where points are now, and where they are seen.
+    """Fill in what is known of ``count`` points from ``first`` on, and where they are seen now.
 
-    With inverse depth as the scale, a point is now at R ray + t / depth. ``shift`` is the column of
-    the principal point, the constant error of disparity included; else as :func:`differentiate`.
+    With inverse depth as the scale, a point is now at R ray + t / depth. ``cx`` is the column of
+    the principal point; the rest is as for :func:`differentiate`.
     """
     lane: cython.Py_ssize_t
     focal_x: cython.double = camera.focal_x
     focal_y: cython.double = camera.focal_y
     cy: cython.double = camera.cy
     scale: cython.double = camera.focal_baseline
-    error: cython.double = m[16]
+    per_px: cython.double = camera.scale / camera.focal_x
+    constant: cython.double = m[16]
+    by_x: cython.double = m[17]
+    by_y: cython.double = m[18]
     xx: cython.double = m[0]
     xy: cython.double = m[1]
     xz: cython.double = m[2]
@@ -331,22 +323,34 @@ def project(
     zy: cython.double = m[9]
     zz: cython.double = m[10]
     along_z: cython.double = m[11]
+    for lane in range(count):
+        p: cython.Py_ssize_t = first + lane * views.stride
+        block[at(0, lane)] = views.points[p, 0]
+        block[at(1, lane)] = views.points[p, 1]
+        block[at(2, lane)] = views.points[p, 2]
+        block[at(3, lane)] = views.points[p, 3]
+        block[at(4, lane)] = views.grey[p]
     for lane in range(32):
-        inverse: cython.double = (block[at(2, lane)] + error) / scale
         x: cython.double = block[at(0, lane)]
         y: cython.double = block[at(1, lane)]
+        beside: cython.double = x + block[at(2, lane)] * per_px
+        off: cython.double = constant + by_x * beside + by_y * y
+        inverse: cython.double = (block[at(2, lane)] + off) / scale
         z: cython.double = zx * x + zy * y + zz + along_z * inverse
         ahead: cython.bint = z >= MIN_DEPTH
         z = z if ahead else 1.0
         right: cython.double = (xx * x + xy * y + xz + along_x * inverse) / z
         below: cython.double = (yx * x + yy * y + yz + along_y * inverse) / z
-        u: cython.double = focal_x * right + shift
+        off = constant + by_x * right + by_y * below
+        u: cython.double = focal_x * right + cx + error * off
         block[at(0, lane)] = right
         block[at(1, lane)] = below
         block[at(2, lane)] = inverse
         block[at(5, lane)] = z
         block[at(6, lane)] = u if ahead else -1.0
         block[at(7, lane)] = focal_y * below + cy
+        block[at(46, lane)] = beside
+        block[at(47, lane)] = y
 
 
 @cython.cfunc
@@ -357,7 +361,7 @@ def look_up(
     count: cython.Py_ssize_t,
     block: cython.double[::1],
 ) -> cython.int:
-    """Fill in grey around the places of points, and which are in view; return how many."""
+    """Fill in grey at the places of points and around, and which are in view; return how many."""
     lane: cython.Py_ssize_t
     seen: cython.int = 0
     right: cython.double = cython.cast(cython.double, view.shape[1] - 2)
@@ -387,16 +391,7 @@ def look_up(
         block[at(20, lane)] = view[row + 1, column + 2]
         block[at(21, lane)] = view[row + 2, column]
         block[at(22, lane)] = view[row + 2, column + 1]
-    return seen
-
-
-@cython.cfunc
-@cython.nogil
-@cython.exceptval(check=False)
-def interpolate(block: cython.double[::1]) -> cython.void:
-    """Fill in grey at the places of points, and its slopes: central differences."""
-    lane: cython.Py_ssize_t
-    for lane in range(32):
+    for lane in range(32):  # the grey at these places, and its slopes: central differences
         a: cython.double = block[at(6, lane)]
         b: cython.double = block[at(7, lane)]
         before: cython.double = between(block[at(11, lane)], block[at(12, lane)], a)
@@ -412,6 +407,7 @@ def interpolate(block: cython.double[::1]) -> cython.void:
         block[at(11, lane)] = upper + b * (lower - upper)
         block[at(12, lane)] = 0.5 * ((1 - b) * of_upper + b * of_lower)
         block[at(13, lane)] = 0.5 * (lower - before + b * (after - upper - lower + before))
+    return seen
 
 
 @cython.cfunc
@@ -432,7 +428,7 @@ def differentiate(
         camera, weights, m: as :func:`align` has them.
         side: 0 for the right view, 1 for the left one.
         aside_m: how far its camera is to the left.
-        error: px that it is seen farther to the right by a px of constant error.
+        error: px that it is seen farther to the right by a px of error.
         block: the points.
     """
     lane: cython.Py_ssize_t
@@ -471,7 +467,9 @@ def differentiate(
         block[at(29, lane)] = -block[at(4, lane)]
         block[at(30, lane)] = -1.0
         block[at(31, lane)] = by_depth + gx * error
-        block[at(32, lane)] = r
+        block[at(32, lane)] = by_depth * block[at(46, lane)] + gx * error * x
+        block[at(33, lane)] = by_depth * block[at(47, lane)] + gx * error * y
+        block[at(34, lane)] = r
         sd: cython.double = by_depth * block[at(3, lane)]
         variance: cython.double = noise + sd * sd + per_slope * (gx * gx + gy * gy)
         off: cython.double = fabs(r) / sqrt(variance)
@@ -486,13 +484,17 @@ def differentiate(
 @cython.nogil
 @cython.exceptval(check=False)
 @cython.locals(i=cython.Py_ssize_t, k=cython.Py_ssize_t, lane=cython.Py_ssize_t)
-def add_products(block: cython.double[::1], sums: cython.double[::1]) -> cython.void:
+def add_products(
+    block: cython.double[::1], columns: cython.Py_ssize_t, sums: cython.double[::1]
+) -> cython.void:
     """Fill in the slopes of a block times their weights, and add their products."""
     n: cython.Py_ssize_t = 0
-    for i in range(OF_ONE):
+    for i in range(columns):
         for lane in range(32):
             block[at(WEIGHTED + i, lane)] = block[at(9, lane)] * block[at(SLOPES + i, lane)]
         for k in range(i, OF_ONE + 1):
+            if columns <= k < OF_ONE:
+                continue
             for lane in range(32):
                 sums[n + lane] += block[at(WEIGHTED + i, lane)] * block[at(SLOPES + k, lane)]
             n += LANES
@@ -510,11 +512,10 @@ def between(here: cython.double, next: cython.double, a: cython.double) -> cytho
 @cython.cfunc
 @cython.nogil
 @cython.exceptval(check=False)
-def solved(normal: cython.const[cython.double][:, ::1], work: Workspace) -> cython.bint:
+@cython.locals(i=cython.Py_ssize_t, k=cython.Py_ssize_t, n=cython.Py_ssize_t)
+def solved(work: Workspace) -> cython.bint:
     """Replace the right side ``work.step`` by minus the solution (Cholesky); False if none."""
-    i: cython.Py_ssize_t
-    k: cython.Py_ssize_t
-    n: cython.Py_ssize_t
+    normal: cython.double[:, ::1] = work.normal
     lower: cython.double[:, ::1] = work.factor
     step: cython.double[::1] = work.step
     total: cython.double
@@ -545,6 +546,7 @@ def solved(normal: cython.const[cython.double][:, ::1], work: Workspace) -> cyth
 @cython.cfunc
 @cython.nogil
 @cython.exceptval(check=False)
+@cython.locals(i=cython.Py_ssize_t, k=cython.Py_ssize_t)
 def take_step(
     state: cython.double[::1],
     camera: RigLevel,
@@ -552,8 +554,6 @@ def take_step(
     work: Workspace,
 ) -> cython.double:
     """Change the state by ``work.step``; return the typical displacement of points, in px."""
-    i: cython.Py_ssize_t
-    k: cython.Py_ssize_t
     step: cython.double[::1] = work.step
     turn: cython.double[::1] = work.turn
     turned: cython.double[::1] = work.turned
@@ -568,7 +568,7 @@ def take_step(
         turned[4 * i + 3] += step[i]
     for i in range(12):
         state[i] = turned[i]
-    for i in range(5):
+    for i in range(7):
         state[12 + i] += step[6 + i]
     turns: cython.double = max(fabs(step[3]), fabs(step[4]), fabs(step[5])) * camera.focal_x
     middle: cython.double = points[points.shape[0] // 2, 2] / camera.focal_baseline

@@ -2,9 +2,10 @@
 
 Points of the earlier right view, with nearness from the earlier pair, are moved and projected into
 both current views; the motion is the one for which their grey agrees best (Gauss-Newton, Huber
-weights, coarse to fine). Gain and offset of both views are estimated with it, and so is a constant
-error of disparity, as from a small rotation between the cameras: depth follows both from nearness
-and from motion in the image.
+weights, coarse to fine). Gain and offset of both views are estimated with it, and so is an error of
+disparity: depth follows both from nearness and from motion in the image. Its constant, and slopes
+to the right and down, are what small errors of calibration cause: a rotation between the cameras
+about the vertical, different focal lengths, and a rotation about the optical axis.
 """
 
 from __future__ import annotations
@@ -53,6 +54,9 @@ _NEAR_LEVEL, _NEAR_CUT = 1, 2.5
 
 #: Prior information that gain is 1 and offset 0.
 _GAIN_PRIOR, _OFFSET_PRIOR = 1e4, 1e-2
+#: Prior standard deviations of the error of disparity: at the principal point of the left view in
+#: px, and its slopes to the right and down in px where a direction is 1 per depth.
+ERROR_SIGMAS_PX = 0.3, 1.0, 1.0
 _PINNED = 1e12
 
 #: A residual below this, in standard deviations, supports an alignment.
@@ -114,17 +118,18 @@ class Alignment:
     Attributes:
         motion: (4, 4) transforms points of the keyframe's right camera to the current one.
         light: as in :class:`Keyframe`.
-        error_px: constant error of disparity: nearness minus disparity.
+        error_px: (3,) error of disparity, nearness minus disparity; see :data:`ERROR_SIGMAS_PX`.
         score: share of the points whose grey agrees, 0..1.
         seen: share of the points in view, 0..1.
-        normal: (11, 11) normal equations: translation, rotation, light, error.
+        normal: (13, 14) normal equations, the right side last: translation, rotation, light, error.
+            They hold no prior of the error.
         by_corners: it is from matched corners, not from grey, so that its normal equations are a
             mere guess.
     """
 
     motion: Reals
     light: Reals
-    error_px: float
+    error_px: Reals
     score: float
     seen: float
     normal: Reals
@@ -212,9 +217,8 @@ def align(
     left: list[Real],
     lens: Lens,
     start: Reals,
-    error_px: float,
-    error_information: float,
     *,
+    with_error: bool = False,
     pinned: bool = False,
     near: bool = False,
 ) -> Alignment | None:
@@ -225,17 +229,18 @@ def align(
         right, left: pyramids of the current views.
         lens: the rig.
         start: (4, 4) initial motion.
-        error_px, error_information: prior of the constant error of disparity in px, and one over
-            its variance.
+        with_error: estimate the constant error of disparity too, which may be large; else the error
+            counts as 0.
         pinned: keep the initial motion and estimate only the light.
         near: the initial motion is nearly right, and what contradicts it has no say.
     """
-    prior = np.zeros((2, 11))
-    prior[0, 6:] = 1, 0, 1, 0, error_px
-    prior[1, 6:] = _GAIN_PRIOR, _OFFSET_PRIOR, _GAIN_PRIOR, _OFFSET_PRIOR, error_information
+    prior = np.zeros((2, 13))
+    prior[0, 6:10] = 1, 0, 1, 0
+    prior[1, 6:10] = _GAIN_PRIOR, _OFFSET_PRIOR, _GAIN_PRIOR, _OFFSET_PRIOR
+    prior[1, 10:] = 1 / np.square(ERROR_SIGMAS_PX)
     prior[1, :6] = _PINNED if pinned else 1e-9
-    state = np.concatenate([start[:3].ravel(), key.light, [error_px]])
-    normal, residual = np.empty((11, 11)), np.empty(len(key.points), np.float32)
+    state = np.concatenate([start[:3].ravel(), key.light, np.zeros(3)])
+    normal, residual = np.empty((13, 14)), np.empty(len(key.points), np.float32)
     work: Any = reused(loops.Workspace)
     cut = _NEAR_CUT if near else _WEIGHTS[3]
     weights: Any = loops.Weights(*_WEIGHTS[:3], cut)  # type: ignore[call-arg]
@@ -243,29 +248,29 @@ def align(
     for level in range(first, -1, -1):
         views = _views(key, right, left, level)
         seen = loops.align(
-            *(views, lens.at(level), weights, prior, _ITERATIONS, _LEAST_STEP_PX, work),
-            *(state, normal, residual),
+            *(views, lens.at(level), weights, prior, with_error, _ITERATIONS, _LEAST_STEP_PX),
+            *(work, state, normal[: 0 if level else 13], residual),
         )
         if seen < 0:
             return None
+    normal[10:, 13] -= prior[1, 10:] * state[16:]
+    normal[range(10, 13), range(10, 13)] -= prior[1, 10:]
     score, share = _score(residual)
     motion = np.eye(4)
     motion[:3] = start[:3] if pinned else state[:12].reshape(3, 4)
-    return Alignment(motion, state[12:16], float(state[16]), score, share, normal)
+    return Alignment(motion, state[12:16], state[16:], score, share, normal)
 
 
-def mismatch(
-    key: Keyframe, right: list[Real], lens: Lens, motions: Reals, error_px: float
-) -> Reals:
+def mismatch(key: Keyframe, right: list[Real], lens: Lens, motions: Reals) -> Reals:
     """Return the mismatch of grey after each of some motions (n, 4, 4), at the coarsest level."""
     level = LEVELS - 1
     views, camera = _views(key, right, right, level), lens.at(level)
     residual = np.empty(len(key.points), np.float32)
     weights = loops.Weights(*_COARSE_WEIGHTS)  # type: ignore[call-arg]
     work = reused(loops.Workspace)
-    states = np.empty((len(motions), 17))
+    states = np.zeros((len(motions), 19))
     states[:, :12] = motions[:, :3].reshape(-1, 12)
-    states[:, 12:] = (*key.light, error_px)
+    states[:, 12:16] = key.light
     costs = np.empty(len(motions))
     loops.mismatches(views, camera, weights, states, work, residual, costs)
     return costs

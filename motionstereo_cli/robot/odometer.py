@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,8 +12,6 @@ from motionstereo_cli.rig.pose_forms import quaternions
 from motionstereo_cli.rig.poses import OPTICAL_FROM_ROBOT
 from motionstereo_cli.robot.alignment import Lens
 from motionstereo_cli.robot.odometry import (
-    ERROR_SIGMA_PX,
-    NO_ERROR_SIGMA_PX,
     Motion,
     Odometry,
     TravelledPath,
@@ -61,7 +59,7 @@ class Odometer:
         left: Grey,
         number: int,
         *,
-        error_sigma_px: float = NO_ERROR_SIGMA_PX,
+        with_error: bool = False,
     ) -> tuple[Odometry, Motion | None]:
         """Return the state after a frame, and the motion; see :mod:`.odometry`.
 
@@ -70,13 +68,14 @@ class Odometer:
             last: right and left view of the frame before; None at the first frame.
             right, left: the views.
             number: of the frame.
-            error_sigma_px: standard deviation of the constant error of disparity.
+            with_error: find the motion with the constant error of disparity, which may be large.
         """
         return step(
             before,
             None if last is None else ViewPair(*last),
             ViewPair(right, left),
-            *(number, self.lens, self.max_disparity, error_sigma_px),
+            *(number, self.lens, self.max_disparity),
+            with_error=with_error,
         )
 
     def follow(
@@ -96,7 +95,7 @@ class Odometer:
                 lost=path.lost > 0,
                 sigma_m=math.sqrt(float(variance[:3].sum())),
                 sigma_rad=math.sqrt(float(variance[3:].sum())),
-                disparity_offset_px=self.offset_px + told(path.error_px),
+                disparity_offset_px=self.offset_px + float(told(path.error_px)[0]),
                 agreeing=0.0 if motion is None else motion.score,
             ),
         )
@@ -126,19 +125,24 @@ class OffsetFinder:
             self._state, self._last = None, None
         right, left = map(np.ascontiguousarray, (frame.right, frame.left))
         self._state, motion = self._odometer.step(
-            *(self._state, self._last, right, left, frame.index), error_sigma_px=ERROR_SIGMA_PX
+            *(self._state, self._last, right, left, frame.index), with_error=True
         )
+        if motion is not None:  # the slopes of the error count as none: depth knows a constant only
+            information, evidence = np.zeros((3, 3)), np.zeros(3)
+            information[0, 0], evidence[0] = motion.information[0, 0], motion.evidence[0]
+            motion = replace(motion, information=information, evidence=evidence)
         self._path = travelled(self._path, motion)
         self._last, self._number = (right, left), frame.index
 
     @property
     def offset_px(self) -> float:
         """The constant, 0 where none can be told."""
-        return told(self._path.error_px)
+        return float(told(self._path.error_px)[0])
 
     def is_within(self, limit_px: float) -> bool:
         """Return whether the constant is certainly smaller, by three standard deviations."""
-        return abs(self._path.error_px) + 3 / math.sqrt(self._path.information) < limit_px
+        variance = np.linalg.inv(self._path.information)[0, 0]
+        return bool(abs(self._path.error_px[0]) + 3 * math.sqrt(variance) < limit_px)
 
 
 def disparity_offset_px(

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from motionstereo_cli.robot.alignment import (
+    ERROR_SIGMAS_PX,
     Alignment,
     Keyframe,
     Lens,
@@ -63,15 +64,12 @@ _STILL_PX, _NEARLY_STILL_PX, _STILL_SCORE = 0.1, 8.0, 0.94
 #: One of so many points tells it.
 _FLOW_STRIDE = 4
 
-#: Prior standard deviation of the constant error of disparity.
-ERROR_SIGMA_PX = 0.3
-#: How much of what a block says of it counts, because its points share their errors, and how well
-#: it is known at best.
-_ERROR_GAIN, _ERROR_FLOOR_PX = 0.1, 0.02
-#: A motion is found with no such error; it is corrected later.
-NO_ERROR_SIGMA_PX = 0.001
-#: Less than the first of these is not told from none; from the second on it is taken as it is.
-_ERROR_TOLD_PX = 0.06, 0.12
+#: How much of what a frame says of the error of disparity counts, because points share their
+#: errors, and frames their points; and how well it is known at best.
+_ERROR_GAIN, _ERROR_FLOOR_PX = 0.0125, 0.02
+#: Less than the first of these is not told from none; from the second on it is taken as it is. That
+#: is its root mean square over points with such directions per depth.
+_ERROR_TOLD_PX, _USUAL_RAYS = (0.06, 0.12), np.array([1.0, 0.3, 0.15])
 #: It is lost, too, where the standard deviation of the shift is over such a share of the baseline,
 #: or that of the turn over such an angle, and moves points in the image by so many px: before a
 #: blank wall, few edges agree with many motions. The likeliest one goes into the path all the same.
@@ -82,6 +80,10 @@ _LOST_M, _LOST_RAD = 0.2, 0.1
 _COVARIANCE = 10.0
 
 
+#: Of a motion that says nothing of the error of disparity.
+_NO_ERROR = np.zeros(3), np.zeros((6, 3)), np.zeros((3, 3)), np.zeros(3)
+
+
 @dataclass(frozen=True, slots=True)
 class Motion:
     """The motion of the rig between two frames.
@@ -89,20 +91,21 @@ class Motion:
     Attributes:
         before_from_now: (4, 4) takes places in the right camera of now to those in the one before.
         covariance: (6, 6) of its shift and turn.
-        error_px: constant error of disparity that it was found with.
-        per_error: (6,) shift and turn per px of that error.
-        measured_px, information: the constant error of disparity by this frame alone, and one over
-            its variance; 0 where it does not say.
+        error_px: (3,) error of disparity that it was found with; see
+            :data:`.alignment.ERROR_SIGMAS_PX`.
+        per_error: (6, 3) shift and turn per px of that error.
+        information, evidence: (3, 3) and (3,) normal equations of the error of disparity by this
+            frame alone; 0 where it does not say.
         score: share of the points whose grey agrees, 0..1.
         vague: whether it is too uncertain to be a measurement.
     """
 
     before_from_now: Reals
     covariance: Reals
-    error_px: float
+    error_px: Reals
     per_error: Reals
-    measured_px: float
-    information: float
+    information: Reals
+    evidence: Reals
     score: float
     vague: bool = False
 
@@ -115,7 +118,7 @@ class Odometry:
         key: the last keyframe; None if too few points were visible.
         motion: (4, 4) takes places in its camera to those in the last one.
         velocity: (4, 4) the last motion, from before to after; None where unknown.
-        per_error: (6,) shift and turn of ``motion`` per px of the constant error of disparity.
+        per_error: (6, 3) shift and turn of ``motion`` per px of the error of disparity.
         scores: of the frames since.
     """
 
@@ -140,7 +143,8 @@ def step(
     number: int,
     lens: Lens,
     range_px: int,
-    error_sigma_px: float = NO_ERROR_SIGMA_PX,
+    *,
+    with_error: bool = False,
 ) -> tuple[Odometry, Motion | None]:
     """Return the state after a frame, and the motion of the rig since the last one.
 
@@ -153,23 +157,21 @@ def step(
         number: of the frame.
         lens: the rig.
         range_px: largest disparity.
-        error_sigma_px: standard deviation of the constant error of disparity. As good as none, and
-            :func:`travelled` corrects for what is found; :data:`ERROR_SIGMA_PX` to measure one
-            that may be large.
+        with_error: find the motion with the constant error of disparity, which may be large. Else
+            it is found without, and :func:`travelled` corrects for what is told of the error.
     """
     right, left = pyramid(now.right), pyramid(now.left)
     if before is None or last is None:
         return _anew(keyframe(right, left, lens, range_px)), _standing(1.0)
     found = None
     if before.key is not None:
-        certain = error_sigma_px**-2
         views = right, left, now.right
-        found = _aligned(before, last, views, lens, range_px, certain)
+        found = _aligned(before, last, views, lens, range_px, with_error=with_error)
         found = _at_rest(before.key, found, right, left, lens) or found
     if found is None or found.score < _MIN_SCORE:
         return _anew(keyframe(right, left, lens, range_px)), None
     new = number % BLOCK_FRAMES == 0 or found.seen < _MIN_SEEN
-    motion, per_error = _motion(before, found, certain, lens, new=new)
+    motion, per_error = _motion(before, found, lens)
     if new:
         key = keyframe(right, left, lens, range_px)
         # The start of a new block must not depend on earlier frames.
@@ -189,11 +191,11 @@ def step(
 
 
 def _anew(key: Keyframe | None) -> Odometry:
-    return Odometry(key, np.eye(4), None, np.zeros(6), ())
+    return Odometry(key, np.eye(4), None, np.zeros((6, 3)), ())
 
 
 def _standing(score: float) -> Motion:
-    return Motion(np.eye(4), np.zeros((6, 6)), 0.0, np.zeros(6), 0.0, 0.0, score)
+    return Motion(np.eye(4), np.zeros((6, 6)), *_NO_ERROR, score)
 
 
 def _aligned(
@@ -202,7 +204,8 @@ def _aligned(
     now: tuple[list[Real], list[Real], Grey],
     lens: Lens,
     range_px: int,
-    certain: float,
+    *,
+    with_error: bool,
 ) -> Alignment | None:
     """Return the best of the alignments from several starts."""
     right, left, image = now
@@ -214,7 +217,7 @@ def _aligned(
     def attempt(start: Reals, *, near: bool = False) -> None:
         nonlocal best
         margin = _NEAR_MARGIN if near else 1.0
-        found = align(key, right, left, lens, start, 0.0, certain, near=near)
+        found = align(key, right, left, lens, start, with_error=with_error, near=near)
         if found is None or (best is not None and found.score <= best.score * margin):
             return
         if _plausible(before.motion @ _inverse(found.motion), depth_m):
@@ -231,7 +234,7 @@ def _aligned(
             attempt(before.velocity @ before.motion, near=True)
     if below(_ENOUGH):
         starts = _starts(depth_m) @ before.motion
-        costs = mismatch(key, right, lens, starts, 0.0)
+        costs = mismatch(key, right, lens, starts)
         for number in np.argsort(costs, kind="stable")[:_TRIED]:
             attempt(starts[number])
             if not below(_ENOUGH):
@@ -244,8 +247,8 @@ def _aligned(
             sure &= _plausible(motion, depth_m)
             if sure and (best is None or best.score < _MIN_SCORE):
                 shift, turn = (_COVARIANCE / sigma**2 for sigma in (_LOST_M, _LOST_RAD))
-                unknown = np.diag([shift] * 3 + [turn] * 3 + [1.0] * 5)
-                there, quality = motion @ before.motion, (0.0, _MIN_SCORE, 0.0)
+                unknown = np.diag([shift] * 3 + [turn] * 3 + [1.0] * 7 + [0.0])[:13]
+                there, quality = motion @ before.motion, (np.zeros(3), _MIN_SCORE, 0.0)
                 best = Alignment(there, key.light, *quality, unknown, by_corners=True)
     return best
 
@@ -288,7 +291,7 @@ def _at_rest(
     if flow_px >= _NEARLY_STILL_PX:
         return None
     none = np.eye(4)
-    rest = align(key, right, left, lens, none, 0.0, NO_ERROR_SIGMA_PX**-2, pinned=True)
+    rest = align(key, right, left, lens, none, pinned=True)
     if rest is None or found is None or flow_px < _STILL_PX:
         return rest
     return rest if rest.score >= _STILL_SCORE * found.score else None
@@ -304,27 +307,23 @@ def _flow_px(key: Keyframe, motion: Reals, lens: Lens) -> float:
     return float(np.median(np.hypot(*flow.T)))
 
 
-def _motion(
-    before: Odometry, found: Alignment, certain: float, lens: Lens, *, new: bool
-) -> tuple[Motion, Reals]:
+def _motion(before: Odometry, found: Alignment, lens: Lens) -> tuple[Motion, Reals]:
     """Return the motion since the last frame, and how the one since the keyframe heeds the error.
 
     Args:
         before: what was known before.
         found: the alignment with the keyframe.
-        certain: information on the error that it had before.
         lens: the rig.
-        new: the keyframe is at its end, so what it says of the error counts, once.
     """
     step_back = before.motion @ _inverse(found.motion)
     normal = found.normal
-    by_error: Any = np.linalg.solve(normal[:10, :10], normal[:10, 10])
-    covariance: Any = _COVARIANCE * np.linalg.inv(normal)[:6, :6]
+    # Each unknown as the last ones, the error of disparity, and the right side determine it.
+    solved: Any = np.linalg.solve(normal[:10, :10], normal[:10, 10:])
+    reduced = normal[10:, 10:] - normal[10:, :10] @ solved
+    covariance: Any = _COVARIANCE * np.linalg.inv(normal[:10, :10])[:6, :6]
     moves = not np.array_equal(found.motion, np.eye(4))
-    per_error: Reals = -by_error[:6] if moves else np.zeros(6)
-    information = max(float(normal[10, 10] - normal[10, :10] @ by_error) - certain, 0.0)
-    measured = found.error_px * (information + certain) / max(information, 1e-9)
-    counts = new and moves and information > 0
+    per_error: Reals = -solved[:6, :3] if moves else np.zeros((6, 3))
+    information, evidence = reduced[:, :3], reduced[:, :3] @ found.error_px - reduced[:, 3]
     variance = np.diag(covariance)
     sigma_m, sigma_rad = (float(np.sqrt(part.sum())) for part in (variance[:3], variance[3:]))
     seen_rad = _VAGUE_PX / lens.focal_px[0]
@@ -340,8 +339,8 @@ def _motion(
         covariance=covariance,
         error_px=found.error_px,
         per_error=before.per_error - adjoint(step_back) @ per_error,
-        measured_px=measured if counts else 0.0,
-        information=information if counts else 0.0,
+        information=information * moves,
+        evidence=evidence * moves,
         score=found.score,
         vague=vague,
     )
@@ -396,31 +395,32 @@ class TravelledPath:
     Attributes:
         pose: (4, 4) takes places in the right camera of now to those in the first one.
         covariance: (6, 6) of its shift and turn, of errors that frames do not share.
-        error_px: constant error of disparity by all frames so far.
-        information: one over its variance.
+        error_px: (3,) error of disparity by all frames so far.
+        information: (3, 3) inverse of its covariance.
         last: (4, 4) the last motion that is known.
         lost: frames since one that was not lost.
     """
 
     pose: Reals
     covariance: Reals
-    error_px: float
-    information: float
+    error_px: Reals
+    information: Reals
     last: Reals
     lost: int = 0
 
 
 def setting_out() -> TravelledPath:
     """Return the path before the first frame."""
-    return TravelledPath(np.eye(4), np.zeros((6, 6)), 0.0, ERROR_SIGMA_PX**-2, np.eye(4))
+    unsure = np.diag(1 / np.square(ERROR_SIGMAS_PX))
+    return TravelledPath(np.eye(4), np.zeros((6, 6)), np.zeros(3), unsure, np.eye(4))
 
 
 def travelled(path: TravelledPath, motion: Motion | None) -> TravelledPath:
     """Return the path a frame later.
 
-    A motion is corrected, to first order, for the constant error of disparity estimated from all
-    frames. While the rig is lost a vague motion is taken or else the last one is assumed to
-    continue, which :attr:`TravelledPath.lost` tells.
+    A motion is corrected, to first order, for the error of disparity estimated from all frames.
+    While the rig is lost a vague motion is taken or else the last one is assumed to continue, which
+    :attr:`TravelledPath.lost` tells.
     """
     if motion is None or motion.vague:
         moved = path.last if motion is None else motion.before_from_now
@@ -433,24 +433,32 @@ def travelled(path: TravelledPath, motion: Motion | None) -> TravelledPath:
             last=moved,
             lost=path.lost + 1,
         )
-    counted = min(_ERROR_GAIN * motion.information, _ERROR_FLOOR_PX**-2)
-    information = path.information + counted
-    error = (path.error_px * path.information + motion.measured_px * counted) / information
-    moved = _small(motion.per_error * (told(error) - motion.error_px)) @ motion.before_from_now
+    information = path.information + _ERROR_GAIN * motion.information
+    evidence = path.information @ path.error_px + _ERROR_GAIN * motion.evidence
+    error: Any = np.linalg.solve(information, evidence)
+    moved = _small(motion.per_error @ (told(error) - motion.error_px)) @ motion.before_from_now
     turned = adjoint(_inverse(moved))
     return TravelledPath(
         pose=path.pose @ moved,
         covariance=turned @ (path.covariance + motion.covariance) @ turned.T,
         error_px=error,
-        information=min(information, _ERROR_FLOOR_PX**-2),
+        information=_limited(information),
         last=moved,
     )
 
 
-def told(error_px: float) -> float:
-    """Return a measured constant error of disparity in px, 0 if it is insignificant."""
+def _limited(information: Reals) -> Reals:
+    """Return information of :data:`_ERROR_FLOOR_PX` at most."""
+    values, vectors = np.linalg.eigh(information)
+    limited: Reals = (vectors * np.minimum(values, _ERROR_FLOOR_PX**-2)) @ vectors.T
+    return limited
+
+
+def told(error_px: Reals) -> Reals:
+    """Return a measured error of disparity (3,) in px, 0 if it is insignificant."""
     low_px, high_px = _ERROR_TOLD_PX
-    return error_px * min(max((abs(error_px) - low_px) / (high_px - low_px), 0.0), 1.0)
+    size_px = float(np.linalg.norm(error_px * _USUAL_RAYS))
+    return error_px * min(max((size_px - low_px) / (high_px - low_px), 0.0), 1.0)
 
 
 def adjoint(motion: Reals) -> Reals:
