@@ -194,7 +194,8 @@ class StreamContext(NamedTuple):
                 raise SettingsError("own motion needs a rig: without it nothing is in metres")
             odometer = Odometer(rig, settings.max_disparity, motion_offset_px)
             if with_movers:
-                mover_finder = MoverFinder(rig, settings.reference, settings.max_disparity)
+                mended = rig.with_disparity_offset(motion_offset_px)
+                mover_finder = MoverFinder(mended, settings.reference, settings.max_disparity)
         finders = tracker, odometer, mover_finder
         objects_are_movers &= mover_finder is not None
         asked = frozenset(extras), with_points, poses_are_given

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, TypeVar
 
 if TYPE_CHECKING:
@@ -84,6 +84,10 @@ class Rig:
     def cx_of(self, camera: str) -> float:
         """Return the x of the principal point of the ``left`` or ``right`` camera in px."""
         return self.cx + self.doffs if camera == "right" else self.cx
+
+    def with_disparity_offset(self, offset_px: float) -> Rig:
+        """Return the rig if its disparities are too small by a constant; the right camera stays."""
+        return replace(self, cx=self.cx - offset_px, doffs=self.doffs + offset_px)
 
 
 @dataclass(frozen=True, slots=True)

@@ -224,6 +224,28 @@ def test_what_moves_by_itself_is_not_in_a_map_that_has_poses_and_the_heading_is_
     assert headings[0] == headings[1]
 
 
+def test_movers_heed_the_constant_error_of_disparity_that_own_motion_has():
+    rig, _, frames = frames_of(scene="street", frames="14:30", seed=8, street_winding_deg=25)
+    wrong = rig.with_disparity_offset(-1.5)
+    found = []
+    for believed, offset_px in ((rig, 0.0), (wrong, 1.5)):
+        context = StreamContext.of(
+            *(Settings(max_disparity=48), believed),
+            with_poses=True,
+            with_objects=True,
+            with_own_motion=True,
+            with_movers=True,
+            motion_offset_px=offset_px,
+            extras=(),
+        )
+        rows = [step.objects for _, step, _ in steps(frames, context, lambda _: None)]
+        found.append([(o.id, o.x, o.y, o.over_ground_mps) for row in rows for o in row])
+    assert len(found[0]) > 10
+    assert len(found[0]) == len(found[1])
+    for one, other in zip(*found, strict=True):
+        assert other == pytest.approx(one, abs=0.1)
+
+
 def test_in_a_corridor_where_nothing_moves_nothing_is_listed():
     rig, _, frames = frames_of(scene="corridor", frames="92:112", seed=1)
     results = list(process(frames, Settings(max_disparity=48), rig, "auto", extras=()))

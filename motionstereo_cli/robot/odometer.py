@@ -46,10 +46,9 @@ class Odometer:
     @property
     def lens(self) -> Lens:
         """The geometry of the rig."""
-        rig = self.rig
+        rig = self.rig.with_disparity_offset(self.offset_px)
         focal_px = rig.focal_px, rig.fy_px
-        left_cx_px = rig.cx_of("left") - self.offset_px
-        return Lens(focal_px, rig.cx_of("right"), left_cx_px, rig.cy, rig.baseline_m)
+        return Lens(focal_px, rig.cx_of("right"), rig.cx, rig.cy, rig.baseline_m)
 
     def step(
         self,

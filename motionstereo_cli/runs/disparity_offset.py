@@ -11,7 +11,6 @@ from motionstereo_cli.check.measure import WINDOW_FRAMES
 from motionstereo_cli.robot.odometer import Odometer, disparity_offset_px
 from motionstereo_cli.runs.disparity_range import sample_of
 from motionstereo_cli.runs.record import Job
-from motionstereo_cli.sources.settings import with_offset
 from motionstereo_cli.types import StereoFrame
 
 Say = Callable[[str, str], object]
@@ -47,7 +46,7 @@ def with_measured_offset(job: Job, say: Say) -> Job:
     offset_px = round(disparity_offset_px(sample, odometer, negligible_px), 3)
     if asked:
         say("note", f"--disparity-offset {offset_px:g}: measured from how things move")
-        context = dataclasses.replace(job.context, rig=with_offset(rig, offset_px))
+        context = dataclasses.replace(job.context, rig=rig.with_disparity_offset(offset_px))
         return dataclasses.replace(job, frames=frames, context=context)
     if abs(offset_px) < MAX_OFFSET_PX:
         return dataclasses.replace(job, frames=frames)

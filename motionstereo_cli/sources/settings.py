@@ -349,12 +349,7 @@ def adapted_rig(rig: Rig, settings: InputSettings) -> Rig:
         doffs=rig.doffs * across,
         focal_y_px=None if rig.focal_y_px is None else rig.focal_y_px * down,
     )
-    return with_offset(adapted, settings.disparity_offset_px or 0.0)
-
-
-def with_offset(rig: Rig, offset_px: float) -> Rig:
-    """Return a rig whose disparities are too small by a constant; the right camera stays."""
-    return dataclasses.replace(rig, cx=rig.cx - offset_px, doffs=rig.doffs + offset_px)
+    return adapted.with_disparity_offset(settings.disparity_offset_px or 0.0)
 
 
 def _place(flag: str, text: str) -> Place:
