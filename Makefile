@@ -140,4 +140,5 @@ $(READY): pyproject.toml $(wildcard motionstereo_cli/compiled/*.py motionstereo_
 	@echo "Installing into .venv, once: this compiles the inner loops in about a minute."
 	$(PYTHON) -m venv .venv
 	$(BIN)/pip install --disable-pip-version-check --editable ".[dev]"
+	$(BIN)/python -m compileall -q motionstereo_cli  # many containers let no command do it
 	touch $@

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import difflib
 import os
 import signal
 import sys
@@ -115,6 +114,8 @@ def _fail(error: BaseException) -> int:
             usage = " ".join(context.get_usage().split()).removeprefix("Usage: ")
             error.add_note(f"usage: {usage}; {context.command_path} --help shows the options")
         case click.NoSuchOption(option_name=name, possibilities=known):
+            import difflib  # which takes time
+
             like = difflib.get_close_matches(name, known or (), 1, _LIKE)
             message = click.NoSuchOption(name, possibilities=like).format_message()
             exit_code = error.exit_code

@@ -6,7 +6,6 @@ fields are declared with :func:`param`.
 
 from __future__ import annotations
 
-import difflib
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, fields
@@ -156,5 +155,7 @@ def checked(settings: Any) -> None:
 
 def near_match(name: str, known: Iterable[str]) -> str:
     """Return `` (did you mean ...?)`` for a mistyped name, or nothing."""
+    import difflib  # which takes time, and is for mistakes
+
     matches = difflib.get_close_matches(name, list(known), n=1)
     return f" (did you mean {matches[0]!r}?)" if matches else ""

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from motionstereo_cli import robot
 from motionstereo_cli.compiled import checked_array, pictures
 from motionstereo_cli.errors import SettingsError
 from motionstereo_cli.method.confidence import sigma_px
@@ -35,11 +36,7 @@ from motionstereo_cli.method.memory import (
 from motionstereo_cli.method.settings import AUTO, MATCHERS, Settings
 from motionstereo_cli.method.steady import averaged
 from motionstereo_cli.robot.guide import Guide, guide_of
-from motionstereo_cli.robot.mover_finder import MoverFinder, stands
-from motionstereo_cli.robot.movers import Movers
 from motionstereo_cli.robot.objects import Region
-from motionstereo_cli.robot.odometer import Odometer
-from motionstereo_cli.robot.odometry import Motion, Odometry, TravelledPath
 from motionstereo_cli.robot.tracker import Tracker, Tracks
 from motionstereo_cli.types import (
     FrameImages,
@@ -78,7 +75,7 @@ class TrackingState:
 
     guided: Any = None
     tracks: Tracks = field(default_factory=Tracks)
-    path: TravelledPath | None = None
+    path: robot.odometry.TravelledPath | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,8 +93,8 @@ class State:
 
     right: Memory | None = None
     left: Memory | None = None
-    odometry: Odometry | None = None
-    movers: Movers | None = None
+    odometry: robot.odometry.Odometry | None = None
+    movers: robot.movers.Movers | None = None
     own_charge: NDArray[np.uint8] | None = None
     tracking: TrackingState = field(default_factory=TrackingState)
     recent: tuple[Sighting, ...] = ()
@@ -118,7 +115,7 @@ class FrameSummary:
     time: FrameTime
     profile: Any
     regions: tuple[Region, ...]
-    motion: Motion | None
+    motion: robot.odometry.Motion | None
     charged: float
     matched: float
     at_limit: float
@@ -152,8 +149,8 @@ class StreamContext(NamedTuple):
     rig: Rig | None
     guide: Guide[Any, Any]
     tracker: Tracker | None
-    odometer: Odometer | None
-    mover_finder: MoverFinder | None
+    odometer: robot.odometer.Odometer | None
+    mover_finder: robot.mover_finder.MoverFinder | None
     objects_are_movers: bool
     extras: frozenset[str]
     with_points: bool
@@ -192,10 +189,12 @@ class StreamContext(NamedTuple):
         if with_own_motion:
             if rig is None:
                 raise SettingsError("own motion needs a rig: without it nothing is in metres")
-            odometer = Odometer(rig, settings.max_disparity, motion_offset_px)
+            odometer = robot.odometer.Odometer(rig, settings.max_disparity, motion_offset_px)
             if with_movers:
                 mended = rig.with_disparity_offset(motion_offset_px)
-                mover_finder = MoverFinder(mended, settings.reference, settings.max_disparity)
+                mover_finder = robot.mover_finder.MoverFinder(
+                    mended, settings.reference, settings.max_disparity
+                )
         finders = tracker, odometer, mover_finder
         objects_are_movers &= mover_finder is not None
         asked = frozenset(extras), with_points, poses_are_given
@@ -403,7 +402,7 @@ def recent_frames(settings: Settings) -> int:
 
 def remembered(
     state: State, frame: StereoFrame, context: StreamContext
-) -> tuple[State, Motion | None]:
+) -> tuple[State, robot.odometry.Motion | None]:
     """Return the memories after a frame, and the rig's own motion if requested.
 
     Raises:
@@ -437,7 +436,11 @@ def with_movers(
         time_s=summary.time.clock_s,
     )
     charge = charged(before.own_charge, moved, context.settings)
-    if context.tracker and context.objects_are_movers and not stands(summary.motion):
+    if (
+        context.tracker
+        and context.objects_are_movers
+        and not robot.mover_finder.stands(summary.motion)
+    ):
         regions = context.tracker.moving_regions(movers.disparity_px, moved, velocity_mps)
         summary = replace(summary, regions=regions)
     if summary.points is not None and context.rig is not None:
@@ -454,7 +457,7 @@ def with_movers(
 def analyse(
     frame: StereoFrame,
     state: State,
-    motion: Motion | None,
+    motion: robot.odometry.Motion | None,
     context: StreamContext,
     now: Future[Sighting],
     before: Sequence[Future[Sighting]],
@@ -498,7 +501,7 @@ def described(
     frame: StereoFrame,
     shown: Memory,
     found: Match,
-    motion: Motion | None,
+    motion: robot.odometry.Motion | None,
     context: StreamContext,
     earlier_px: Sequence[Real] = (),
 ) -> tuple[FrameImages, FrameSummary]:
@@ -514,7 +517,7 @@ def described(
     """
     s, rig, disparity_px = context.settings, context.rig, found.disparity_px
     regions: tuple[Region, ...] = ()
-    if context.tracker and (stands(motion) or not context.objects_are_movers):
+    if context.tracker and (not context.objects_are_movers or robot.mover_finder.stands(motion)):
         fresh = age_of(shown, s) <= FRESH_FRAMES
         regions = context.tracker.regions(disparity_px, fresh, earlier_px)
     images = FrameImages(

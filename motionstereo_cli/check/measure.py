@@ -31,7 +31,6 @@ from motionstereo_cli.check.synchrony import (
     step_or_drift,
 )
 from motionstereo_cli.method.settings import MAX_DISPARITY
-from motionstereo_cli.robot.odometer import Odometer, OffsetFinder
 from motionstereo_cli.types import StereoFrame
 
 if TYPE_CHECKING:
@@ -98,6 +97,8 @@ def check(
     checker = _Checker(windows, _MOMENTS)
     finder = None
     if rig is not None:
+        from motionstereo_cli.robot.odometer import Odometer, OffsetFinder
+
         finder = OffsetFinder(Odometer(rig, min(max_disparity, _OFFSET_RANGE_PX)))
     for number, frame in enumerate(frames):
         checker.see(frame)

@@ -319,8 +319,12 @@ class SegmentedVideo:
         Raises:
             OutputError: the file cannot be written.
         """
-        self.checkpoint()
-        join(self._segments.paths, self._path)
+        paths = self._segments.paths
+        if self._writer is not None:
+            self._writer.finish()
+            paths.append(self._segments.next)  # not synced to disk: the whole video is
+        join(paths, self._path)
+        self._writer = None
 
     def abandon(self, *, keep: bool) -> None:
         """Complete the last segment or, without ``keep``, remove all."""

@@ -62,12 +62,13 @@ def write_checkpoint(
         path: its file.
         identity: the run's identity, as in the record.
         state, totals: see :class:`Checkpoint`.
-        marks: the checkpoint of each output, or its future.
+        marks: the checkpoint of each output, or its future, or that of a function that returns it.
 
     Raises:
         OutputError: the checkpoint or an output cannot be written.
     """
     made = {name: mark.result() for name, mark in marks.items() if isinstance(mark, Future)}
+    made = {name: mark() if callable(mark) else mark for name, mark in made.items()}
     guided = type(state.tracking.guided).__name__
     content = pack(Checkpoint(_digest(identity), state, guided, totals, made))
     head = f" {totals.frames} {hashlib.sha256(content).hexdigest()}\n".encode()

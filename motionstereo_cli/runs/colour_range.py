@@ -54,6 +54,7 @@ def with_colour_range(job: Job, *, in_order: bool = False) -> Job:
         said = begun.values("output_settings")
         return _settled(job, {name: said[name] for name in ENDS if name in said})
     frames = job.frames
+    first: Iterable[StereoFrame] = ()
     sample: Iterable[StereoFrame]
     if job.source.rereadable:
         plan = dataclasses.replace(job.plan, input_settings=job.source.settings)
@@ -61,16 +62,17 @@ def with_colour_range(job: Job, *, in_order: bool = False) -> Job:
         alone = in_order and (len(places) == 1 or places[1] > _DECODED_FRAMES)
         how = (_STEP_FRAMES, _DECODED_FRAMES, places[1:] if alone else None)
         sample = sample_of(plan, *how, sparse=True)
-        if alone:
-            first, frames = _opening(frames)
-            sample = itertools.chain(first, sample)
     else:
-        rest = iter(frames)
+        alone, rest = False, iter(frames)
         sample = list(itertools.islice(rest, WINDOW_FRAMES))
         frames = itertools.chain(sample, rest)
-    # The thread's workspaces are freed with it.
-    with ThreadPoolExecutor(1, "sample") as thread:
-        nearness_px = thread.submit(_nearness_px, sample, job).result()
+    # The threads' workspaces are freed with them.
+    with ThreadPoolExecutor(2, "sample") as threads:
+        later = threads.submit(_nearness_px, sample, job)
+        if alone:
+            first, frames = _opening(frames)
+        parts = [threads.submit(_nearness_px, first, job), later]
+        nearness_px = np.concatenate([part.result() for part in parts])
     found = measured_ends(nearness_px, None if rig is None else rig.focal_baseline)
     job = dataclasses.replace(job, frames=frames)
     if found is None:

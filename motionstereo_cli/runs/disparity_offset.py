@@ -8,7 +8,6 @@ from collections.abc import Callable, Iterable
 
 from motionstereo_cli.check.findings import MAX_OFFSET_PX, offset_warning
 from motionstereo_cli.check.measure import WINDOW_FRAMES
-from motionstereo_cli.robot.odometer import Odometer, disparity_offset_px
 from motionstereo_cli.runs.disparity_range import sample_of
 from motionstereo_cli.runs.record import Job
 from motionstereo_cli.types import StereoFrame
@@ -32,6 +31,8 @@ def with_measured_offset(job: Job, say: Say) -> Job:
     rig, asked = job.context.rig, job.plan.input_settings.disparity_offset_px is None
     if rig is None or not (asked or job.with_own_motion):
         return job
+    from motionstereo_cli.robot.odometer import Odometer, disparity_offset_px
+
     sample: Iterable[StereoFrame] = ()
     frames = job.frames
     if job.source.rereadable:

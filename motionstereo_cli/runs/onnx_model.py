@@ -8,7 +8,6 @@ is data: it is read whole, so that it cannot refer to other files, and no custom
 from __future__ import annotations
 
 import hashlib
-import tomllib
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -109,6 +108,8 @@ def _form_of(model: Path) -> ModelForm:
     if not path.is_file():
         return ModelForm()
     try:
+        import tomllib  # which takes time
+
         values = tomllib.loads(read_bytes(path, "a form", _MAX_FORM_BYTES).decode())
     except (ValueError, RecursionError) as error:
         raise InputError(f"{path} cannot be read as TOML: {error}") from None

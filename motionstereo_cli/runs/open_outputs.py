@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from concurrent.futures import Future
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Protocol, Self, TypeVar
@@ -186,8 +186,11 @@ class Sinks:
         Raises:
             OutputError: one cannot be completed.
         """
-        for sink in (*self._sinks.values(), *self._others):
-            sink.close()
+        # At the same time, because each waits for the disk.
+        outputs = (*self._sinks.values(), *self._others)
+        with ThreadPoolExecutor(max(len(outputs), 1), "close") as threads:
+            for closed in [threads.submit(output.close) for output in outputs]:
+                closed.result()
 
     def complete(self, **outcome: Any) -> FolderRecord | None:
         """Complete the run, and return its record, None if none is written.

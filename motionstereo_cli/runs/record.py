@@ -12,7 +12,7 @@ import re
 import time
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import av
 import cv2
@@ -28,7 +28,6 @@ from motionstereo_cli.files.records import typed
 from motionstereo_cli.files.targets import is_stream
 from motionstereo_cli.pipeline import StreamContext
 from motionstereo_cli.rig import rig_values
-from motionstereo_cli.rig.poses import Trajectory
 from motionstereo_cli.runs.folder_files import head
 from motionstereo_cli.runs.open_outputs import Totals
 from motionstereo_cli.runs.plan import AUTO_POSES, RunPlan
@@ -47,6 +46,9 @@ from motionstereo_cli.sinks.records import (
 from motionstereo_cli.sinks.sink import RunContext
 from motionstereo_cli.sources import StereoSource
 from motionstereo_cli.types import FrameTime, Pose, StereoFrame
+
+if TYPE_CHECKING:
+    from motionstereo_cli.rig.poses import Trajectory
 
 GREY = (
     "luma of the decoded video, expanded to 0..255 where the stream is limited range; "

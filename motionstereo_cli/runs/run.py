@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator
 from functools import partial
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 from motionstereo_cli.check.measure import watched
 from motionstereo_cli.check.shortfall import (
@@ -36,7 +36,6 @@ from motionstereo_cli.method.settings import FOREVER, GIVEN
 from motionstereo_cli.pipeline import State, steps
 from motionstereo_cli.report import PAGE, is_report
 from motionstereo_cli.rig.calibration import Calibration, rectify_source
-from motionstereo_cli.rig.poses import Trajectory, read_poses
 from motionstereo_cli.rig.settings import NO_RIG
 from motionstereo_cli.runs.checkpoint import check_state
 from motionstereo_cli.runs.colour_range import with_colour_range
@@ -68,6 +67,9 @@ from motionstereo_cli.sinks.steering_table import SteeringCopy, SteeringStream
 from motionstereo_cli.sources import StereoSource, open_stereo
 from motionstereo_cli.sources.settings import adapted_rig
 from motionstereo_cli.types import Rig, Step, StereoFrame
+
+if TYPE_CHECKING:
+    from motionstereo_cli.rig.poses import Trajectory
 
 #: Memory of all frames in flight by default, and of a pixel of each: memories of both views,
 #: disparity, depth, and the workspace of a thread.
@@ -325,6 +327,8 @@ def _poses(
     path: Path, plan: RunPlan, calibration: Calibration, source: StereoSource, warned: Warned
 ) -> Trajectory:
     """Return the poses of a file that covers a source."""
+    from motionstereo_cli.rig.poses import read_poses
+
     poses = read_poses(path, plan.pose_settings, calibration.rig, calibration.body_from_left)
     first, last = source.numbers if poses.by_number else source.span_s
     whole = source.last_number if poses.by_number else source.last_s

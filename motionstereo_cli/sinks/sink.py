@@ -38,7 +38,8 @@ class Sink(Protocol[_Input_contra]):
     def checkpoint(self) -> object:
         """Sync all results so far to disk.
 
-        Returns the checkpoint from which a sink of the same output, opened ``since`` it, continues.
+        Returns the checkpoint from which a sink of the same output, opened ``since`` it, continues
+        or, where syncing takes long, a function that does it and returns that, for another thread.
         """
 
     def close(self) -> None:

@@ -6,7 +6,8 @@ import contextlib
 import hashlib
 import math
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from functools import partial
 from io import BufferedRandom, BufferedWriter
 from pathlib import Path
 
@@ -170,19 +171,25 @@ class NumberedFiles:
         self._unsynced.append(path)
         self._count(hashlib.sha256(content).digest())
 
-    def checkpoint(self) -> FilesMark:
-        """Make sure that all so far is on the disk."""
-        with self._link_told():
-            for path in self._unsynced:
-                sync(path)
-        self._unsynced.clear()
-        return self._mark
+    def checkpoint(self) -> Callable[[], FilesMark]:
+        """Return a function that makes sure that all so far is on the disk.
+
+        Of many files that takes long: it may be called while others are added.
+        """
+        unsynced, self._unsynced = self._unsynced, []
+        return partial(self._synced, unsynced, self._mark)
 
     def close(self) -> None:
         """Do nothing: every file is complete."""
 
     def abandon(self, *, keep: bool) -> None:
         """Do nothing: every file is complete."""
+
+    def _synced(self, paths: Iterable[Path], mark: FilesMark) -> FilesMark:
+        with self._link_told():
+            for path in paths:
+                sync(path)
+        return mark
 
     @contextlib.contextmanager
     def _link_told(self) -> Iterator[None]:

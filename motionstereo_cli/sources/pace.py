@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import itertools
 import math
-import statistics
 from collections.abc import Sequence
 from fractions import Fraction
 from typing import NamedTuple
+
+import numpy as np
 
 #: At a constant rate, steps are multiples of a period within this share.
 _JITTER = 0.25
@@ -35,7 +36,7 @@ def rhythm(stamps: Sequence[int], time_base: Fraction) -> Rhythm:
     """Return the rhythm of time stamps in units of ``time_base``, in any order."""
     ordered = sorted(stamps)
     steps = [later - sooner for sooner, later in itertools.pairwise(ordered)]
-    period = statistics.median(steps) if steps else 0
+    period = float(np.median(steps)) if steps else 0
     if period <= 0:
         return Rhythm(None, len(stamps))
     paused = _PAUSE_S / time_base
