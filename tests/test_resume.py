@@ -28,6 +28,7 @@ from motionstereo_cli.pipeline import State, process
 from motionstereo_cli.runs.checkpoint import read_checkpoint, with_guided
 from motionstereo_cli.runs.folder_files import CHECKPOINT
 from motionstereo_cli.runs.interrupts import finishing
+from motionstereo_cli.sinks import writers
 from motionstereo_cli.sinks.outputs import OUTPUTS
 from motionstereo_cli.sinks.writers import TableFile
 from motionstereo_cli.types import Pose, Rig, StereoFrame
@@ -141,6 +142,25 @@ def test_a_killed_run_goes_on(command, undisturbed, tmp_path, capsys, monkeypatc
     found = re.search(rf"{FRAMES} frames, (\d+) of them before, in ", said)
     resumed = FRAMES if when == "clear" else int(found[1]) if found else 0
     assert resumed in before
+
+
+def test_frames_go_on_while_a_checkpoint_waits_for_the_disk(recording, tmp_path, monkeypatch):
+    written, sync, write_whole = threading.Event(), writers.sync, writers.write_whole
+
+    def after_a_later_image(path):
+        assert written.wait(30)
+        sync(path)
+
+    def write(path, content):
+        write_whole(path, content)
+        if path.name == f"{EVERY + 2:06d}.png":
+            written.set()
+
+    monkeypatch.setattr(writers, "sync", after_a_later_image)
+    monkeypatch.setattr(writers, "write_whole", write)
+    views = [str(recording / "left.mp4"), str(recording / "right.mp4")]
+    options = ["--save", "charge-png", "--checkpoint-frames", str(EVERY), "--no-check"]
+    assert main(["run", *views, *options, "-o", str(tmp_path / "out")]) == 0
 
 
 def test_a_killed_run_that_finds_its_poses_goes_on(command, tmp_path):
