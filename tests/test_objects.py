@@ -296,6 +296,13 @@ class TestMovement:
         assert moves_surely(Track(1, observations, 5)) == sure
         assert moves_surely(Track(1, observations[2:3], 5))  # nothing is measured
 
+    def test_what_moves_surely_does_so_in_the_mean_too(self):
+        observations = tuple(
+            Observation(0.1 * n, replace(region(60), sigma_mps=0.5), (2, 0), (2, 0), speed)
+            for n, speed in enumerate([(1.0, 0.0), (-1.0, 0.0), (1.0, 0.0), (-1.0, 0.0)])
+        )
+        assert not moves_surely(Track(1, observations, 4))
+
     def test_trust_by_hand(self):
         half_known = Region(0, 0, 20, 20, 10, 10, 10.0, 0.5)
         track = Track(1, (observation(0.0, where=half_known),), seen=3)

@@ -66,8 +66,9 @@ _LATER, _EARLIER = np.tril_indices(_FITTED, -1)
 #: standard deviation of a change of disparity; how much a velocity may change in a second.
 _MIN_CELLS, _CELLS_ALIKE = 3, 5.0
 _CELL_SIGMA_PX, _ACCELERATION_MPS2 = 0.1, 2.0
-#: By so many standard deviations, what moves by itself is faster than what stands, in the median.
-_SURE_SIGMAS = 1.0
+#: What moves by itself is faster than this over ground, and than so many standard deviations; by
+#: single frames, than so many in the median.
+_MIN_OVER_GROUND_MPS, _SIGMAS, _SURE_SIGMAS = 0.2, 2.0, 1.0
 #: Standard deviation over median absolute deviation of what is normally distributed.
 _NORMAL = 1.4826
 #: A fit that misses the nearness by so much, on average, is worth half.
@@ -497,17 +498,24 @@ def movement(track: Track) -> Movement | None:
 
 
 def moves_surely(track: Track) -> bool:
-    """Return whether velocities by single frames exceed their sigma, where there are any.
+    """Return whether velocities by single frames are significant, where there are any.
 
-    In the median, so that neither a single frame that is wrong counts, nor a mean of many that are
-    wrong alike.
+    Not only their mean, which a single frame that is wrong may decide, but also their median.
     """
     sigmas = [
         math.hypot(*each.velocity_mps) / each.region.sigma_mps
         for each in track.observations
         if each.velocity_mps is not None
     ]
-    return not sigmas or float(_median(np.array(sigmas))) > _SURE_SIGMAS
+    mean = _mean_velocity(track.observations)
+    if mean is None:
+        return True
+    return float(_median(np.array(sigmas))) > _SURE_SIGMAS and by_itself(*mean)
+
+
+def by_itself(over_ground_mps: Sequence[float] | NDArray[np.float64], sigma_mps: float) -> bool:
+    """Return whether an object of a velocity (2,) moves over ground significantly."""
+    return math.hypot(*over_ground_mps) > max(_MIN_OVER_GROUND_MPS, _SIGMAS * sigma_mps)
 
 
 def lies(track: Track) -> bool | None:

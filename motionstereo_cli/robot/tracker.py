@@ -15,10 +15,10 @@ from motionstereo_cli.robot.approach import MAX_CONTACT_S
 from motionstereo_cli.robot.free_space import MIN_KNOWN_SHARE, StripValues, level_surface
 from motionstereo_cli.robot.objects import (
     CELL_PX,
-    Movement,
     Observation,
     Region,
     Track,
+    by_itself,
     expected_box,
     follow,
     lies,
@@ -60,9 +60,6 @@ _MAX_UP_M = 2.0
 
 #: A surface before which things move is known in at least this share of the view's strips.
 _SURFACE_STRIPS = 0.8
-
-#: What moves by itself is faster than this over ground, and than so many standard deviations.
-_MIN_OVER_GROUND_MPS, _SIGMAS = 0.2, 2.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -231,7 +228,9 @@ class Tracker:
             place_m=last.place_m if in_world else None,
             velocity_mps=moves.over_ground_mps if in_world and moves else None,
             sigma_mps=moves.sigma_mps if in_world and moves else None,
-            by_itself=_by_itself(moves) if in_world and moves else None,
+            by_itself=(
+                by_itself(moves.over_ground_mps, moves.sigma_mps) if in_world and moves else None
+            ),
             shadow=lies(track),
         )
 
@@ -282,12 +281,6 @@ def _is_part(region: Region, other: Region) -> bool:
     inside = max(wide, 0) * max(high, 0) >= _PART_INSIDE * region.width * region.height
     off_px = abs(region.nearness_px - other.nearness_px)
     return inside and off_px <= _PART_SHARE * other.nearness_px
-
-
-def _by_itself(moves: Movement) -> bool:
-    """Return whether an object moves over ground significantly."""
-    speed_mps = math.hypot(*moves.over_ground_mps)
-    return speed_mps > max(_MIN_OVER_GROUND_MPS, _SIGMAS * moves.sigma_mps)
 
 
 def _contact_s(ahead: float, closing: float | None) -> float | None:
