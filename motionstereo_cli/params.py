@@ -33,6 +33,7 @@ class Param:
         words: words for values, such as ``auto`` for 0.
         begun: words that begin with one of these, such as ``onnx:``, are choices as well.
         more: finds further choices, which takes time, for a value that is none of the others.
+        only_with: names, such as of outputs or scenes, without all of which it has no effect.
     """
 
     name: str
@@ -49,6 +50,7 @@ class Param:
     words: Mapping[str, Any]
     begun: tuple[str, ...] = ()
     more: Callable[[], Iterable[str]] = tuple
+    only_with: tuple[str, ...] = ()
 
     @property
     def flag(self) -> str:
@@ -118,6 +120,7 @@ def param(
     words: Mapping[str, Any] = MappingProxyType({}),
     begun: tuple[str, ...] = (),
     more: Callable[[], Iterable[str]] = tuple,
+    only_with: tuple[str, ...] = (),
 ) -> Any:
     """Declare a dataclass field that :func:`params` describes and :func:`checked` verifies.
 
@@ -131,7 +134,7 @@ def param(
         "choices": choices,
     }
     meta |= {"group": group, "common": common, "old": old, "words": words, "begun": begun}
-    meta["more"] = more
+    meta |= {"more": more, "only_with": only_with}
     return field(default=default, metadata=meta)
 
 
@@ -151,6 +154,20 @@ def checked(settings: Any) -> None:
     """
     for item in params(type(settings)):
         object.__setattr__(settings, item.name, item.parse(getattr(settings, item.name)))
+
+
+def idle(settings: Any, present: Iterable[str]) -> Iterator[Param]:
+    """Yield the parameters that are given, but have no effect.
+
+    Args:
+        settings: a dataclass instance.
+        present: names of what there is, of those that ``only_with`` names.
+    """
+    there = set(present)
+    for item in params(type(settings)):
+        given = getattr(settings, item.name) != item.default
+        if given and item.only_with and there.isdisjoint(item.only_with):
+            yield item
 
 
 def near_match(name: str, known: Iterable[str]) -> str:

@@ -266,6 +266,39 @@ def test_kitti_raw(tmp_path: Path) -> None:
         assert any("T is taken" in line for line in calibration.warnings) == (measured_m < 0.5)
 
 
+def test_kitti_raw_rectifies_images_as_they_were_recorded(tmp_path: Path) -> None:
+    """The same place is in one row of both rectified images."""
+    size, matrix = (640, 480), np.array([[500.0, 0, 320], [0, 505, 236], [0, 0, 1]])
+    bent, poses = np.array([-0.3, 0.1, 1e-3, -5e-4, 0]), []
+    text = f"P_rect_02: {KITTI.splitlines()[2][4:]}\nP_rect_03: {KITTI.splitlines()[3][4:]}\n"
+    for number, shift_m, axis in ((2, 0.06, (0.01, 0.02, 0)), (3, -0.48, (-0.02, 0.01, 0.01))):
+        turn, shift = cv2.Rodrigues(np.array(axis))[0], np.array([shift_m, 0.004, -0.002])
+        poses.append((turn, shift))
+        text += f"S_{number:02d}: 640 480\nS_rect_{number:02d}: 600 400\n"
+        for name, array in (("K", matrix), ("D", bent), ("R", turn), ("T", shift)):
+            text += f"{name}_{number:02d}: {' '.join(map(str, np.ravel(array)))}\n"
+    path = tmp_path / "calib_cam_to_cam.txt"
+    path.write_text(text)
+    calibration = read_calibration([path], size)
+    rig, maps = calibration.rig, calibration.maps
+    assert (rig.width, rig.height) == size
+    places = [-turn.T @ shift for turn, shift in poses]
+    assert rig.baseline_m == pytest.approx(np.linalg.norm(places[1] - places[0]))
+    assert maps is not None
+    for place in ((0.2, -0.3, 4.0), (-1.0, 0.5, 6.0)):
+        found = []
+        for (turn, shift), (x, y) in zip(poses, maps, strict=True):
+            axis, _ = cv2.Rodrigues(turn)
+            at, _ = cv2.projectPoints(np.array([place]), axis, shift, matrix, bent)
+            off = np.hypot(x - at[0, 0, 0], y - at[0, 0, 1])
+            found.append(np.unravel_index(off.argmin(), off.shape))
+        (row, left), (other_row, right) = found
+        assert abs(row - other_row) <= 1
+        depth_m = rig.depth_m(np.float64(left - right))
+        assert depth_m == pytest.approx(place[2], rel=0.05)
+    assert read_calibration([path], (600, 400)).maps is None
+
+
 MIDDLEBURY = """cam0=[3997.684 0 1176.728; 0 3997.684 1011.728; 0 0 1]
 cam1=[3997.684 0 1307.839; 0 3997.684 1011.728; 0 0 1]
 doffs=131.111

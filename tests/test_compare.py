@@ -335,7 +335,7 @@ def test_versions_and_inputs_are_noted_and_do_not_count(sides):
     assert not report.differs
     assert report.notes[1:] == (
         "versions.numpy is '3.0.0', golden '2.0.0'",
-        "inputs.left.sha256 is '34', golden '12'",
+        "inputs.left.sha256 is 34, golden 12",
     )
 
 

@@ -76,6 +76,16 @@ def test_the_command_compares_files(tmp_path, capsys, form):
     assert dict(zip(head.split(","), row.split(","), strict=True))["poses"] == "60"
 
 
+def test_what_is_unknown_is_a_dash_and_says_why(tmp_path, capsys):
+    path = tmp_path / "short.txt"
+    path.write_text("".join(f"{n} {n / 10} 0 0 0 0 0 1\n" for n in range(5)))
+    assert main(["evaluate", str(path), str(path)]) == 0
+    said = capsys.readouterr()
+    assert "nan" not in said.out
+    assert ["drift_percent", "-"] in [line.split() for line in said.out.splitlines()]
+    assert "drift_percent, drift_deg_per_m: unknown, as the true path is shorter" in said.err
+
+
 def test_poses_of_another_time_are_said(tmp_path, capsys):
     for name, start in (("found", 0), ("true", 100)):
         rows = [f"{start + number} {number} 0 0 0 0 0 1\n" for number in range(5)]

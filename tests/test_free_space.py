@@ -68,6 +68,14 @@ def noisy(near, seed, share=0.5, wrong=0.05, sigma=0.4):
     return np.where(lost > share, NAN, near).astype(np.float32)
 
 
+def cut(near, limit_px, wrong=0.05):
+    """What a range of disparity leaves of it: what is nearer is unknown, but for wrong matches."""
+    rng = np.random.default_rng(4)
+    lost = rng.random(near.shape)
+    flecks = np.where(lost < wrong, rng.uniform(1, limit_px, near.shape), NAN)
+    return np.where(near < limit_px, near, flecks).astype(np.float32)
+
+
 class TestGround:
     @pytest.mark.parametrize(("slope", "horizon"), [(0.3, 79.5), (0.12, 70.0), (0.5, 92.0)])
     def test_is_found_among_things_and_noise(self, slope, horizon):
@@ -92,7 +100,16 @@ class TestGround:
         found = find_ground(StripValues.of(wall, 1), CY)
         assert found is None or found.slope * (HEIGHT - found.horizon) > 12
 
-    def test_the_fit_of_a_line_is_what_lies_on_it_less_twice_what_lies_below(self):
+    @pytest.mark.parametrize("limit_px", [12, 15])
+    def test_is_found_where_it_is_nearer_than_the_range_before_the_camera(self, limit_px):
+        near = cut(road((1, 3, 9, 0, 1.2), walls=(-8, 7)), limit_px)
+        assert find_ground(StripValues.of(near, 1), CY) is None
+        found = find_ground(StripValues.of(near, 1), CY, limit_px)
+        assert found.slope == pytest.approx(SLOPE, rel=0.2)
+        assert found.horizon == pytest.approx(CY, abs=8)
+
+    @pytest.mark.parametrize("limit_px", [math.inf, 4.0])
+    def test_the_fit_of_a_line_is_what_lies_on_it_less_twice_what_lies_below(self, limit_px):
         seen = np.random.default_rng(5).random((3, 8)) / 8
         farther = np.pad(seen.cumsum(axis=1), ((0, 0), (1, 0)))
         rows, horizons, bottoms = (
@@ -101,7 +118,8 @@ class TestGround:
             np.array([3.0, 7]),
         )
         fits = np.empty((2, 2))
-        loops.fit_lines(farther, 0.9, rows, horizons, bottoms, 0.8, 1.2, 0.5, 2.0, fits)
+        given = 0.8, 1.2, 0.5, 2.0, limit_px
+        loops.fit_lines(farther, 0.9, rows, horizons, bottoms, *given, fits)
         for i, horizon in enumerate(horizons):
             for j, bottom in enumerate(bottoms):
                 parts = []
@@ -109,7 +127,7 @@ class TestGround:
                     line = bottom * (row - horizon) / (1 - horizon)
                     ends = np.array([line * 0.8 - 0.5, line * 1.2 + 0.5]) / 0.9
                     low, high = np.interp(ends, np.arange(9), before)
-                    parts.append((high - low) - 2 * low if line > 1 else 0)
+                    parts.append((high - low) - 2 * low if 1 < line < limit_px else 0)
                 assert fits[i, j] == pytest.approx(np.mean(parts), abs=1e-6)
 
 
@@ -230,6 +248,17 @@ class TestGuide:
         )
         assert found[2].steer == found[1].steer
         assert found[0].steer is None
+
+    @pytest.mark.parametrize(("limit_px", "status"), [(7, "blind"), (13, "ok"), (64, "ok")])
+    def test_what_is_nearer_than_the_range_is_no_way(self, limit_px, status):
+        """Houses to the left, and a road of which the near part is out of range."""
+        near = road((-20, -4, 12, 0, 9), walls=(-9, 9))
+        guide = ImageGuide(Settings(max_disparity=limit_px), RIG)
+        seen = guide.profile(cut(near, limit_px - 1), np.ones(near.shape, bool))
+        _, steering = guide.steer(None, seen)
+        assert steering.status == status
+        if status == "ok":
+            assert abs(steering.steer) < 0.15
 
     def test_depth_is_that_of_what_stands_in_the_way_not_of_the_road(self):
         steering = self.steered([road((-20, 20, 10, 0, 1.2))])[0]

@@ -315,6 +315,20 @@ class TestRun:
         with pytest.raises(SettingsError, match="--disparity-offset cannot be 'much'"):
             InputSettings(disparity_offset="much")
 
+    def test_options_without_effect_and_a_mistyped_auto_are_said(self, recording, tmp_path, capsys):
+        idle = ["--map-cell-m", "0.1", "--pose-time-unit", "ms", "--depth-scale", "256"]
+        out = ["--save", "steering,depth", "--poses", "auto"]
+        self.run(recording, tmp_path / "out", *out, *idle)
+        said = capsys.readouterr().err
+        assert "--map-cell-m has no effect without --save map" in said
+        assert "--pose-time-unit has no effect without --poses FILE" in said
+        assert "--depth-scale" not in said
+        given = [recording / "left.mp4", recording / "right.mp4", "--rig", recording / "rig.yaml"]
+        assert main(["run", *map(str, given), "--poses", "Aut", "-o", str(tmp_path / "no")]) == 2
+        assert (
+            "--poses Aut: there is no such file (did you mean 'auto'?)" in capsys.readouterr().err
+        )
+
     def test_needs_a_rig(self, recording, tmp_path, capsys):
         given = [str(recording / "left.mp4"), str(recording / "right.mp4"), "--poses", "auto"]
         assert main(["run", *given, "-o", str(tmp_path / "out")]) == 2

@@ -230,6 +230,17 @@ def test_the_page_says_where_the_rigs_own_motion_is_unknown(copy, by_itself, tol
     ) == told
 
 
+def test_the_page_has_the_greatest_speed_over_ground_with_sigma_and_direction(copy):
+    header = (copy / "objects.csv").read_text().splitlines()[0]
+    speeds = {n: f"{n - 8}.0,{0.1 * n:.1f},0.25" for n in range(12, 20)}
+    rows = [f"{n},7,40,20,12,12,4.000,,,0.50,{each},1,0" for n, each in speeds.items()]
+    (copy / "objects.csv").write_text("\n".join([header, *rows]) + "\n")
+    page = run_page(copy, copy / "report.html")
+    assert "<td>11.00 ± 0.25</td>" in page
+    assert "in direction, ° to the left" in page
+    assert "<td>109</td>" in page  # 1.9 rad
+
+
 def test_the_page_says_why_speeds_are_unknown_without_times(copy):
     path = copy / "objects.csv"
     header = path.read_text().splitlines()[0]

@@ -11,7 +11,9 @@ from click.testing import CliRunner
 from bench import drive as bench
 from motionstereo_cli.__main__ import main
 from motionstereo_cli.commands import cli
+from motionstereo_cli.robot.mapper import Floor
 from motionstereo_cli.simulate.camera import EYE_HEIGHT_M, FloorPose, stereo_cameras
+from motionstereo_cli.simulate.drive_plan import Plan, plan_sheet
 from motionstereo_cli.simulate.drive_world import MAX_FORWARD_M, Command, PlanWorld, world_of
 from motionstereo_cli.simulate.floor_plan import plan_names, prisms, read_plan
 from motionstereo_cli.simulate.plan_scene import Outlines, PlanScene
@@ -74,15 +76,29 @@ def test_the_plan_in_the_docs_is_one(tmp_path):
 
 
 WRONG = [
-    ("about", "abuot", "contains unknown field abuot"),
+    ("about", "abuot", "abuot is unknown (did you mean 'about'?)"),
+    ("about", "name", "name is unknown: choose from about, robot, ceiling_m, walls, doors, boxes"),
+    ("heading_deg", "colour", "robot.colour is unknown: choose from start, heading_deg, goal"),
     ("height_m = 0.5", 'height_m = "low"', "boxes[0].height_m: expected float, got str"),
     ("height_m = 0.5", "height_m = -1", "boxes[0].height_m: expected float >= 0.0"),
     ("height_m = 0.5", "height_m = nan", "boxes[0].height_m: expected float"),
-    ("height_m = 0.5", "height = 0.5", "boxes[0]: object contains unknown field height"),
+    ("height_m = 0.5", "height = 0.5", "boxes[0].height is unknown (did you mean 'height_m'?)"),
+    ("height_m = 0.5", "paint = 'red'", "boxes[0].paint: invalid enum value 'red': choose from d"),
+    ("1.5\nheight_m = 1.7", "4\nheight_m = 5", "boxes[1].bottom_m is not below the ceiling"),
+    ("start = [0, 0]", "start = [-8, 0]", "robot.start -8,0 lies outside of all that stands: give"),
+    (
+        "heading_deg = 20",
+        "goal = [50, 50]",
+        "the goal 50,50 lies outside of all that stands: give x",
+    ),
     ("bottom_m = 1.5", "bottom_m = 1.8", "boxes[1].bottom_m is not below its top"),
     ("at = [4, 0.4]", "at = [3, 0.4]", "doors[0].at: there is no wall"),
     ("width_m = 1.2", "width_m = 9", "doors[0].width_m: the wall at it is shorter"),
-    ("start = [0, 0]", "start = [2, 0.5]", "robot.start: it is within the robot of boxes[0]"),
+    (
+        "start = [0, 0]",
+        "start = [2, 0.5]",
+        "robot.start: boxes[0] is nearer than the robot's radius",
+    ),
     ("heading_deg = 20", "goal = [2, 0.5]", "the goal 2,0.5 lies in boxes[0]: give one that"),
     ("start = [0, 0]", "start = [0, 0, 0]", "robot.start: expected array of length 2"),
     ("heading_deg = 20", "latency_frames = 1.5", "robot.latency_frames: expected int, got float"),
@@ -106,15 +122,47 @@ def test_errors_of_a_plan_name_their_place_in_one_line(tmp_path, capsys, part, o
 
 
 @pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (b"", "is empty: give about, [robot] with start, and what stands"),
+        (b"about = 'x'", "the plan: object missing required field robot"),
+        (b"\xff\xfe", "cannot be read as TOML: it is not text in UTF-8"),
+    ],
+)
+def test_a_file_that_is_no_plan_is_named(tmp_path, capsys, content, words):
+    path = tmp_path / "plan.toml"
+    path.write_bytes(content)
+    assert main(["drive", str(tmp_path / "out"), "--world", str(path)]) == 1
+    assert f"{path}" in (told := capsys.readouterr().err)
+    assert words in told
+
+
+def test_the_plan_shows_what_hangs_so_low_that_it_is_kept_clear_of(tmp_path):
+    sheets, kinds = [], []
+    for bottom_m in (0.5, 1.5, 2.2):
+        one = world(tmp_path, PLAN.replace("1.5\nheight_m = 1.7", f"{bottom_m}\nheight_m = 2.4"))
+        nothing = Floor(*np.zeros((2, 1, 1), np.bool_), 0.0, 0.0, 1.0)
+        sheets.append(plan_sheet(Plan(one).draw(nothing), one))
+        kinds.append([kind for _, kind in one.outlines()].count("hangs"))
+    assert kinds == [0, 1, 0]
+    shown = [(sheet == (205, 190, 235)).all(axis=-1).sum() for sheet in sheets]
+    assert shown[1] > 200
+    assert shown[0] == shown[2] == 0
+
+
+@pytest.mark.parametrize(
     ("options", "words"),
     [
         (["--world", "low-boxs"], "did you mean 'low-boxes'"),
         (["--world", "low-boxes", "--walkers", "2"], "--walkers is for the corridor"),
         (["--world", "low-boxes", "--laps", "2"], "--laps is for the corridor"),
+        (["--scene", "street", "--pan"], "--pan has no effect in the scene street: leave it out"),
+        (["--scene", "cards", "--corridor-width-m", "4"], "or give --scene corridor"),
     ],
 )
 def test_options_that_do_not_fit_are_refused(tmp_path, capsys, options, words):
-    assert main(["drive", str(tmp_path / "out"), *options]) == 2
+    command = "simulate" if "--scene" in options else "drive"
+    assert main([command, str(tmp_path / "out"), *options]) == 2
     assert words in capsys.readouterr().err
 
 

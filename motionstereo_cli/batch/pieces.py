@@ -337,6 +337,7 @@ def join_pieces(plan: RunPlan, pieces: Sequence[Piece], home: Path, watcher: Wat
 def _warn(job: Job, totals: Totals, *, damaged: bool) -> None:
     """Give the warnings that a whole run derives from its first and last frames."""
     plan = job.plan
+    job.warned.begin()
     told: list[Sequence[Finding]] = []
     if plan.with_check:
         reach, rig = plan.settings.max_disparity, job.context.rig

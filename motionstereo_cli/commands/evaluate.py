@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,6 +18,8 @@ from motionstereo_cli.evaluation.settings import EvaluateSettings
 
 if TYPE_CHECKING:
     from motionstereo_cli.evaluation.evaluate import Comparison, Report
+    from motionstereo_cli.evaluation.objects import ObjectReport
+    from motionstereo_cli.evaluation.poses import PoseReport
 
 _KIND = click.Choice(["disparity", "depth"])
 #: Depths this many times too large or too small are of another unit or rig.
@@ -152,7 +156,7 @@ def _evaluate_files(
 
     inputs = (result, truth, *config_files())
     check_targets((csv_path, json_path), inputs)
-    report: object
+    report: PoseReport | ObjectReport
     if objects.is_objects(result):
         report = objects.evaluate_objects(result, truth, settings)
     else:
@@ -160,6 +164,8 @@ def _evaluate_files(
     forms = ((csv_path, numbers.format_csv), (json_path, numbers.format_json))
     write_files(report, forms, inputs)
     print_form(report, forms, numbers.format_table)
+    if unknown := [name for name, value in asdict(report).items() if math.isnan(value)]:
+        say("note", f"{', '.join(unknown)}: unknown, as {report.NOTHING}")
 
 
 def _say_what_is_not_scored(comparison: Comparison, report: Report) -> None:

@@ -282,6 +282,7 @@ def fit_lines(
     high: cython.double,
     error_px: cython.double,
     below_cost: cython.double,
+    limit_px: cython.double,
     fits: cython.double[:, ::1],
 ) -> None:
     """Fill in the share of an image on each line from row to nearness, minus what is below.
@@ -295,6 +296,7 @@ def fit_lines(
         bottom_px: what each line comes to at the bottom.
         low, high, error_px: what lies between these shares of a line, or so far off, is on it.
         below_cost: what is below counts so many times.
+        limit_px: rows in which a line is nearer do not count.
         fits: (horizons, bottoms).
     """
     i: cython.Py_ssize_t
@@ -308,7 +310,7 @@ def fit_lines(
                 for row in range(rows.shape[0]):
                     line: cython.double = bottom_px[j] * (rows[row] - horizons[i])
                     line = line / (1 - horizons[i])
-                    if line > least_px:
+                    if least_px < line < limit_px:
                         below: cython.double = share_before(
                             (line * low - error_px) / bin_px, farther, row
                         )

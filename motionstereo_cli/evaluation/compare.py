@@ -446,7 +446,9 @@ def _shown(cell: str) -> str:
 
 def _given(value: object) -> str:
     """Return a value of a record in words."""
-    return "not given" if value == "" else shortened(value)
+    if isinstance(value, str):
+        return "not given" if value == "" else _shown(value)
+    return shortened(value)
 
 
 def _size(image: Real) -> str:

@@ -11,7 +11,8 @@ from typing import Any
 def format_table(report: Any) -> str:
     """Return a dataclass of numbers for people: a line for each."""
     values = dataclasses.asdict(report).items()
-    return "".join(f"{name:24}{value:>12.5g}\n" for name, value in values)
+    shown = ((name, "-" if math.isnan(value) else f"{value:.5g}") for name, value in values)
+    return "".join(f"{name:24}{value:>12}\n" for name, value in shown)
 
 
 def format_csv(report: Any) -> str:

@@ -13,7 +13,7 @@ from collections import defaultdict
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
@@ -72,6 +72,7 @@ class ObjectReport:
     """What was measured. Shares, means and medians of nothing are NaN.
 
     Attributes:
+        NOTHING: why a number is NaN.
         frames: those of the run that found them or, where its ``run.json`` does not lie beside the
             file, from the first one that either side has a row in to the last.
         true_boxes: rows of the truth that count.
@@ -87,6 +88,8 @@ class ObjectReport:
         contact_error: median error of the time to contact, as a share of the true one.
         with_speed: rows found whose closing speed is known on both sides.
     """
+
+    NOTHING: ClassVar[str] = "both sides have no such number, or nothing was found"
 
     frames: int
     true_boxes: int

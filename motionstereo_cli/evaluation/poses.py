@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
@@ -32,6 +32,7 @@ class PoseReport:
     """What was measured.
 
     Attributes:
+        NOTHING: why a number is NaN.
         poses: found poses that have a true one.
         way_m: length of the true path.
         drift_percent: error of place at the end of each stretch of :data:`LENGTHS_M`, as a share of
@@ -41,6 +42,8 @@ class PoseReport:
         step_m, step_deg: root mean square error of the motion from pose to pose.
         end_m: distance of the ends, once the beginnings agree.
     """
+
+    NOTHING: ClassVar[str] = f"the true path is shorter than {LENGTHS_M[0]} m"
 
     poses: int
     way_m: float

@@ -109,10 +109,15 @@ def typed(value: Any, kind: type[_T], name: object, *, strict: bool = True) -> _
     return record
 
 
-def in_words(error: Exception) -> str:
-    """Return what is wrong with a field and where it is; both may quote the file."""
+def in_words(error: Exception, whole: str = "the record") -> str:
+    """Return what is wrong with a field and where it is; both may quote the file.
+
+    Args:
+        error: of msgspec.
+        whole: what messages call all of it.
+    """
     what, _, place = str(error).replace("`", "").partition(" - at $")
-    where = place.strip(".")[:_MAX_QUOTED] or "the record"
+    where = place.strip(".")[:_MAX_QUOTED] or whole
     return f"{where}: {what[:1].lower()}{what[1:_MAX_QUOTED]}"
 
 

@@ -119,7 +119,8 @@ def tracks(
         with its ``contact_frame`` or ``nearest_frame``, and most ``closing`` in m/s; in how many
         ``frames`` it was, in how many of these it is ``known`` whether it moved by itself, in how
         many it did (``own``), and in how many it was marked as a ``shadow``; its mean
-        ``confidence``, and its greatest ``speed`` over ground in m/s; None if unknown.
+        ``confidence``, and its greatest ``speed`` over ground in m/s with its ``sigma``, and its
+        ``direction`` in rad then; None if unknown.
 
     Raises:
         ValueError: a row is damaged, or there are too many.
@@ -143,7 +144,7 @@ def tracks(
             {"id": number, "frame": frame, "spans": []}
             | dict.fromkeys(("frames", "known", "own", "shadow"), 0)
             | dict.fromkeys(("contact", "nearest", "closing", "speed", "confidence"))
-            | dict.fromkeys(("contact_frame", "nearest_frame")),
+            | dict.fromkeys(("contact_frame", "nearest_frame", "sigma", "direction")),
         )
         spans = track["spans"]
         if spans and (*spans[-1][2:],) == kind and begin - spans[-1][1] < frame_x:
@@ -164,7 +165,10 @@ def tracks(
         track["known"] += bool(row.get("by_itself"))
         track["own"] += kind[1]
         track["shadow"] += is_shadow
-        track["speed"] = _most(track["speed"], _number(row, "over_ground_mps"))
+        speed = _number(row, "over_ground_mps")
+        if speed is not None and (track["speed"] is None or speed > track["speed"]):
+            track["speed"], track["sigma"] = speed, _number(row, "sigma_mps")
+            track["direction"] = _number(row, "direction_rad")
         if (sure := _number(row, "confidence")) is not None:
             mean = track["confidence"] or 0.0
             track["confidence"] = mean + (sure - mean) / track["frames"]

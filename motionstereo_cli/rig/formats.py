@@ -313,7 +313,7 @@ FORMATS: tuple[Format, ...] = (
         "KITTI calib.txt",
         (1,),
         lambda text, _: bool(plain.KITTI.search(text)),
-        lambda g: plain.read_kitti(g.paths[0], g.texts[0], g.pair),
+        lambda g: plain.read_kitti(g.paths[0], g.texts[0], g.pair, g.size),
     ),
     Format("ROS ost.txt", (1, 2), lambda text, _: bool(plain.OST.search(text)), _ost),
     Format("rig.yaml", (1,), lambda _, values: not values, _rig_or_rows),

@@ -10,6 +10,7 @@ import numpy as np
 
 from motionstereo_cli.errors import InputError
 from motionstereo_cli.rig.cameras import (
+    Camera,
     Pair,
     checked_intrinsics,
     intrinsic_matrix,
@@ -26,8 +27,13 @@ KITTI = re.compile(r"^P(_rect_)?\d+[ \t]*:[ \t]*[-+.\d]", re.MULTILINE)
 OST = re.compile(r"^camera matrix\s*$", re.MULTILINE)
 
 
-def read_kitti(path: Path, text: str, pair: tuple[int, int] | None) -> Pair:
-    """Return the pair of KITTI's calib.txt or calib_cam_to_cam.txt, by its numbers."""
+def read_kitti(
+    path: Path, text: str, pair: tuple[int, int] | None, recorded: tuple[int, int] | None = None
+) -> Pair:
+    """Return the pair of KITTI's calib.txt or calib_cam_to_cam.txt, by its numbers.
+
+    The latter also tells how to rectify images as they were recorded, by their width and height.
+    """
     values: dict[str, Any] = {}
     for line in text.splitlines():
         key, colon, numbers = line.partition(":")
@@ -53,6 +59,10 @@ def read_kitti(path: Path, text: str, pair: tuple[int, int] | None) -> Pair:
         for label in (labels.get(n, f"P_rect_{n:02d}" if raw else f"P{n}") for n in pair)
     )
     size = source.size(labels.get(pair[0], "P").replace("P_", "S_")) if raw else None
+    if raw and recorded is not None and recorded != size:
+        names = [labels[n].removeprefix("P_rect_") for n in pair]
+        if all(source.size(f"S_{name}") == recorded for name in names):
+            return _as_recorded(source, names, recorded, notes)
     measured_m = _measured_m(values, [labels[n] for n in pair]) if raw else None
     # A focal length that is none is refused with all else that the pair has to be.
     stated_m = (left[0, 3] - right[0, 3]) / right[0, 0] if right[0, 0] > 0 else np.nan
@@ -63,6 +73,22 @@ def read_kitti(path: Path, text: str, pair: tuple[int, int] | None) -> Pair:
         )
         right[0, 3] = left[0, 3] - right[0, 0] * measured_m
     return rectified_pair("KITTI", (left, right), size, "m", notes)
+
+
+def _as_recorded(
+    source: Source, names: list[str], size: tuple[int, int], notes: tuple[str, ...]
+) -> Pair:
+    """Return the pair of two cameras' images that are not rectified, by the cameras' numbers."""
+    cameras, turns, shifts = [], [], []
+    for name in names:
+        matrix = source.intrinsics((f"K_{name}",), f"K_{name}")
+        cameras.append(Camera(matrix, source.matrix((f"D_{name}",), f"D_{name}", (5,))))
+        turns.append(source.rotation((f"R_{name}",), f"R_{name}"))
+        shifts.append(source.matrix((f"T_{name}",), f"T_{name}", (3,)))
+    turn = turns[1] @ turns[0].T
+    shift = shifts[1] - turn @ shifts[0]
+    left, right = cameras
+    return Pair("KITTI", (left, right), turn, shift, size=size, unit="m", notes=notes)
 
 
 #: Share by which the baseline in P may differ from that between the cameras as they were measured.

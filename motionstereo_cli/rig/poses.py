@@ -367,11 +367,17 @@ def _of_robot(
     return places, quaternions(turns)
 
 
-def format_pose(time_s: float, pose: Pose) -> str:
-    """Return a pose as a line of the TUM format: time and place with 6 decimals, turn with 9."""
+def format_pose(at: float | int, pose: Pose) -> str:
+    """Return a pose as a line of the TUM format: time and place with 6 decimals, turn with 9.
+
+    Args:
+        at: time in s; or the number of the image, an int.
+        pose: the pose.
+    """
+    when = str(at) if isinstance(at, int) else f"{at:.6f}"
     place = f"{pose.x_m:z.6f} {pose.y_m:z.6f} {pose.z_m:z.6f}"
     turn = f"{pose.qx:z.9f} {pose.qy:z.9f} {pose.qz:z.9f} {pose.qw:z.9f}"
-    return f"{time_s:.6f} {place} {turn}\n"
+    return f"{when} {place} {turn}\n"
 
 
 def as_written(pose: Pose) -> Pose:

@@ -84,6 +84,7 @@ class PoseSettings:
         "z down, and the world likewise (TartanAir, AirSim). auto: optical for KITTI's form, body "
         "for EuRoC's, ned for TartanAir's, otherwise robot.",
         choices=("auto", "robot", "optical", "optical-z-up", "body", "ned"),
+        only_with=("FILE",),
     )
     pose_time_unit: str = param(
         "auto",
@@ -91,6 +92,7 @@ class PoseSettings:
         "ns for EuRoC's form, frames for those without times, otherwise s, or what a time since "
         "1970 shows.",
         choices=("auto", "s", "ms", "us", "ns", "frames"),
+        only_with=("FILE",),
     )
     pose_time_offset: float = param(
         0.0,
@@ -98,6 +100,7 @@ class PoseSettings:
         unit="s",
         low=-1e10,
         high=1e10,
+        only_with=("FILE",),
     )
 
     def __post_init__(self) -> None:

@@ -38,6 +38,9 @@ _GROUND_SHARE, _GROUND_PX = 0.15, 0.5
 #: Search range of the horizon about the image's middle row, as a share of its height.
 _HORIZON_SHARE = 0.15
 _HORIZONS, _SLOPES, _BINS, _ROWS = 16, 32, 128, 32
+#: Where the range of disparity ends, within this share of what is known, ground before the camera
+#: may be nearer: it is sought with slopes up to so many times steeper, by what lies in the range.
+_NEAR_LIMIT, _STEEPER = 0.75, 4.0
 #: Share of known pixels that the bins cover.
 _FULL_SCALE = 0.995
 #: Such a share of an image, as :func:`find_ground` counts it, has to lie on the ground: on a line
@@ -65,6 +68,9 @@ _GAP_LENGTH = 0.5
 _LEVEL, _LEVEL_PX = 1.12, 0.5
 _LEVEL_SHARE, _LEVEL_STRIPS = 0.5, 0.8
 _FARTHEST_SHARE, _STRIP_SHARE = 0.1, 0.25
+#: What lies before the camera is out of range where of so much of the height, at least, less
+#: than this share is known, and this quantile of what is above is close to the limit.
+_CUT_SHARE, _CUT_KNOWN, _CUT_RANK = 0.125, 0.2, 0.9
 #: Maximum gap of unknown strips that is interpolated, as a share of all.
 _GAP_SHARE = 0.25
 
@@ -170,7 +176,7 @@ class StripValues:
         return result
 
 
-def find_ground(near: StripValues, middle_row: float) -> Ground | None:
+def find_ground(near: StripValues, middle_row: float, limit_px: float = math.inf) -> Ground | None:
     """Return the ground in an image: the line from row to nearness that most of the image fits.
 
     Nothing is below the ground, so pixels below a line count against it (compare Labayrade et al.
@@ -179,6 +185,7 @@ def find_ground(near: StripValues, middle_row: float) -> Ground | None:
     Args:
         near: nearness in px, disparity + doffs.
         middle_row: where the horizon would be if the camera were level.
+        limit_px: nearness up to which it is measured.
     """
     height, width = near.values.shape
     far_px = near.quantile(_FULL_SCALE)
@@ -195,16 +202,21 @@ def find_ground(near: StripValues, middle_row: float) -> Ground | None:
 
     rows = (np.arange(_ROWS) + 0.5) / _ROWS
     horizons = (middle_row + 0.5) / height + np.linspace(-_HORIZON_SHARE, _HORIZON_SHARE, _HORIZONS)
-    bottom_px = np.linspace(0.04, 1, _SLOPES) * _BINS * bin_px
-    fits = np.empty((_HORIZONS, _SLOPES))
     near_far = (1 - _GROUND_SHARE, 1 + _GROUND_SHARE, _GROUND_PX)
-    loops.fit_lines(farther, bin_px, rows, horizons, bottom_px, *near_far, _BELOW_COST, fits)
-    best = np.unravel_index(int(fits.argmax()), fits.shape)
-    if fits[best] < _MIN_GROUND:
-        return None
-    horizon = float(horizons[best[0]])
-    slope = float(bottom_px[best[1]]) / ((1 - horizon) * height)
-    return Ground(slope, horizon * height - 0.5)
+    slopes = [(np.linspace(0.04, 1, _SLOPES), math.inf)]
+    if far_px > _NEAR_LIMIT * limit_px:
+        slopes.append((np.linspace(1, _STEEPER, 2 * _SLOPES), limit_px))
+    for share, most_px in slopes:
+        bottom_px = share * _BINS * bin_px
+        fits = np.empty((_HORIZONS, len(share)))
+        tolerance = *near_far, _BELOW_COST, most_px
+        loops.fit_lines(farther, bin_px, rows, horizons, bottom_px, *tolerance, fits)
+        best = np.unravel_index(int(fits.argmax()), fits.shape)
+        if fits[best] >= _MIN_GROUND:
+            horizon = float(horizons[best[0]])
+            slope = float(bottom_px[best[1]]) / ((1 - horizon) * height)
+            return Ground(slope, horizon * height - 0.5)
+    return None
 
 
 def free_space(
@@ -334,6 +346,26 @@ def level_surface(near: StripValues, *, min_known: float = 0.0) -> float | None:
     if not known_strips or known_strips < min_known * len(in_strip):
         return None
     return level_px if level_strips >= _LEVEL_STRIPS * known_strips else None
+
+
+def is_out_of_range(near: StripValues, limit_px: float) -> bool:
+    """Return whether what lies before the camera is nearer than the range of disparity.
+
+    From the bottom of the image up little is known, and what is known next is close to the limit.
+    What is nearer is unknown then, and what is known of it is mostly wrong.
+
+    Args:
+        near: nearness in px, disparity + doffs.
+        limit_px: nearness up to which it is measured.
+    """
+    known = ~np.isnan(near.values)
+    height = len(known)
+    rows = np.flatnonzero(known.mean(axis=1) >= _CUT_KNOWN)
+    if not len(rows) or height - 1 - rows[-1] < _CUT_SHARE * height:
+        return False
+    band = slice(max(rows[-1] - height // _ROWS, 0), rows[-1] + 1)
+    found = np.sort(near.values[band][known[band]])
+    return bool(found[int(_CUT_RANK * len(found))] > _NEAR_LIMIT * limit_px)
 
 
 def nearest(near: StripValues) -> float | None:

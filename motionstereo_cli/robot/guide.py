@@ -31,6 +31,7 @@ from motionstereo_cli.robot.free_space import (
     StripValues,
     find_ground,
     free_space,
+    is_out_of_range,
     level_surface,
     nearest,
     way_ahead,
@@ -77,7 +78,7 @@ _LIMIT_PX = 1.5
 #: Number of frames of which the median is used: a single deviating one is ignored.
 TARGETS = 3
 
-#: For so many frames of one surface across the view the heading of before is held.
+#: For so many frames in which no direction is better than another, the heading of before is held.
 HELD_FRAMES = 30
 
 #: A rig is far-sighted if an error of this many px makes less than this many m at the border of the
@@ -157,12 +158,13 @@ class ImageProfile:
     Attributes:
         space: what stands in each vertical strip of the image.
         nearest_px: nearness of the nearest object; None where too little is known.
-        level: whether one surface fills the view: no direction is better than another.
+        undecided: no direction is better than another: one surface fills the view, or what lies
+            before the camera is nearer than the range.
     """
 
     space: FreeSpace
     nearest_px: float | None
-    level: bool
+    undecided: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -173,13 +175,13 @@ class ImageHeading:
         place: the last heading across the image, 0 left .. 1 right; None before the first.
         targets: targets of the last frames, :data:`TARGETS` at most.
         approach: what was in the way in the last frames.
-        level_frames: for how many frames one surface has filled the view.
+        undecided_frames: for how many frames no direction has been better than another.
     """
 
     place: float | None = None
     targets: tuple[float, ...] = ()
     approach: Approach = field(default_factory=Approach)
-    level_frames: int = 0
+    undecided_frames: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -200,13 +202,17 @@ class ImageGuide:
         near_px = disparity_px[:: step[0], :: step[1]]
         most_px = np.float32(self.settings.max_disparity - _LIMIT_PX)
         near_px = np.where(near_px < most_px, near_px, np.float32(np.nan))
-        near_px = self.rig.nearness_px(near_px) if self.rig else near_px
+        limit_px = float(most_px)
+        if self.rig:
+            near_px, limit_px = self.rig.nearness_px(near_px), self.rig.nearness_px(limit_px)
         near = StripValues.of(near_px, min(self.settings.steer_strips, near_px.shape[1]))
         middle_row = self.rig.cy if self.rig else (len(disparity_px) - 1) / 2
-        ground = find_ground(near, middle_row / step[0])
+        ground = find_ground(near, middle_row / step[0], limit_px)
         row_px = step[0] * (self.rig.focal_px / self.rig.fy_px if self.rig else 1.0)
         space = free_space(near, ground, row_px=row_px, column_px=step[1])
-        return ImageProfile(space, nearest(near), level_surface(near) is not None)
+        undecided = level_surface(near) is not None
+        undecided |= ground is None and is_out_of_range(near, limit_px)
+        return ImageProfile(space, nearest(near), undecided)
 
     def steer(
         self,
@@ -241,17 +247,17 @@ class ImageGuide:
         else:
             focal_px, cx_px = self.rig.focal_px, self.rig.cx_of(self.settings.reference)
         target, strips_px = way_ahead(seen.space, focal_px, cx_px, before.place)
-        if seen.level:
+        if seen.undecided:
             target = None
-            before = replace(before, level_frames=before.level_frames + 1)
-            if before.level_frames >= HELD_FRAMES:
+            before = replace(before, undecided_frames=before.undecided_frames + 1)
+            if before.undecided_frames >= HELD_FRAMES:
                 before = replace(before, place=None, targets=())
         elif target is not None:
             if travel is not None:
                 target += _TRAVEL_SHARE * (travel - target)
             targets = (*before.targets, target)[-TARGETS:]
             place = steadied(before.place, _median(targets), self.settings.steer_gain)
-            before = replace(before, place=place, targets=targets, level_frames=0)
+            before = replace(before, place=place, targets=targets, undecided_frames=0)
         if before.place is None:
             return before, _BLIND
         place = before.place
@@ -282,14 +288,14 @@ class MapProfile:
         bearings: what stands nearest in each bearing.
         nearest_px: nearness of the nearest object; None where too little is known.
         size: width and height of the image in px.
-        level: whether one surface fills the view.
+        undecided: no direction is better than another.
         image: the same for :class:`ImageGuide`; None where the rig does not see beyond the map.
     """
 
     bearings: Bearings
     nearest_px: float | None
     size: tuple[int, int]
-    level: bool
+    undecided: bool
     image: ImageProfile | None
 
 
@@ -347,8 +353,8 @@ class MapGuide:
         if self._is_far_sighted:
             image = ImageGuide(s, self.rig).profile(disparity_px, fresh)
         near = StripValues.of(thin, min(s.steer_strips, thin.shape[1]))
-        level = image.level if image else level_surface(near) is not None
-        return MapProfile(bearings, nearest(near), (width, height), level, image)
+        undecided = image.undecided if image else level_surface(near) is not None
+        return MapProfile(bearings, nearest(near), (width, height), undecided, image)
 
     def steer(
         self,
@@ -378,7 +384,7 @@ class MapGuide:
                 image, seen_now.image, travel, time_s
             )
         before = replace(before, map=known, image=image, trail=trail)
-        if before.course is None and (seen_now.level or not new):
+        if before.course is None and (seen_now.undecided or not new):
             return replace(before, pose=pose), _BLIND
         x_m, y_m = pose.x_m - before.pose.x_m, pose.y_m - before.pose.y_m
         course = before.course or Course(yaw, yaw)

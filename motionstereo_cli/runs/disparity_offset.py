@@ -44,7 +44,7 @@ def with_measured_offset(job: Job, say: Say) -> Job:
     odometer = Odometer(rig, job.plan.settings.max_disparity)
     # A small offset matters only where depth is to be corrected by it.
     negligible_px = 0.0 if asked else MAX_OFFSET_PX
-    offset_px = round(disparity_offset_px(sample, odometer, negligible_px), 3)
+    offset_px = round(disparity_offset_px(sample, odometer, negligible_px), 3) + 0.0  # no -0
     if asked:
         say("note", f"--disparity-offset {offset_px:g}: measured from how things move")
         context = dataclasses.replace(job.context, rig=rig.with_disparity_offset(offset_px))

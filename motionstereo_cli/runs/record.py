@@ -101,11 +101,18 @@ class Warned:
     def __init__(self, say: Callable[[str, str], object]) -> None:
         self._say = say
         self._found: list[WarningRecord] = []
+        self._opening: list[WarningRecord] = []
+        self._before = 0
 
     @property
     def found(self) -> tuple[WarningRecord, ...]:
-        """The warnings so far."""
-        return tuple(self._found)
+        """The warnings so far: those before the first frame, of its check, and later ones."""
+        later = self._found[self._before :]
+        return (*self._found[: self._before], *self._opening, *later)
+
+    def begin(self) -> None:
+        """Note that frames begin. Findings come from a thread, sooner or later than others."""
+        self._before = len(self._found)
 
     def warn(self, code: str, text: str, numbers: Mapping[str, int | float] | None = None) -> None:
         """Show and keep a warning, see :class:`~motionstereo_cli.sinks.records.WarningRecord`."""
@@ -122,7 +129,8 @@ class Warned:
     def warn_of(self, findings: Iterable[Finding]) -> None:
         """Show and keep the findings of a check."""
         for finding in findings:
-            self.warn(finding.name, finding.text, finding.numbers)
+            self._opening.append(WarningRecord(finding.name, finding.text, dict(finding.numbers)))
+            self._say("warning", finding.text)
 
 
 @dataclasses.dataclass(frozen=True, slots=True)

@@ -33,6 +33,7 @@ from motionstereo_cli.files.folders import remove
 from motionstereo_cli.files.reading import real
 from motionstereo_cli.files.targets import check_target, is_stream, open_stream
 from motionstereo_cli.method.settings import FOREVER, GIVEN
+from motionstereo_cli.params import idle, near_match
 from motionstereo_cli.pipeline import State, steps
 from motionstereo_cli.report import PAGE, is_report
 from motionstereo_cli.rig.calibration import Calibration, rectify_source
@@ -48,7 +49,7 @@ from motionstereo_cli.runs.given_disparity import take_disparity
 from motionstereo_cli.runs.interrupts import finishing
 from motionstereo_cli.runs.onnx_model import files_of, load_model
 from motionstereo_cli.runs.open_outputs import Sinks, Totals
-from motionstereo_cli.runs.plan import RunPlan
+from motionstereo_cli.runs.plan import AUTO_POSES, RunPlan
 from motionstereo_cli.runs.record import (
     Job,
     RunReport,
@@ -268,12 +269,12 @@ def job_of(plan: RunPlan, source: StereoSource, warned: Warned, *, in_order: boo
     _log_job(job)
     if plan.folder is not None:
         check_video_size(job.save, source.width, source.height)
-    _tell_of_motion(job, note)
+    _tell_of_options(job, note)
     return job
 
 
-def _tell_of_motion(job: Job, note: Callable[[str], object]) -> None:
-    """Say what is done, or missing, for own motion and speeds.
+def _tell_of_options(job: Job, note: Callable[[str], object]) -> None:
+    """Say what is done, or missing, for own motion and speeds, and what has no effect.
 
     Raises:
         SettingsError: a goal needs poses.
@@ -286,6 +287,13 @@ def _tell_of_motion(job: Job, note: Callable[[str], object]) -> None:
         note(f"{', '.join(asking)}: the rig's own motion is found, {how}")
     if "objects" in job.save and job.source.begin_s is None:
         note("objects: the recordings have no times, and speeds are empty: give --frame-rate")
+    brought = {each for name in plan.outputs for each in (name, *OUTPUTS[name].brings)}
+    for settings, present, without in (
+        (plan.output_settings, brought, "--save"),
+        (plan.pose_settings, ["FILE"] if plan.poses_file else [], "--poses"),
+    ):
+        for item in idle(settings, present):
+            note(f"{item.flag} has no effect without {without} {' or '.join(item.only_with)}")
     if plan.settings.goal and plan.poses is None:
         raise SettingsError("--goal needs --poses: without it nothing is known of the world")
 
@@ -329,6 +337,8 @@ def _poses(
     """Return the poses of a file that covers a source."""
     from motionstereo_cli.rig.poses import read_poses
 
+    if not path.exists() and (meant := near_match(str(path).lower(), [AUTO_POSES])):
+        raise SettingsError(f"--poses {path}: there is no such file{meant}")
     poses = read_poses(path, plan.pose_settings, calibration.rig, calibration.body_from_left)
     first, last = source.numbers if poses.by_number else source.span_s
     whole = source.last_number if poses.by_number else source.last_s
@@ -536,6 +546,7 @@ def warn_of_what_is_missing(
 def _steps(job: Job, sinks: Sinks, watcher: Watcher) -> Iterator[_Step]:
     """Yield images, step and state of the frames that an earlier process did not do."""
     plan, frames = job.plan, job.frames
+    job.warned.begin()
     if plan.with_check:
         frames = watched(
             frames,

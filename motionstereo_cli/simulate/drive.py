@@ -141,7 +141,7 @@ def drive(
         picture = plan.draw(surroundings.mapper.floor())
         write_whole(
             out / "plan.png",
-            encode_png(plan_sheet(picture, goal=world.goal is not None)[..., ::-1]),
+            encode_png(plan_sheet(picture, world)[..., ::-1]),
         )
         record = folder.complete(**_outcome(world, settings))
     assert isinstance(record, DriveRecord)

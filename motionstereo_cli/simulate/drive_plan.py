@@ -32,20 +32,23 @@ _WALKER = (240, 150, 30)
 _TOUCH = (220, 0, 0)
 _WALKED = (250, 225, 180)
 _GOAL = (30, 150, 60)
+_HANGING = (205, 190, 235)
 
 
-def plan_sheet(picture: NDArray[np.uint8], *, goal: bool) -> NDArray[np.uint8]:
-    """Return a plan, perhaps with a goal, with title, legend and scale bar, RGB."""
+def plan_sheet(picture: NDArray[np.uint8], world: RobotWorld) -> NDArray[np.uint8]:
+    """Return a plan of a world with title, legend and scale bar, RGB."""
     width = picture.shape[1]
+    hangs = any(kind == "hangs" for _, kind in world.outlines())
     entries = (
         (_SEEN, "what the map holds as occupied"),
         (_WALL, "wall"),
         (_DOOR, "door"),
         (_WINDOW, "window"),
-        (_PATH, "path of the robot"),
+        *([(_HANGING, "hangs over the way")] if hangs else []),
+        (_PATH, "path of the robot, and its heading"),
         (_WALKER, "walker"),
         (_WALKED, "where walkers were"),
-        *([(_GOAL, "goal")] if goal else []),
+        *([(_GOAL, "goal")] if world.goal is not None else []),
         (_TOUCH, "touch"),
     )
     return np.concatenate(
@@ -118,9 +121,10 @@ class Plan:
 
     def _empty(self) -> NDArray[np.uint8]:
         picture = np.full((self._height, self._width, 3), _PAPER, np.uint8)
-        for corners, is_free in self._world.outlines():
+        colours = {"free": _FLOOR, "stands": _PAPER, "hangs": _HANGING}
+        for corners, kind in self._world.outlines():
             outline = [np.array([self._px(*corner) for corner in corners], np.int32)]
-            cv2.fillPoly(picture, outline, _FLOOR if is_free else _PAPER)
+            cv2.fillPoly(picture, outline, colours[kind])
             cv2.polylines(picture, outline, True, _WALL)
         return picture
 

@@ -6,13 +6,14 @@ import math
 from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from motionstereo_cli.errors import InputError
 from motionstereo_cli.files.records import builtins_of
+from motionstereo_cli.method.settings import Settings
 from motionstereo_cli.rig.poses import as_written
 from motionstereo_cli.simulate.camera import (
     EYE_HEIGHT_M,
@@ -32,6 +33,10 @@ from motionstereo_cli.types import Pose, Steering, StereoFrame
 if TYPE_CHECKING:
     from motionstereo_cli.types import Real
 
+#: What an outline is of: a floor, what stands on it, or what hangs so low that the robot, though it
+#: would pass under it, keeps clear of it.
+Outline = Literal["free", "stands", "hangs"]
+
 #: Frames a second, whose time stamps are whole milliseconds, as Matroska has them.
 FRAME_RATE = 10
 FRAME_MS = 1000 // FRAME_RATE
@@ -50,6 +55,8 @@ _TURN_PER_M = 0.2
 #: The robot's top; what is lower than the second, it drives over.
 ROBOT_TOP_M = EYE_HEIGHT_M + 0.1
 PASSED_OVER_M = 0.1
+#: The guidance keeps clear of what hangs lower.
+_KEPT_CLEAR_M = EYE_HEIGHT_M + Settings().robot_above_m
 #: A goal is reached within this distance.
 GOAL_M = 0.5
 
@@ -174,8 +181,8 @@ class RobotWorld:
         """What the record says of the world, besides the settings."""
         raise NotImplementedError
 
-    def outlines(self) -> Iterator[tuple[NDArray[np.float64], bool]]:
-        """Yield the outlines on the floor, (n, 2) in m each, and whether it is free inside."""
+    def outlines(self) -> Iterator[tuple[NDArray[np.float64], Outline]]:
+        """Yield the outlines on the floor, (n, 2) in m each, and what they are of."""
         raise NotImplementedError
 
     def openings(self) -> Iterator[tuple[str, list[tuple[float, float]]]]:
@@ -334,11 +341,11 @@ class DriveWorld(RobotWorld):
             "lamp_m": round(self.corridor.lamp_m, 3),
         }
 
-    def outlines(self) -> Iterator[tuple[NDArray[np.float64], bool]]:
+    def outlines(self) -> Iterator[tuple[NDArray[np.float64], Outline]]:
         """Yield the outer and the inner square."""
         square = np.array([[-1, 1], [1, 1], [1, -1], [-1, -1]], float)
-        yield self.corridor.outer_m * square, True
-        yield self.corridor.inner_m * square, False
+        yield self.corridor.outer_m * square, "free"
+        yield self.corridor.inner_m * square, "stands"
 
     def openings(self) -> Iterator[tuple[str, list[tuple[float, float]]]]:
         """Yield doors and windows."""
@@ -400,6 +407,14 @@ class PlanWorld(RobotWorld):
         self.plan = read_plan(settings.world)
         plan, robot = self.plan, self.plan.robot
         self._prisms = prisms(plan)
+        (x0, y0), (x1, y1) = self._bounds_m
+        places = {"robot.start": robot.start, "the goal": goal or robot.goal}
+        for name, place in places.items():
+            if place is not None and not (x0 < place[0] < x1 and y0 < place[1] < y1):
+                raise InputError(
+                    f"{settings.world}: {name} {place[0]:g},{place[1]:g} lies outside of all that "
+                    f"stands: give x from {x0:g} to {x1:g} and y from {y0:g} to {y1:g}"
+                )
         self._scene = PlanScene(self._prisms, plan.ceiling_m, settings.seed)
         in_way = [p for p in self._prisms if p.bottom_m < ROBOT_TOP_M and p.top_m > PASSED_OVER_M]
         self._outlines = Outlines(in_way) if in_way else None
@@ -413,7 +428,10 @@ class PlanWorld(RobotWorld):
         )
         if self.ended is not None and self.ended.startswith("touched"):
             what = self.ended.removeprefix("touched ")
-            raise InputError(f"{settings.world}: robot.start: it is within the robot of {what}")
+            raise InputError(
+                f"{settings.world}: robot.start: {what} is nearer than the robot's radius of "
+                f"{ROBOT_RADIUS_M:g} m"
+            )
         if self.goal is not None and self._outlines is not None:
             away_m, what = self._outlines.nearest(*self.goal)
             if away_m + GOAL_M <= ROBOT_RADIUS_M:
@@ -427,14 +445,19 @@ class PlanWorld(RobotWorld):
         """The plan."""
         return {"plan": builtins_of(self.plan)}
 
-    def outlines(self) -> Iterator[tuple[NDArray[np.float64], bool]]:
-        """Yield what stands, within a free rectangle."""
+    @property
+    def _bounds_m(self) -> NDArray[np.float64]:
+        """The least and the largest x and y of what stands, (2, 2)."""
         corners = np.concatenate([prism.corners_m for prism in self._prisms])
-        (x0, y0), (x1, y1) = corners.min(0), corners.max(0)
-        yield np.array([[x0, y1], [x1, y1], [x1, y0], [x0, y0]]), True
+        return np.array([corners.min(0), corners.max(0)])
+
+    def outlines(self) -> Iterator[tuple[NDArray[np.float64], Outline]]:
+        """Yield what stands and hangs, within a free rectangle."""
+        (x0, y0), (x1, y1) = self._bounds_m
+        yield np.array([[x0, y1], [x1, y1], [x1, y0], [x0, y0]]), "free"
         for prism in self._prisms:
-            if prism.bottom_m < ROBOT_TOP_M:
-                yield prism.corners_m, False
+            if prism.bottom_m < _KEPT_CLEAR_M:
+                yield prism.corners_m, "stands" if prism.bottom_m < ROBOT_TOP_M else "hangs"
 
     def _render(self, camera: SceneCamera) -> View:
         return self._scene.render(self.robot, camera)

@@ -6,13 +6,12 @@ them, boxes, and poles.
 
 from __future__ import annotations
 
-import difflib
 import math
 import tomllib
 from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple, get_args, get_origin, get_type_hints
 
 import msgspec
 import numpy as np
@@ -22,6 +21,7 @@ from numpy.typing import NDArray
 from motionstereo_cli.errors import InputError, SettingsError, words_of
 from motionstereo_cli.files.reading import read_bytes
 from motionstereo_cli.files.records import in_words
+from motionstereo_cli.params import near_match
 
 #: Folder of the plans that come with the program.
 _HOME = Path(__file__).parent / "worlds"
@@ -152,24 +152,46 @@ def read_plan(world: str) -> FloorPlan:
     elif Path(world).suffix:
         path = Path(world)
     else:
-        near = difflib.get_close_matches(world, names, 1)
-        hint = f" (did you mean {near[0]!r}?)" if near else ""
         raise SettingsError(
-            f"--world cannot be {world!r}{hint}: give corridor, a TOML file, or one of "
-            + ", ".join(names)
+            f"--world cannot be {world!r}{near_match(world, names)}: give corridor, a TOML file, "
+            f"or one of {', '.join(names)}"
         )
     try:
         values = tomllib.loads(read_bytes(path, "the floor plan", _MAX_BYTES).decode())
-        plan = msgspec.convert(values, FloorPlan)
-    except msgspec.ValidationError as error:
-        raise InputError(f"{path}: {in_words(error)}") from None
+    except UnicodeDecodeError:
+        raise InputError(f"{path} cannot be read as TOML: it is not text in UTF-8") from None
     except (ValueError, RecursionError) as error:
         raise InputError(f"{path} cannot be read as TOML: {_lowered(words_of(error))}") from None
+    if not values:
+        raise InputError(f"{path} is empty: give about, [robot] with start, and what stands")
     try:
+        _check_keys(values, FloorPlan)
+        plan = msgspec.convert(values, FloorPlan)
         prisms(plan)
+    except msgspec.ValidationError as error:
+        choices = f": choose from {', '.join(get_args(Paint))}" if "enum" in str(error) else ""
+        raise InputError(f"{path}: {in_words(error, 'the plan')}{choices}") from None
     except ValueError as error:
         raise InputError(f"{path}: {error}") from None
     return plan
+
+
+def _check_keys(values: dict[str, Any], kind: type[_Table], place: str = "") -> None:
+    """Check that a table and those in it have known keys only.
+
+    Raises:
+        ValueError: a key is unknown; the message names its place.
+    """
+    types = get_type_hints(kind)
+    for key, value in values.items():
+        if key not in types:
+            hint = near_match(key, types) or f": choose from {', '.join(types)}"
+            raise ValueError(f"{place}{key} is unknown{hint}")
+        of, tables = types[key], value if isinstance(value, list) else [value]
+        of = get_args(of)[0] if get_origin(of) is list else of
+        for number, table in enumerate(tables):
+            if isinstance(of, type) and issubclass(of, _Table) and isinstance(table, dict):
+                _check_keys(table, of, f"{key}[{number}]." if tables is value else f"{key}.")
 
 
 def _lowered(text: str) -> str:
@@ -246,6 +268,8 @@ def _boxes(plan: FloorPlan) -> Iterator[Prism]:
         name, top_m = f"boxes[{number}]", box.height_m or plan.ceiling_m
         if box.bottom_m >= top_m:
             raise ValueError(f"{name}.bottom_m is not below its top: give less than {top_m:g}")
+        if box.bottom_m >= plan.ceiling_m:
+            raise ValueError(f"{name}.bottom_m is not below the ceiling at {plan.ceiling_m:g} m")
         turn = math.radians(box.turned_deg)
         across = np.array([[math.cos(turn), math.sin(turn)], [-math.sin(turn), math.cos(turn)]])
         off = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * np.array(box.size) / 2

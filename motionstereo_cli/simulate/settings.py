@@ -7,7 +7,7 @@ import re
 from dataclasses import dataclass
 
 from motionstereo_cli.errors import SettingsError
-from motionstereo_cli.params import checked, param, params
+from motionstereo_cli.params import checked, idle, param
 from motionstereo_cli.types import Rig
 
 #: Shares of one side's path that are straight and turn: the paper's 100 and 25 frames of 125.
@@ -68,7 +68,12 @@ class SimulateSettings:
         0.0, "Frames per second (0 = 30, in the street 10).", unit="Hz", low=0, high=1000
     )
     corridor_width_m: float = param(
-        3.0, "Distance from inner to outer wall. Only in the corridor.", unit="m", low=0.5, high=20
+        3.0,
+        "Distance from inner to outer wall. Only in the corridor.",
+        unit="m",
+        low=0.5,
+        high=20,
+        only_with=(CORRIDOR,),
     )
     corridor_length_m: float = param(
         20.0,
@@ -76,9 +81,15 @@ class SimulateSettings:
         unit="m",
         low=5,
         high=100,
+        only_with=(CORRIDOR,),
     )
     street_speed_m_s: float = param(
-        8.0, "Speed of the car. Only in the street.", unit="m/s", low=0.1, high=50
+        8.0,
+        "Speed of the car. Only in the street.",
+        unit="m/s",
+        low=0.1,
+        high=50,
+        only_with=("street",),
     )
     street_winding_deg: float = param(
         0.0,
@@ -86,9 +97,16 @@ class SimulateSettings:
         unit="degrees",
         low=0,
         high=60,
+        only_with=("street",),
     )
-    pan: bool = param(False, "Swing the camera from side to side. Only with cards and layers.")
-    shadows: bool = param(False, "The cards cast shadows on the wall. Only with cards.")
+    pan: bool = param(
+        False,
+        "Swing the camera from side to side. Only with cards and layers.",
+        only_with=("cards", "layers"),
+    )
+    shadows: bool = param(
+        False, "The cards cast shadows on the wall. Only with cards.", only_with=("cards",)
+    )
     noise_sigma: float = param(
         0.0,
         "Standard deviation of the sensor noise.",
@@ -123,6 +141,11 @@ class SimulateSettings:
 
     def __post_init__(self) -> None:
         checked(self)
+        for item in idle(self, [self.scene]):
+            raise SettingsError(
+                f"{item.flag} has no effect in the scene {self.scene}: leave it out, or give "
+                f"--scene {' or '.join(item.only_with)}"
+            )
         frame_rate, baseline_m = _SCENE_DEFAULTS[self.scene == "street"]
         object.__setattr__(self, "frame_rate", self.frame_rate or frame_rate)
         object.__setattr__(self, "baseline_m", self.baseline_m or baseline_m)
@@ -176,10 +199,6 @@ class SimulateSettings:
         )
 
 
-#: What floor plans do not have.
-_OF_CORRIDOR = {"laps", "walkers", "corridor_width_m", "corridor_length_m"}
-
-
 @dataclass(frozen=True, slots=True)
 class DriveSettings:
     """Parameters of a driven world.
@@ -194,7 +213,14 @@ class DriveSettings:
         "such as room-with-pillars; help robot lists them.",
         common=True,
     )
-    laps: float = param(1.0, "Maximum number of rounds.", low=0.01, high=1000, common=True)
+    laps: float = param(
+        1.0,
+        "Maximum number of rounds.",
+        low=0.01,
+        high=1000,
+        common=True,
+        only_with=(CORRIDOR,),
+    )
     max_frames: int = param(
         0,
         "Maximum number of frames (0 = three times the expected number, or what the plan says).",
@@ -207,6 +233,7 @@ class DriveSettings:
         low=0,
         high=20,
         common=True,
+        only_with=(CORRIDOR,),
     )
     width: int = param(320, "Width of the images.", unit="px", low=64, high=4096)
     height: int = param(240, "Height of the images.", unit="px", low=48, high=4096)
@@ -219,6 +246,7 @@ class DriveSettings:
         unit="m",
         low=0,
         high=20,
+        only_with=(CORRIDOR,),
     )
     corridor_length_m: float = param(
         0.0,
@@ -226,6 +254,7 @@ class DriveSettings:
         unit="m",
         low=0,
         high=100,
+        only_with=(CORRIDOR,),
     )
     seed: int = param(
         0,
@@ -237,12 +266,10 @@ class DriveSettings:
 
     def __post_init__(self) -> None:
         checked(self)
-        if self.world != CORRIDOR:
-            for item in params(DriveSettings):
-                if item.name in _OF_CORRIDOR and getattr(self, item.name) != item.default:
-                    raise SettingsError(
-                        f"{item.flag} is for the corridor: leave it out with --world {self.world}"
-                    )
+        for item in idle(self, [self.world]):
+            raise SettingsError(
+                f"{item.flag} is for the corridor: leave it out with --world {self.world}"
+            )
         min_m = 2 * ROBOT_RADIUS_M + _MIN_DRIVE_ROOM_M
         if self.corridor_width_m and self.corridor_width_m < min_m:
             raise SettingsError(

@@ -59,10 +59,8 @@ class TumFile(TableFile):
             self.add([(NUMBERED_HEAD if time.time_s is None else HEAD).rstrip("\n")])
             self._has_head = True
         if step.place is not None:
-            words = format_pose(time.time_s or 0.0, step.place).rstrip("\n")
-            if time.time_s is None:
-                words = f"{time.place} {words.partition(' ')[2]}"
-            self.add([words])
+            at = time.place if time.time_s is None else time.time_s
+            self.add([format_pose(at, step.place).rstrip("\n")])
 
 
 #: What a Kitti file is continued from: its table, the number of its lines, and the first pose.

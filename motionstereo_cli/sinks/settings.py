@@ -7,6 +7,9 @@ from dataclasses import dataclass
 from motionstereo_cli.errors import SettingsError
 from motionstereo_cli.params import checked, param
 
+#: Outputs that show depth in colours.
+_IN_COLOUR = ("depth-video", "preview", "report")
+
 
 @dataclass(frozen=True, slots=True)
 class OutputSettings:
@@ -22,6 +25,7 @@ class OutputSettings:
         unit="per m",
         low=1,
         high=65535,
+        only_with=("depth", "depth-mkv", "bag"),
     )
     steering_format: str = param(
         "csv",
@@ -33,6 +37,7 @@ class OutputSettings:
         "Colour map of depth. Near is bright in all but turbo and jet, where it is red; those tell "
         "more depths apart, but not to the colour-blind.",
         choices=("plasma", "turbo", "viridis", "cividis", "magma", "inferno", "jet", "bone"),
+        only_with=_IN_COLOUR,
     )
     near_m: float = param(
         0.0,
@@ -41,6 +46,7 @@ class OutputSettings:
         low=0,
         high=1_000_000,
         words={"auto": 0.0},
+        only_with=_IN_COLOUR,
     )
     far_m: float = param(
         0.0,
@@ -49,6 +55,7 @@ class OutputSettings:
         low=0,
         high=1_000_000,
         words={"auto": 0.0},
+        only_with=_IN_COLOUR,
     )
     near_px: float = param(
         0.0,
@@ -57,6 +64,7 @@ class OutputSettings:
         low=0,
         high=1_000_000,
         words={"auto": 0.0},
+        only_with=_IN_COLOUR,
     )
     far_px: float = param(
         0.0,
@@ -65,9 +73,12 @@ class OutputSettings:
         low=0,
         high=1_000_000,
         words={"auto": 0.0},
+        only_with=_IN_COLOUR,
     )
     legend: bool = param(
-        True, "Add a strip below the images of depth-video: the scale of depth, and the time."
+        True,
+        "Add a strip below the images of depth-video: the scale of depth, and the time.",
+        only_with=_IN_COLOUR,
     )
     map_cell_m: float = param(
         0.05,
@@ -75,16 +86,16 @@ class OutputSettings:
         unit="m",
         low=0.005,
         high=10,
+        only_with=("map",),
     )
-
     map_top_m: float = param(
         1000.0,
         "map.ply ends so far above the cameras: less leaves out a ceiling, for a look from above.",
         unit="m",
         low=-100,
         high=1000,
+        only_with=("map",),
     )
-
     checkpoint_frames: int = param(
         250,
         "Number of frames between checkpoints, from which --resume goes on. Videos have a key "
