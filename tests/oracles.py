@@ -189,7 +189,7 @@ def semi_global(  # noqa: PLR0912
 ):
     """Disparity and margin of each right pixel by semi-global matching, path by path.
 
-    Only disparities that are looked at have costs.
+    Only disparities that are looked at have costs; a path makes no step from any other.
     """
     rows, width = right.shape
     reach = range(max_disparity + 1)
@@ -212,8 +212,8 @@ def semi_global(  # noqa: PLR0912
             for j in (-1, 0, 1)
         )
         w = int(weight[y, x])
-        near = abs(d - proposed_px[y, x]) < 2 if w else False
-        return total + w - (int(w * (1 - abs(d - proposed_px[y, x]) / 2)) if near else 0)
+        share = max(32 - abs(16 * d - int(16 * proposed_px[y, x])), 0) if w else 0
+        return total + w - w * share // 32
 
     costs = {
         (y, x): {d: cost(y, x, d) for d in reach if looked_at(y, x, d)}
@@ -235,13 +235,15 @@ def semi_global(  # noqa: PLR0912
                     d: costs[y, x][d]
                     - min(before.values())
                     + min(
-                        before[e] + (0 if d == e else 200 if abs(d - e) == 1 else leap)
+                        before[e]
+                        + (0 if d == e else 200 if abs(d - e) == 1 and e in costs[y, x] else leap)
                         for e in before
                     )
                     for d in costs[y, x]
                 }
             for d in costs[y, x]:
-                totals[y, x][d] += path[y, x][d]
+                added = path[y, x][d] - costs[y, x][d]  # from below, in steps of 2
+                totals[y, x][d] += costs[y, x][d] + (added // 2 * 2 if down < 0 else added)
     disparity, margin = np.full((2, rows, width), np.nan, np.float32)
     for y in range(rows):
         partner = {}  # of each left place: cost and disparity

@@ -180,7 +180,7 @@ class TestDense:
     @settings(max_examples=150, deadline=None)
     @given(
         st.integers(0, 2**32),
-        st.integers(1, 20),
+        st.integers(1, 40),
         st.integers(1, 70),
         st.integers(0, 100),
         st.data(),
@@ -188,8 +188,8 @@ class TestDense:
     def test_vectors_give_the_bytes_of_loops(self, seed, rows, width, reach, data):
         grain, share = data.draw(st.sampled_from([(0.01, 1), (1.5, 0.9), (1.5, 0.3)]))
         given_ = *random_frame(seed, rows, width, reach, grain, share), reach
-        tiles = -(-rows // 8), -(-width // 16)
-        every = np.full(tiles, 2 ** (reach // 16 + 1) - 1, np.uint64)
+        tiles = -(-rows // 16), -(-width // 16)
+        every = np.full(tiles, 2 ** (reach // 2 + 1) - 1, np.uint64)
         found = semi_global(
             *given_,
             sets=data.draw(st.sampled_from([None, every])),
@@ -201,32 +201,31 @@ class TestDense:
     @settings(max_examples=10, deadline=None)
     @given(st.integers(0, 2**32), st.integers(15, 40))
     def test_tiles_of_sets_give_what_the_oracle_does(self, seed, reach):
-        rows, width = 9, 40
+        rows, width = 18, 40
         given_ = *random_frame(seed, rows, width, reach, 1.5, 0.9), reach
-        chunks = reach // 16 + 1
+        chunks = reach // 2 + 1
         sets = np.random.default_rng(seed).integers(1, 2**chunks, (2, 3), np.uint64)
         found = semi_global(*given_, sets=sets)
         wanted = oracles.semi_global(
-            *given_, lambda y, x, d: int(sets[y // 8, x // 16]) >> d // 16 & 1
+            *given_, lambda y, x, d: int(sets[y // 16, x // 16]) >> d // 2 & 1
         )
         np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-4)
 
     @needs_vectors
     @given(arrays(np.float32, (2, 5, 7), elements=st.sampled_from([np.nan, np.nan, 0, 3.5, 9, 12])))
     def test_sets_have_all_candidates_around_or_those_beside(self, candidates):
-        found, sets = np.zeros((3, 4), np.uint64), np.zeros((3, 4), np.uint64)
-        dense.vectors.fill_sets(candidates, 4, 6, 2, 2, 50, found, sets)
-        own = np.full((3, 4), 0, object)
-        for _, y, x in np.argwhere(~np.isnan(candidates)):
-            for c in candidates[:, y, x][~np.isnan(candidates[:, y, x])]:
+        cells, sets = np.zeros((3, 4), np.uint64), np.zeros((2, 4), np.uint64)
+        dense.vectors.fill_sets(candidates, 4, 6, 2, 2, 1, 1, 50, 4, cells, sets)
+        own = np.full((2, 4), 0, object)
+        for y, x in np.ndindex(2, 4):
+            around = candidates[:, max(4 * y - 2, 0) : 4 * y + 6, max(2 * x - 2, 0) : 2 * x + 4]
+            for c in around[~np.isnan(around)]:
                 for d in range(max(int(4 * c - 6), 0), min(int(4 * c + 6), 49) + 1):
-                    own[max(y // 2 - 1, 0) : y // 2 + 2, max(x // 2 - 1, 0) : x // 2 + 2] |= (
-                        1 << d // 16
-                    )
-        for y, x in np.ndindex(3, 4):
-            before, after = ([o for o in side if o] for side in (own[y, :x], own[y, x:]))
+                    own[y, x] |= 1 << d // 4
+        for y, x in np.ndindex(2, 4):
+            before, after = ([o for o in side if o] for side in (own[y, :x], own[y, x + 1 :]))
             beside = (before[-1] if before else 0) | (after[0] if after else 0)
-            assert sets[y, x] == (own[y, x] or beside or 15)
+            assert sets[y, x] == (own[y, x] or beside or 2**13 - 1)
 
     @pytest.mark.parametrize("strip_rows", [2, 6, 16])
     def test_strips_of_any_height_give_the_same_bytes(self, strip_rows):

@@ -117,6 +117,9 @@ class BuildLoops(build_ext):
             compiler_directives=DIRECTIVES,
             quiet=True,
         )
+        # Cython copies headers, and does not renew the copies of those that headers include.
+        for copied in glob.glob(f"build/cython/{LOOPS}/*.h"):
+            os.remove(copied)
         self.distribution.ext_modules = [
             Extension(
                 _name(f"{variant}.{extension.name.rsplit('.', 1)[1]}"),

@@ -17,6 +17,8 @@ NAN = cython.declare(cython.float, np.nan)
 #: Cost outside the range, above any other cost.
 OUTSIDE = cython.declare(cython.short, 20000)
 MAX_COST = cython.declare(cython.short, 32767)
+#: Proposals are in parts of a px.
+PARTS = cython.declare(cython.int, 16)
 
 
 #: Memory for the costs of a strip, in bytes.
@@ -151,7 +153,7 @@ def semi_global(
             go_up(frame, strip, weights, work)
             for y in range(strip * height, min((strip + 1) * height, rows)):
                 go_across(frame, y, weights, work)
-                go_along(frame, y, y - 1, work.down, work.min_down, weights, work)
+                go_along(frame, y, y - 1, work.down, work.min_down, -1, weights, work)
                 choose(frame, y, weights, work, margin)
                 paint(y, work, disparity, margin)
 
@@ -261,12 +263,14 @@ def propose(frame: Frame, y: cython.int, work: Workspace) -> cython.void:
             cost[x, d] = window[x, d] + w
             total[x, d] = 0
         wanted: cython.float = frame.proposed[y, x]
-        if w > 0 and 0 <= wanted < count + 2:
-            near: cython.int = cython.cast(cython.int, wanted + 0.5)
-            for k in range(max(near - 2, 0), min(near + 3, count)):
-                away: cython.float = abs(k - wanted)
-                if away < 2:
-                    cost[x, k] = cost[x, k] - cython.cast(cython.short, w * (1 - away / 2))
+        if w > 0 and -3 < wanted < count + 3:
+            parts: cython.int = cython.cast(cython.int, wanted * PARTS)
+            near: cython.int = parts // PARTS
+            for k in range(max(near - 2, 0), min(near + 4, count)):
+                share: cython.int = 2 * PARTS - abs(PARTS * k - parts)
+                if share > 0:
+                    less: cython.int = w * share // (2 * PARTS)
+                    cost[x, k] = cost[x, k] - cython.cast(cython.short, less)
 
 
 @cython.cfunc
@@ -282,12 +286,14 @@ def go_on(
     cost: cython.short[:, ::1],
     total: cython.short[:, ::1],
     x: cython.Py_ssize_t,
+    keeps: cython.short,
     weights: Weights,
 ) -> cython.short:
     """Advance a path to the pixel ``x``, add its costs to the total, and return the least of them.
 
     Row ``now`` of ``path`` has the costs so far, of which ``least`` is the least, below 0 where the
     path begins; row ``after`` gets those at ``x``. ``edge`` is by how much grey changes on the way.
+    ``keeps``: bits that the total gets of what the step adds to the cost of the pixel.
     """
     d: cython.Py_ssize_t
     count: cython.Py_ssize_t = cost.shape[1]
@@ -307,9 +313,9 @@ def go_on(
         here = here if here < up else up
         here = here if here < more else more
         here = here if here < limit else limit
-        here = here - least + cost[x, d]
-        path[after, d + 1] = here
-        total[x, d] = total[x, d] + here
+        here = here - least
+        path[after, d + 1] = here + cost[x, d]
+        total[x, d] = total[x, d] + (here & keeps) + cost[x, d]
     least = OUTSIDE
     for d in range(1, count + 1):
         least = path[after, d] if path[after, d] < least else least
@@ -341,7 +347,7 @@ def go_across(frame: Frame, y: cython.int, weights: Weights, work: Workspace) ->
             least = min_right if from_right else min_left
             beside: cython.Py_ssize_t = min(x + 1, width - 1) if from_right else max(x - 1, 0)
             edge: cython.int = abs(frame.right[y, x] - frame.right[y, beside])
-            least = go_on(path, now, after, least, edge, cost, total, x, weights)
+            least = go_on(path, now, after, least, edge, cost, total, x, -1, weights)
         if from_right:
             min_right = least
         else:
@@ -357,7 +363,7 @@ def go_up(frame: Frame, strip: cython.int, weights: Weights, work: Workspace) ->
     first: cython.int = strip * work.strip_rows
     y: cython.int
     for y in range(min(first + work.strip_rows, rows) - 1, first - 1, -1):
-        go_along(frame, y, y + 1, work.up, work.min_up, weights, work)
+        go_along(frame, y, y + 1, work.up, work.min_up, ~1, weights, work)
 
 
 @cython.cfunc
@@ -369,6 +375,7 @@ def go_along(
     before: cython.int,
     path: cython.short[:, ::1],
     min_path: cython.short[::1],
+    keeps: cython.short,
     weights: Weights,
     work: Workspace,
 ) -> cython.void:
@@ -385,7 +392,7 @@ def go_along(
         if frame.where[y, x]:
             least = min_path[x]
             edge: cython.int = abs(frame.right[y, x] - frame.right[source, x])
-            least = go_on(path, now + x, after + x, least, edge, cost, total, x, weights)
+            least = go_on(path, now + x, after + x, least, edge, cost, total, x, keeps, weights)
         min_path[x] = least
 
 

@@ -1,41 +1,40 @@
 /* Semi-global matching in vectors: the same results to the bit as the loops of dense.py.
 
-   The disparities of a pixel lie in chunks of 16. Each tile of the image has the set of chunks
-   that are looked at there, a bit for each; all else costs OUTSIDE. Costs of pixels are bytes and
-   are added up down before across. As in dense.py rows are taken in strips, the path from below
-   first: an image of one strip is gone through up and down, one of several once more. */
+   A vector holds one disparity of LANES pixels: of a row for paths up and down, of a column for
+   paths along rows. So no step needs what lies beside it in a vector. The image is a grid of
+   blocks of LANES x LANES pixels, which are turned in between; a band is a row of blocks.
+
+   Each tile of the image has the set of disparities that are looked at there; all else costs
+   OUTSIDE. The path from below comes first and its costs are kept, in strips of bands: an image of
+   one strip is gone through up and down, one of several once more. */
 
 #ifndef SEMI_GLOBAL_H
 #define SEMI_GLOBAL_H
 
 #include <limits.h>
 #include <math.h>
-#include <stddef.h>
 #include <stdlib.h>
 
 #include "vectors.h"
 
-#define CHUNK 16
-#define MAX_CHUNKS 64
-#define PER_CHUNK (CHUNK / LANES)  /* vectors */
-#define MAX_VECTORS (MAX_CHUNKS * PER_CHUNK)
-
-/* Cost of what is not looked at; of what fills up the last chunk, and the sum of four paths of
-   such costs still fits; and more than any. */
+/* Cost of what is not looked at, more than any path's; and more than any. */
 #define OUTSIDE 20000
-#define PADDING 7000
 #define MAX_COST 32767
 
 /* The second best disparity is a rival where it costs less than this share more than the best. */
 #define RIVAL_SHARE 0.1f
 
+/* Proposals are in parts of a px, and reach so many parts. */
+#define PARTS 16
+#define REACH (2 * PARTS)
+
 #define ALIGNMENT 64  /* of arrays, in bytes */
+#define HALO (LANES / 2)  /* pixels at each side of a block */
+#define LINES (LANES + 2)  /* rows of a band, with one above and one below */
 
-/* Or'ed to a cost it is about OUTSIDE, and a step more fits. */
-#define FAR 16384
-
-/* Chunks, a bit for each. */
+/* Chunks of disparities, a bit for each. */
 typedef unsigned long long Set;
+#define MAX_CHUNKS 64
 
 typedef struct {
     const uint8_t *right, *left;
@@ -44,7 +43,7 @@ typedef struct {
     const float *proposed;
     const int16_t *weight;
     int rows, width, count;
-    ptrdiff_t strip_bytes;  /* what costs and totals of a strip may take */
+    ptrdiff_t strip_bytes;  /* what the costs of paths from below may take */
 } View;
 
 typedef struct {
@@ -55,375 +54,459 @@ typedef struct {
 /* Sets of chunks, a row of tiles after the other. */
 typedef struct {
     const Set *sets;
-    int rows, width;  /* of a tile, px */
+    int rows, width;  /* of a tile, px: multiples of 16, or all of the image */
+    int chunk;        /* disparities in a chunk */
 } Tiles;
 
-/* The paths of all columns. */
+/* Disparities from ``begin`` on, and the place of the first in a list of all. */
 typedef struct {
-    int16_t *costs;  /* with a border of a chunk on both sides */
+    int begin, end, place;
+} Run;
+
+/* What is looked at in a block: nothing where no pixel is wanted. */
+typedef struct {
+    Set set;
+    int count, runs;
+    Run run[MAX_CHUNKS / 2 + 1];
+} Choice;
+
+/* Paths of some blocks of pixels: those of all columns, or of all rows of a band. */
+typedef struct {
+    int16_t *costs;  /* of each disparity, with one more at each side */
     int16_t *least;  /* below 0 where no path comes */
     Set *sets;       /* the chunks that each has */
-} Columns;
+} Paths;
+
+/* What is found of the pixels of a band: the best disparity, -1 = not wanted, its cost, that of the
+   second best, those of its neighbours, MAX_COST = not looked at; and the second best. */
+enum { BEST, COST, SECOND_COST, BEFORE, AFTER, RIVAL, RESULTS };
 
 typedef struct {
     View view;
     Penalties penalties;
     Tiles tiles;
-    int chunks;
-    ptrdiff_t line, path_line;    /* words of a pixel's costs, and of its path with a border */
-    uint8_t *low, *high, *slope;  /* of a left row, continued by its last pixel */
-    uint8_t *single;              /* costs of the pixels of three rows */
-    uint8_t *column;              /* and added up down */
-    Set *needed;             /* chunks of each pixel of a row, with a border of one */
-    Columns up, down;             /* paths from below and from above */
-    int16_t *across;              /* the path along a row */
-    Set across_set;               /* the chunks that it has */
-    int *best;
-    int *partner;                 /* the least claim to each left pixel */
-    int16_t *leap_along, *leap_across;  /* to each pixel from the row before, and from the left */
-    int16_t *around;              /* of each pixel: costs before, at and after the best */
-    int16_t *cost, *total;        /* of a strip, only what is in the sets; total: of the paths */
-    int strip_rows;
-    uint8_t *brought;             /* paths from below, as they come to each strip */
-    float *margin, *rival;        /* of the row */
+    int blocks, bands, strip_bands;
+    ptrdiff_t line;         /* bytes of a row with what is beyond its ends */
+    ptrdiff_t path;         /* words of the path of a block */
+    uint8_t *right, *lean;  /* grey and slope of the rows of a band, */
+    uint8_t *grey, *low, *high, *slope;  /* and of the left view, continued by its last pixel */
+    int16_t *where, *where_across;  /* the pixels of a band, all bits = wanted, and turned */
+    int16_t *weight, *wanted;       /* and what is proposed for them */
+    int16_t *leap, *leap_across;
+    uint8_t *sums;          /* costs of pixels of a block at a disparity, of three rows each */
+    int16_t *cost, *total;  /* of a block */
+    int16_t *cost_across, *total_across;  /* of a band, turned */
+    int16_t *found;         /* of a band: all results of a row after the other */
+    int *partner;           /* the least claim to each left pixel of a row, and to none */
+    uint8_t *kept;          /* of a strip: what paths from below add */
+    Paths up, down, across;
+    uint8_t *brought;       /* paths from below, as they come to each strip */
 } Matching;
 
-/* A part of a row, of tiles with the same set, and that set as a list of vectors. */
-typedef struct {
-    int begin, end, vectors;
-    Set set;
-    Words padding[PER_CHUNK];  /* added to the costs of the last ones */
-    int at[MAX_VECTORS];       /* the first disparity of each */
-} Stretch;
+INLINE ptrdiff_t columns(const Matching *m) { return (ptrdiff_t)m->blocks * LANES; }
 
-INLINE int tiles_across(const Matching *m)
+static int is_idle(const Matching *m, int band, int block)
 {
-    return (m->view.width + m->tiles.width - 1) / m->tiles.width;
+    int begin = block * LANES, width = m->view.width - begin;
+    int end = (band + 1) * LANES < m->view.rows ? (band + 1) * LANES : m->view.rows;
+    for (int y = band * LANES; y < end; y++)
+        if (memchr(m->view.where + (ptrdiff_t)y * m->view.width + begin, 1,
+                   (size_t)(width < LANES ? width : LANES)))
+            return 0;
+    return 1;
 }
 
-INLINE const Set *sets_of_row(const Matching *m, int y)
+static void choice_of(const Matching *m, int band, int block, Choice *choice)
 {
-    return m->tiles.sets + (ptrdiff_t)(y / m->tiles.rows) * tiles_across(m);
-}
-
-static void stretch_of(const Matching *m, int y, int first, int last, Stretch *stretch)
-{
-    int width = m->tiles.width;
-    stretch->set = sets_of_row(m, y)[first];
-    stretch->begin = first * width;
-    stretch->end = (last + 1) * width < m->view.width ? (last + 1) * width : m->view.width;
-    stretch->vectors = 0;
-    for (Set rest = stretch->set; rest; rest &= rest - 1) {
-        int chunk = __builtin_ctzll(rest);
-        for (int i = 0; i < PER_CHUNK; i++)
-            stretch->at[stretch->vectors++] = chunk * CHUNK + i * LANES;
-    }
-    for (int i = 0; i < PER_CHUNK; i++) {
-        int beyond = m->view.count - stretch->at[stretch->vectors - PER_CHUNK + i];
-        stretch->padding[i] = (counted() >= (int16_t)beyond) & PADDING;
-    }
-}
-
-INLINE ptrdiff_t words_of(const Stretch *stretch)
-{
-    return (ptrdiff_t)(stretch->end - stretch->begin) * stretch->vectors * LANES;
-}
-
-/* Fill in the chunks that the windows of the pixels wanted in some rows take in. */
-static void find_needed(const Matching *m, int first, int last)
-{
-    int width = m->view.width, tile_px = m->tiles.width;
-    Set *needed = m->needed + 1;
-    memset(m->needed, 0, (size_t)(width + 2) * sizeof(Set));
-    for (int y = first < 0 ? 0 : first; y <= last && y < m->view.rows; y++) {
-        const uint8_t *where = m->view.where + (ptrdiff_t)y * width;
-        const Set *sets = sets_of_row(m, y);
-        for (int begin = 0; begin < width; begin += tile_px) {
-            Set set = *sets++;
-            int end = begin + tile_px < width ? begin + tile_px : width;
-            for (int x = begin; x < end; x++)
-                needed[x] |= set & -(Set)where[x];
-        }
-    }
-}
-
-INLINE uint8_t *single_row(const Matching *m, int row)
-{
-    return m->single + (ptrdiff_t)((row + 3) % 3) * m->view.width * m->line;
-}
-
-/* Fill in the costs of the pixels of a row, that of the border where it lies beyond. */
-static void differ(const Matching *m, int row)
-{
-    int width = m->view.width, last = width - 1;
-    int y = row < 0 ? 0 : row < m->view.rows ? row : m->view.rows - 1;
-    const uint8_t *left = m->view.left + (ptrdiff_t)y * width;
-    const uint8_t *right = m->view.right + (ptrdiff_t)y * width;
-    const int8_t *left_slope = m->view.left_slope + (ptrdiff_t)y * width;
-    const int8_t *right_slope = m->view.right_slope + (ptrdiff_t)y * width;
-    uint8_t *restrict low = m->low, *restrict high = m->high, *restrict slope = m->slope;
-    for (int x = 0; x < width; x++)
-        slope[x] = (uint8_t)(left_slope[x] + 128);
-    for (int x = 0; x < width; x++) {
-        uint8_t here = left[x];
-        uint8_t before = (uint8_t)((here + left[x > 0 ? x - 1 : 0]) / 2);
-        uint8_t after = (uint8_t)((here + left[x < last ? x + 1 : last]) / 2);
-        uint8_t less = before < after ? before : after, more = before < after ? after : before;
-        low[x] = here < less ? here : less;
-        high[x] = here > more ? here : more;
-    }
-    /* What lies beyond the border is like the last pixel, and has no other neighbours. */
-    memset(low + width, left[last], (size_t)m->line);
-    memset(high + width, left[last], (size_t)m->line);
-    memset(slope + width, (uint8_t)(left_slope[last] + 128), (size_t)m->line);
-
-    find_needed(m, y - 1, y + 1);
-    Bytes max_grey = all_bytes(m->penalties.max_grey), max_slope = all_bytes(m->penalties.max_slope);
-    ptrdiff_t line = m->line;
-    const Set *needed = m->needed;
-    uint8_t *restrict cost = single_row(m, row);
-    for (int x = 0; x < width; x++, cost += line) {
-        Bytes grey = all_bytes(right[x]), lean = all_bytes(right_slope[x] + 128);
-        for (Set rest = needed[x] | needed[x + 1] | needed[x + 2]; rest; rest &= rest - 1) {
-            int d = __builtin_ctzll(rest) * CHUNK;
-            Bytes lows = load_bytes(low + x + d), highs = load_bytes(high + x + d);
-            Bytes slopes = load_bytes(slope + x + d);
-            Bytes differs = least_bytes(excess(lows, grey) | excess(grey, highs), max_grey);
-            Bytes leans = least_bytes(excess(slopes, lean) | excess(lean, slopes), max_slope);
-            store_bytes(cost + d, differs + leans);
-        }
-    }
-}
-
-/* Add up the costs of three rows down. */
-static void add_up(const Matching *m, int y)
-{
-    const uint8_t *above = single_row(m, y - 1), *here = single_row(m, y);
-    const uint8_t *below = single_row(m, y + 1);
-    find_needed(m, y, y);
-    const Set *needed = m->needed;
-    uint8_t *restrict column = m->column;
-    for (int x = 0; x < m->view.width; x++) {
-        ptrdiff_t pixel = x * m->line;
-        for (Set rest = needed[x] | needed[x + 1] | needed[x + 2]; rest; rest &= rest - 1) {
-            ptrdiff_t i = pixel + __builtin_ctzll(rest) * CHUNK;
-            store_bytes(column + i,
-                        load_bytes(above + i) + load_bytes(here + i) + load_bytes(below + i));
-        }
-    }
-}
-
-/* Prefer what is proposed. */
-INLINE void propose(Words *cost, int vectors, const Stretch *s, int count, float wanted,
-                    int16_t weight)
-{
-    if (!(wanted > -4 && wanted < count + 4))
+    int across = (m->view.width + m->tiles.width - 1) / m->tiles.width, size = m->tiles.chunk;
+    choice->set = choice->count = choice->runs = 0;
+    if (is_idle(m, band, block))
         return;
-    int first = (int)(wanted + 0.5f) - 2;
-    Floats away = (Floats){0, 1, 2, 3, 4, 5, 6, 7} + ((float)first - wanted);
-    Floats share = 1 - (Floats)((Ints)away & 0x7fffffff) / 2;  /* of the weight */
-    Floats less = (Floats)((Ints)(share * (float)weight) & (share > 0));
-    int16_t around[2 * LANES + 8] = {0};
-    Halves whole = __builtin_convertvector(less, Halves);
-    memcpy(around + LANES, &whole, sizeof whole);
-    for (int i = 0; i < vectors; i++) {  /* without branches, which nothing foretells */
-        int from = s->at[i] - first + LANES;
-        from = from > 0 ? from : 0;
-        cost[i] -= load(around + (from < LANES + 8 ? from : LANES + 8));
+    choice->set = m->tiles.sets[(ptrdiff_t)(band * LANES / m->tiles.rows) * across
+                                + block * LANES / m->tiles.width];
+    for (Set rest = choice->set; rest; rest &= rest - 1) {
+        int begin = __builtin_ctzll(rest) * size;
+        int end = begin + size < m->view.count ? begin + size : m->view.count;
+        Run *last = choice->run + choice->runs - 1;
+        if (choice->runs > 0 && last->end == begin)
+            last->end = end;
+        else
+            choice->run[choice->runs++] = (Run){begin, end, choice->count};
+        choice->count += end - begin;
     }
 }
 
-/* The costs of a pixel's window, and more where another disparity is proposed. */
-INLINE void costs_of(const Matching *m, const Stretch *s, int vectors, int y, int x, Words *cost)
-{
-    ptrdiff_t pixel = (ptrdiff_t)y * m->view.width + x;
-    const uint8_t *here = m->column + x * m->line;
-    const uint8_t *before = x > 0 ? here - m->line : here;
-    const uint8_t *after = x < m->view.width - 1 ? here + m->line : here;
-    int16_t weight = m->view.weight[pixel];
-    Words more = all_of(weight);
-    for (int i = 0; i < vectors; i++) {
-        int d = s->at[i];
-        cost[i] = widened(before + d) + widened(here + d) + widened(after + d) + more;
-    }
-    for (int i = 0; i < PER_CHUNK; i++)
-        cost[vectors - PER_CHUNK + i] += s->padding[i];
-    if (weight > 0)
-        propose(cost, vectors, s, m->view.count, m->view.proposed[pixel], weight);
-}
+/* How many costs a block has. */
+INLINE ptrdiff_t costs_of(const Choice *choice) { return (ptrdiff_t)choice->count * LANES * LANES; }
 
-/* Fill in what a change by more than a step costs between the pixels of two rows. */
-static void fill_leaps(const Matching *m, const uint8_t *grey, const uint8_t *beside, int width,
+/* Fill in what a change by more than a step costs between pixels and those beside them. */
+static void fill_leaps(const Matching *m, const uint8_t *grey, const uint8_t *beside,
                        int16_t *restrict leaps)
 {
     int16_t leap = (int16_t)m->penalties.leap, per_level = (int16_t)m->penalties.per_grey_level;
     int16_t min_leap = (int16_t)m->penalties.min_leap;
-    for (int x = 0; x < width; x++) {
+    ptrdiff_t width = columns(m);
+    for (ptrdiff_t x = 0; x < width; x++) {
         int16_t here = (int16_t)(leap - per_level * abs(grey[x] - beside[x]));
         leaps[x] = here > min_leap ? here : min_leap;
     }
 }
 
-/* Make a path forget all chunks but those of a set. */
-INLINE void forget(int16_t *path, Set chunks)
+/* Copy a row and continue it at both ends. */
+static void extend(const uint8_t *row, int width, ptrdiff_t line, uint8_t *result)
 {
-    for (; chunks; chunks &= chunks - 1)
-        for (int i = 0; i < CHUNK; i += LANES)
-            store(path + __builtin_ctzll(chunks) * CHUNK + i, all_of(OUTSIDE));
+    memset(result, row[0], HALO);
+    memcpy(result + HALO, row, (size_t)width);
+    memset(result + HALO + width, row[width - 1], (size_t)(line - HALO - width));
 }
 
-/* Take the path of a column to row ``y`` and return its costs; ``beside`` is the row it is from. */
-INLINE void go_along_column(const Matching *m, const Stretch *s, int vectors, const Columns *columns,
-                            int x, const Words *cost, Words *costs)
+/* The same of slopes, as bytes without signs in the same order. */
+static void extend_slopes(const int8_t *row, int width, ptrdiff_t line, uint8_t *result)
 {
-    int16_t *path = columns->costs + x * m->path_line + CHUNK, least_before = columns->least[x];
-    Words minimum = all_of(MAX_COST);
-    if (least_before < 0) {
-        for (int i = 0; i < vectors; i++) {
-            costs[i] = cost[i];
-            store(path + s->at[i], cost[i]);
-            minimum = least(minimum, cost[i]);
-        }
-    } else {
-        Words step = all_of(m->penalties.step), limit = all_of(least_before + m->leap_along[x]);
-        Words before = load(path + s->at[0] - 1);
-        for (int i = 0; i < vectors; i++) {
-            int d = s->at[i];
-            Words change = least(before, load(path + d + 1)) + step;
-            Words here = least(least(load(path + d), change), limit);
-            if (i + 1 < vectors)
-                before = load(path + s->at[i + 1] - 1);
-            costs[i] = here - least_before + cost[i];
-            store(path + d, costs[i]);
-            minimum = least(minimum, costs[i]);
-        }
-    }
-    if (columns->sets[x] != s->set) {
-        forget(path, columns->sets[x] & ~s->set);
-        columns->sets[x] = s->set;
-    }
-    columns->least[x] = least_of_all(minimum)[0];
+    extend((const uint8_t *)row, width, line, result);
+    for (ptrdiff_t x = 0; x < line; x += 2 * LANES)
+        store_bytes(result + x, load_bytes(result + x) ^ all_bytes(128));
 }
 
-/* A path along a row, held in registers within a stretch. */
-typedef struct {
-    int started;
-    Words least;  /* of its costs, in all words */
-} Across;
+/* Means, rounded down. */
+INLINE Bytes means(Bytes a, Bytes b) { return (a & b) + (((a ^ b) >> 1) & all_bytes(127)); }
 
-/* Take it to a pixel. ``fresh``: it comes from another stretch, and its costs are in memory. */
-INLINE void go_across(const Matching *m, const Stretch *s, int vectors, int fresh, int16_t leap,
-                      const Words *apart, const Words *cost, Words *path, Across *across)
+/* Fill in the least and the largest grey within half a pixel. ``grey`` is from one before on. */
+static void find_ranges(const uint8_t *grey, ptrdiff_t line, uint8_t *low, uint8_t *high)
 {
-    Words minimum = all_of(MAX_COST);
-    if (!across->started) {
-        for (int i = 0; i < vectors; i++) {
-            path[i] = cost[i];
-            minimum = least(minimum, cost[i]);
-        }
-    } else {
-        const int16_t *memory = m->across + CHUNK;
-        Words step = all_of(m->penalties.step), limit = across->least + leap;
-        Words before = all_of(OUTSIDE);
-        for (int i = 0; i < vectors; i++) {
-            Words less, more, here = path[i];
-            if (fresh) {
-                less = load(memory + s->at[i] - 1);
-                more = load(memory + s->at[i] + 1);
-            } else {
-                less = one_before(before | apart[i], here);
-                more = i + 1 < vectors ? one_after(here, path[i + 1] | apart[i + 1])
-                                       : one_after(here, all_of(OUTSIDE));
+    for (ptrdiff_t x = 0; x < line; x += 2 * LANES) {
+        Bytes here = load_bytes(grey + x + 1);
+        Bytes before = means(here, load_bytes(grey + x));
+        Bytes after = means(here, load_bytes(grey + x + 2));
+        store_bytes(low + x, least_bytes(here, least_bytes(before, after)));
+        store_bytes(high + x, ~least_bytes(~here, least_bytes(~before, ~after)));
+    }
+}
+
+/* Fill in the pixels of a row that are wanted, and what is proposed for them. */
+static void read_wishes(const Matching *m, int row, ptrdiff_t to)
+{
+    ptrdiff_t from = (ptrdiff_t)row * m->view.width, width = m->view.width;
+    const uint8_t *where = m->view.where + from;
+    const float *proposed = m->view.proposed + from;
+    int16_t *restrict wanted = m->wanted + to, *restrict mask = m->where + to;
+    float most = (float)(m->view.count + 3);
+    for (ptrdiff_t x = 0; x < width; x++)
+        mask[x] = (int16_t)-where[x];
+    for (ptrdiff_t x = 0; x < width; x++) {
+        float parts = (proposed[x] > -3 && proposed[x] < most ? proposed[x] : -3) * PARTS;
+        wanted[x] = (int16_t)(int)parts;
+    }
+    memcpy(m->weight + to, m->view.weight + from, (size_t)width * sizeof(int16_t));
+}
+
+/* Read the rows of a band. Rows beyond the image are like its first or last one. */
+static void read_band(const Matching *m, int band)
+{
+    int width = m->view.width, rows = m->view.rows;
+    for (int i = 0; i < LINES; i++) {
+        int y = band * LANES + i - 1;
+        y = y < 0 ? 0 : y < rows ? y : rows - 1;
+        ptrdiff_t from = (ptrdiff_t)y * width, to = i * m->line;
+        extend(m->view.right + from, width, m->line, m->right + to);
+        extend_slopes(m->view.right_slope + from, width, m->line, m->lean + to);
+        extend_slopes(m->view.left_slope + from, width, m->line, m->slope + to);
+        m->grey[0] = m->view.left[from];
+        extend(m->view.left + from, width, m->line + 1, m->grey + 1);
+        find_ranges(m->grey, m->line, m->low + to, m->high + to);
+    }
+    memset(m->where, 0, (size_t)columns(m) * LANES * sizeof(int16_t));
+    memset(m->weight, 0, (size_t)columns(m) * LANES * sizeof(int16_t));
+    for (int y = 0; y < LANES && band * LANES + y < rows; y++)
+        read_wishes(m, band * LANES + y, y * columns(m));
+}
+
+/* The costs of pixels from a place on in the right view and another in the left one. */
+INLINE Bytes difference(const Matching *m, ptrdiff_t right, ptrdiff_t at)
+{
+    Bytes grey = load_bytes(m->right + right), lean = load_bytes(m->lean + right);
+    Bytes low = load_bytes(m->low + at), high = load_bytes(m->high + at);
+    Bytes slope = load_bytes(m->slope + at);
+    Bytes differs = excess(low, grey) | excess(grey, high);
+    Bytes leans = excess(slope, lean) | excess(lean, slope);
+    return least_bytes(differs, all_bytes(m->penalties.max_grey))
+           + least_bytes(leans, all_bytes(m->penalties.max_slope));
+}
+
+/* Fill in the costs of a block's windows, (LANES, disparities, LANES). */
+static void fill_costs(const Matching *matching, int block, const Choice *choice)
+{
+    const Matching local = *matching, *m = &local;  /* of which is known that nothing changes it */
+    ptrdiff_t begin = (ptrdiff_t)block * LANES, step = (ptrdiff_t)choice->count * LANES;
+    int last = m->view.width - (int)begin - 1;
+    for (int i = 0; i < choice->runs; i++) {
+        const Run run = choice->run[i];
+        for (int d = run.begin; d < run.end; d++) {
+            ptrdiff_t at = begin + d;
+            Bytes above = difference(m, begin, at), here = difference(m, begin + m->line, at + m->line);
+            for (int y = 0; y < LANES; y++) {
+                ptrdiff_t line = (y + 2) * m->line;
+                Bytes below = difference(m, begin + line, at + line);
+                store_bytes(m->sums + 2 * LANES * y, above + here + below);
+                above = here;
+                here = below;
             }
+            /* What lies beyond the border is like the last pixel. */
+            for (uint8_t *sum = m->sums + HALO; block == 0 && sum < m->sums + 2 * LANES * LANES;
+                 sum += 2 * LANES)
+                sum[-1] = sum[0];
+            for (uint8_t *sum = m->sums + HALO; last < LANES && sum < m->sums + 2 * LANES * LANES;
+                 sum += 2 * LANES)
+                sum[last + 1] = sum[last];
+            int16_t *cost = m->cost + (ptrdiff_t)(run.place + d - run.begin) * LANES;
+            for (int y = 0; y < LANES; y++) {
+                const uint8_t *sum = m->sums + 2 * LANES * y + HALO;
+                store(cost + y * step, widened(sum - 1) + widened(sum) + widened(sum + 1)
+                                       + load(m->weight + begin + y * columns(m)));
+            }
+        }
+    }
+}
+
+/* Prefer what is proposed: take off a share of the weight, less with the distance from it. */
+static void prefer(const Matching *m, int block, const Choice *choice)
+{
+    Words any = all_of(0);
+    for (int y = 0; y < LANES; y++)
+        any |= load(m->weight + y * columns(m) + (ptrdiff_t)block * LANES);
+    if (least_of_all(-any)[0] == 0)
+        return;
+    for (int y = 0; y < LANES; y++) {
+        ptrdiff_t at = y * columns(m) + (ptrdiff_t)block * LANES;
+        Words weight = load(m->weight + at), wanted = load(m->wanted + at), some = weight > 0;
+        int first = least_of_all(chosen(some, wanted, all_of(MAX_COST)))[0];
+        int last = -least_of_all(chosen(some, -wanted, all_of(MAX_COST)))[0];
+        for (int i = 0; i < choice->runs; i++) {
+            const Run run = choice->run[i];
+            int begin = (first - REACH) / PARTS, end = (last + REACH) / PARTS + 1;
+            begin = begin > run.begin ? begin : run.begin;
+            end = end < run.end ? end : run.end;
+            int16_t *cost = m->cost
+                            + ((ptrdiff_t)y * choice->count + run.place - run.begin) * LANES;
+            for (int d = begin; d < end; d++) {
+                Words away = wanted - (int16_t)(d * PARTS);
+                Words share = REACH + least(away, -away);
+                share &= (share > 0) & some;
+                store(cost + (ptrdiff_t)d * LANES,
+                      load(cost + (ptrdiff_t)d * LANES) - ((share * weight) >> 5));
+            }
+        }
+    }
+}
+
+static void price(const Matching *m, int block, const Choice *choice)
+{
+    fill_costs(m, block, choice);
+    prefer(m, block, choice);
+}
+
+/* Make the paths of a block have the disparities of a choice, and no more. */
+static void adopt(const Matching *m, const Paths *paths, int block, const Choice *choice)
+{
+    int16_t *costs = paths->costs + block * m->path + LANES;
+    for (Set gone = paths->sets[block] & ~choice->set; gone; gone &= gone - 1) {
+        int begin = __builtin_ctzll(gone) * m->tiles.chunk, end = begin + m->tiles.chunk;
+        for (int d = begin; d < end && d < m->view.count; d++)
+            store(costs + (ptrdiff_t)d * LANES, all_of(OUTSIDE));
+    }
+    paths->sets[block] = choice->set;
+}
+
+/* What becomes of the costs of paths: what a step adds to that of the pixels is kept, half of it so
+   that it fits in a byte, or taken from where it was kept and added to a total besides; or they are
+   added to a total. */
+typedef struct {
+    uint8_t *kept;
+    const uint8_t *taken;
+    const int16_t *before;
+    int16_t *total;
+} Use;
+
+/* Take paths to the next pixels. ``costs`` are of the paths, ``least`` the least of them, below 0
+   where a path begins; ``cost`` is that of the pixels. Return the least of them now. */
+INLINE Words go_on(const Choice *choice, int16_t *costs, Words least_before, Words leap, Words step,
+                   const int16_t *cost, Use use)
+{
+    Words started = least_before >= 0, minimum = all_of(MAX_COST);
+    Words limit = (least_before + leap) & started, by = least_before & started;
+    for (int i = 0; i < choice->runs; i++) {
+        const Run run = choice->run[i];
+        int16_t *path = costs + (ptrdiff_t)run.begin * LANES;
+        ptrdiff_t at = (ptrdiff_t)run.place * LANES;
+        ptrdiff_t end = at + (ptrdiff_t)(run.end - run.begin) * LANES;
+        Words before = all_of(OUTSIDE), here = load(path);
+        for (; at < end; at += LANES) {
+            Words after = load(path + LANES), own = load(cost + at);
+            Words change = least(least(before, after) + step, least(here, limit)) - by;
+            Words now = change + own;
+            store(path, now);
+            minimum = least(minimum, now);
+            if (use.kept)
+                store_narrowed(use.kept + at, change >> 1);
+            if (use.taken)
+                now += (widened(use.taken + at) << 1) + own;
+            if (use.before)
+                now += load(use.before + at);
+            if (use.total)
+                store(use.total + at, now);
             before = here;
-            here = least(least(here, least(less, more) + step), limit);
-            path[i] = here + (cost[i] - across->least);
-            minimum = least(minimum, path[i]);
+            here = after;
+            path += LANES;
         }
     }
-    across->least = least_of_all(minimum);
-    across->started = 1;
+    return minimum;
 }
 
-INLINE void resume(const Matching *m, const Stretch *s, int vectors, Words *apart, Words *path)
+/* Go up a band, and keep what the paths add. */
+static void band_up(const Matching *m, int band, uint8_t *kept)
 {
-    for (int i = 0; i < vectors; i++) {
-        path[i] = load(m->across + CHUNK + s->at[i]);
-        apart[i] = all_of(i > 0 && s->at[i - 1] + LANES == s->at[i] ? 0 : FAR);
+    Words step = all_of(m->penalties.step);
+    read_band(m, band);
+    for (int y = 0; y < LANES; y++) {
+        const uint8_t *here = m->right + (y + 1) * m->line + HALO;
+        fill_leaps(m, here, here + m->line, m->leap + y * columns(m));
     }
-}
-
-INLINE void suspend(Matching *m, const Stretch *s, int vectors, const Words *path)
-{
-    for (int i = 0; i < vectors; i++)
-        store(m->across + CHUNK + s->at[i], path[i]);
-    forget(m->across + CHUNK, m->across_set & ~s->set);
-    m->across_set = s->set;
-}
-
-/* Find the costs of a stretch of a row, go up, and keep both. */
-INLINE void go_up(const Matching *matching, const Stretch *stretch, int vectors, int y,
-                  ptrdiff_t offset)
-{
-    /* Copies, of which the compiler knows that no store changes them. */
-    const Matching local = *matching, *m = &local;
-    const Stretch known = *stretch, *s = &known;
-    const uint8_t *where = m->view.where + (ptrdiff_t)y * m->view.width;
-    for (int x = s->begin; x < s->end; x++, offset += vectors * LANES) {
-        if (!where[x]) {
-            m->up.least[x] = -1;
-            continue;
+    for (int block = 0; block < m->blocks; block++) {
+        Choice choice;
+        choice_of(m, band, block, &choice);
+        Words now = all_of(-1);
+        if (choice.count > 0) {
+            int16_t *costs = m->up.costs + block * m->path + LANES;
+            adopt(m, &m->up, block, &choice);
+            price(m, block, &choice);
+            now = load(m->up.least + block * LANES);
+            for (int y = LANES - 1; y >= 0; y--) {
+                ptrdiff_t at = y * columns(m) + (ptrdiff_t)block * LANES;
+                ptrdiff_t row = (ptrdiff_t)y * choice.count * LANES;
+                now = go_on(&choice, costs, now, load(m->leap + at), step, m->cost + row,
+                            (Use){.kept = kept + row});
+                now = chosen(load(m->where + at), now, all_of(-1));
+            }
+            kept += costs_of(&choice);
         }
-        Words cost[MAX_VECTORS], costs[MAX_VECTORS];
-        costs_of(m, s, vectors, y, x, cost);
-        go_along_column(m, s, vectors, &m->up, x, cost, costs);
-        for (int i = 0; i < vectors; i++) {
-            store(m->cost + offset + i * LANES, cost[i]);
-            store(m->total + offset + i * LANES, costs[i]);
-        }
+        store(m->up.least + block * LANES, now);
     }
 }
 
-/* Go down and to the right in a stretch of a row, and add both to the totals. */
-INLINE void go_forward(Matching *matching, const Stretch *stretch, int vectors, int y,
-                       ptrdiff_t offset, Across *across)
+/* Go down a block, turn its costs and totals, and go to the right. */
+static void block_forward(const Matching *m, int block, const Choice *choice, const uint8_t *kept,
+                          int16_t *cost_across, int16_t *total_across)
 {
-    /* Copies, of which the compiler knows that no store changes them. */
-    const Matching local = *matching, *m = &local;
-    const Stretch known = *stretch, *s = &known;
-    const uint8_t *where = m->view.where + (ptrdiff_t)y * m->view.width;
-    Words path[MAX_VECTORS], apart[MAX_VECTORS];
-    int fresh = 1;
-    resume(m, s, vectors, apart, path);
-    for (int x = s->begin; x < s->end; x++, offset += vectors * LANES) {
-        if (!where[x]) {
-            m->down.least[x] = -1;
-            across->started = 0;
-            continue;
-        }
-        Words cost[MAX_VECTORS], costs[MAX_VECTORS];
-        for (int i = 0; i < vectors; i++)
-            cost[i] = load(m->cost + offset + i * LANES);
-        go_along_column(m, s, vectors, &m->down, x, cost, costs);
-        go_across(m, s, vectors, fresh, m->leap_across[x], apart, cost, path, across);
-        fresh = 0;
-        for (int i = 0; i < vectors; i++) {
-            int16_t *total = m->total + offset + i * LANES;
-            store(total, load(total) + costs[i] + path[i]);
-        }
+    Words step = all_of(m->penalties.step);
+    ptrdiff_t row = (ptrdiff_t)choice->count * LANES;
+    adopt(m, &m->down, block, choice);
+    price(m, block, choice);
+    int16_t *costs = m->down.costs + block * m->path + LANES;
+    Words now = load(m->down.least + block * LANES);
+    for (int y = 0; y < LANES; y++) {
+        ptrdiff_t at = y * columns(m) + (ptrdiff_t)block * LANES;
+        now = go_on(choice, costs, now, load(m->leap + at), step, m->cost + y * row,
+                    (Use){.taken = kept + y * row, .total = m->total + y * row});
+        now = chosen(load(m->where + at), now, all_of(-1));
     }
-    suspend(matching, s, vectors, path);
+    store(m->down.least + block * LANES, now);
+    for (ptrdiff_t i = 0; i < row; i += LANES) {
+        turn(m->cost + i, row, cost_across + i, row);
+        turn(m->total + i, row, total_across + i, row);
+    }
+    adopt(m, &m->across, 0, choice);
+    now = load(m->across.least);
+    for (int x = 0; x < LANES; x++) {
+        ptrdiff_t at = ((ptrdiff_t)block * LANES + x) * LANES;
+        now = go_on(choice, m->across.costs + LANES, now, load(m->leap_across + at), step,
+                    cost_across + x * row,
+                    (Use){.before = total_across + x * row, .total = total_across + x * row});
+        now = chosen(load(m->where_across + at), now, all_of(-1));
+    }
+    store(m->across.least, now);
 }
 
-/* The place of the first of the words that is the least, in words. */
-INLINE int place_of(const Words *words, int vectors, Words minimum)
+/* Choose the disparities of least cost of a column. ``found``: gets the results, each LANES x LANES
+   words after the last one. */
+INLINE void choose(const Choice *choice, const int16_t *total, Words where, int with_rivals,
+                   int16_t *found)
 {
-    int place = vectors * LANES;
-    for (int i = vectors - 1; i >= 0; i--) {
-        int here = first_true(words[i] == minimum);
-        place = here < LANES ? i * LANES + here : place;
+    const Words none = all_of(MAX_COST);
+    Words cost = none, best = all_of(0), before = none, after = none;
+    const int16_t *at = total;
+    for (int i = 0; i < choice->runs; i++) {
+        const Run run = choice->run[i];
+        Words last = none, less = all_of(0), d = all_of(run.begin);
+        for (int k = run.begin; k < run.end; k++) {
+            Words here = load(at);
+            after = chosen(less, here, after);
+            less = here < cost;
+            cost = least(cost, here);
+            best = chosen(less, d, best);
+            before = chosen(less, last, before);
+            last = here;
+            d += 1;
+            at += LANES;
+        }
+        after = chosen(less, none, after);
     }
-    return place;
+    /* Its neighbours do not compete with the best. */
+    Words second = none;
+    at = total;
+    for (int i = 0; i < choice->runs; i++) {
+        const Run run = choice->run[i];
+        Words away = all_of(run.begin) - best;
+        for (int k = run.begin; k < run.end; k++) {
+            Words near = least(away, -away) >= -1;
+            second = least(second, load(at) | (near & MAX_COST));
+            away += 1;
+            at += LANES;
+        }
+    }
+    if (with_rivals) {
+        Words rival = none;
+        at = total;
+        for (int i = 0; i < choice->runs; i++) {
+            const Run run = choice->run[i];
+            Words d = all_of(run.begin);
+            for (int k = run.begin; k < run.end; k++) {
+                Words away = d - best;
+                Words is_other = (load(at) == second) & (least(away, -away) < -1);
+                rival = least(rival, chosen(is_other, d, none));
+                d += 1;
+                at += LANES;
+            }
+        }
+        store(found + RIVAL * LANES * LANES, rival);
+    }
+    store(found + BEST * LANES * LANES, best | ~where);
+    store(found + COST * LANES * LANES, cost);
+    store(found + SECOND_COST * LANES * LANES, second);
+    store(found + BEFORE * LANES * LANES, before);
+    store(found + AFTER * LANES * LANES, after);
+}
+
+/* Go to the left in a block, and choose. */
+static void block_back(const Matching *m, int block, const Choice *choice,
+                       const int16_t *cost_across, const int16_t *total_across, int with_rivals)
+{
+    Words step = all_of(m->penalties.step), now = load(m->across.least);
+    ptrdiff_t row = (ptrdiff_t)choice->count * LANES;
+    int16_t found[RESULTS * LANES * LANES];
+    adopt(m, &m->across, 0, choice);
+    for (int x = LANES - 1; x >= 0; x--) {
+        ptrdiff_t at = ((ptrdiff_t)block * LANES + x) * LANES;
+        Words where = load(m->where_across + at);
+        now = go_on(choice, m->across.costs + LANES, now, load(m->leap_across + at + LANES), step,
+                    cost_across + x * row,
+                    (Use){.before = total_across + x * row, .total = m->total});
+        now = chosen(where, now, all_of(-1));
+        choose(choice, m->total, where, with_rivals, found + x * LANES);
+    }
+    store(m->across.least, now);
+    for (int i = 0; i < (with_rivals ? RESULTS : RIVAL); i++)
+        turn(found + i * LANES * LANES, LANES, m->found + i * columns(m) + block * LANES,
+             RESULTS * columns(m));
 }
 
 /* A right pixel's claim to a left one: that of least cost, of equal costs that of the largest
@@ -431,257 +514,168 @@ INLINE int place_of(const Words *words, int vectors, Words minimum)
 INLINE int claim_of(int cost, int disparity) { return cost << 16 | (MAX_COST - disparity); }
 INLINE int disparity_of(int claim) { return MAX_COST - (claim & MAX_COST); }
 
-/* The disparity of least cost of a pixel, and its margin; -1 where the margin is too small. */
-INLINE void choose(const Matching *m, const Stretch *s, int vectors, int x, const Words *total)
+/* Fill in a row of disparities, between whole px where lines of equal slope meet, and of margins.
+   Where they are too small, ``best`` becomes -1. */
+static void measure(const Matching *m, const int16_t *found, int16_t *restrict best,
+                    float *restrict disparity, float *restrict margin)
 {
-    /* Its neighbours do not compete with the best: they are as if nothing cost more. */
-    static const int16_t near[2 * LANES + 3] = {[LANES] = MAX_COST, MAX_COST, MAX_COST};
-    Words minimum = total[0], others = all_of(MAX_COST);
-    for (int i = 1; i < vectors; i++)
-        minimum = least(minimum, total[i]);
-    minimum = least_of_all(minimum);
-    int cost = minimum[0], place = place_of(total, vectors, minimum);
-    int d = s->at[place / LANES] + place % LANES;
-    for (int i = 0; i < vectors; i++) {
-        int from = s->at[i] - d + LANES + 1;
-        from = from > 0 ? from : 0;
-        others = least(others, total[i] | load(near + (from < LANES + 3 ? from : LANES + 3)));
-    }
-    others = least_of_all(others);
-    int second = others[0];
-    if (m->rival && second < PADDING && (float)(second - cost) < RIVAL_SHARE * second) {
-        Words rival = all_of(MAX_COST);
-        for (int i = 0; i < vectors; i++) {
-            Words here = counted() + (int16_t)s->at[i], away = here - (int16_t)d;
-            Words other = (total[i] == others) & ((away < -1) | (away > 1));
-            rival = least(rival, (here | ~other) & MAX_COST);
-        }
-        m->rival[x] = least_of_all(rival)[0];
-    }
-    second = second < PADDING ? second : MAX_COST;
-    int *partner = m->partner + x + d, claim = claim_of(cost, d);
-    *partner = claim < *partner ? claim : *partner;
-    float margin = (float)(second - cost), enough = m->penalties.min_share * second;
-    enough = enough > m->penalties.min_margin ? enough : m->penalties.min_margin;
-    m->best[x] = margin < enough ? -1 : d;
-    m->margin[x] = margin;
-    int16_t costs[MAX_VECTORS * LANES];
-    for (int i = 0; i < vectors; i++)
-        store(costs + i * LANES, total[i]);
-    /* Of a neighbour that was not looked at, the other one's cost. */
-    int last = d % CHUNK == CHUNK - 1;
-    int has_before = d % CHUNK > 0 || (d > 0 && s->set >> (d / CHUNK - 1) & 1);
-    int has_after = !last || (d / CHUNK + 1 < m->chunks && s->set >> (d / CHUNK + 1) & 1);
-    int16_t *around = m->around + 3 * x;
-    around[1] = (int16_t)cost;
-    around[0] = costs[has_before ? place - 1 : has_after ? place + 1 : place];
-    around[2] = has_after ? costs[place + 1] : around[0];
-}
-
-/* Go to the left in a stretch of a row, and choose. */
-INLINE void go_back(Matching *matching, const Stretch *stretch, int vectors, int y, ptrdiff_t offset,
-                    Across *across)
-{
-    /* Copies, of which the compiler knows that no store changes them. */
-    const Matching local = *matching, *m = &local;
-    const Stretch known = *stretch, *s = &known;
-    const uint8_t *where = m->view.where + (ptrdiff_t)y * m->view.width;
-    Words path[MAX_VECTORS], apart[MAX_VECTORS];
-    int fresh = 1;
-    resume(m, s, vectors, apart, path);
-    offset += words_of(s);
-    for (int x = s->end - 1; x >= s->begin; x--) {
-        offset -= vectors * LANES;
-        if (!where[x]) {
-            across->started = 0;
-            continue;
-        }
-        Words cost[MAX_VECTORS], total[MAX_VECTORS];
-        for (int i = 0; i < vectors; i++)
-            cost[i] = load(m->cost + offset + i * LANES);
-        go_across(m, s, vectors, fresh, m->leap_across[x + 1], apart, cost, path, across);
-        fresh = 0;
-        for (int i = 0; i < vectors; i++)
-            total[i] = load(m->total + offset + i * LANES) + path[i];
-        choose(m, s, vectors, x, total);
-    }
-    suspend(matching, s, vectors, path);
-}
-
-/* Fill in a row: what both views agree on, between whole px where lines of equal slope meet. */
-static void paint(const Matching *m, float *disparity, float *margin)
-{
-    int before = -2, width = m->view.width;
-    for (int x = 0; x < width; x++) {
-        int d = m->best[x];
-        if (d >= 0 && (abs(disparity_of(m->partner[x + d]) - d) > 1
-                       || (x + d >= width && abs(before - d) > 1)))
-            d = -1;
-        before = d >= 0 ? d : -2;
-        if (d < 0) {
-            disparity[x] = margin[x] = NAN;
-            continue;
-        }
-        disparity[x] = (float)d;
-        if (d > 0 && d < m->view.count - 1) {
-            const int16_t *around = m->around + 3 * x;
-            int below = around[0] - around[1], above = around[2] - around[1];
-            int larger = below > above ? below : above;
-            disparity[x] += (float)(below - above) / (2 * (larger > 1 ? larger : 1));
-        }
+    ptrdiff_t line = columns(m), width = m->view.width;
+    const int16_t *cost = found + COST * line, *second = found + SECOND_COST * line;
+    const int16_t *before = found + BEFORE * line, *after = found + AFTER * line;
+    int last = m->view.count - 1;
+    float share = m->penalties.min_share, least = m->penalties.min_margin;
+    for (ptrdiff_t x = 0; x < width; x++) {
+        float more = (float)(second[x] - cost[x]), enough = share * (float)second[x];
+        enough = enough > least ? enough : least;
+        margin[x] = more;
+        /* Of a neighbour that was not looked at, the other one's cost. */
+        int ahead = before[x] < MAX_COST ? before[x] : after[x] < MAX_COST ? after[x] : cost[x];
+        int behind = after[x] < MAX_COST ? after[x] : ahead;
+        int below = ahead - cost[x], above = behind - cost[x];
+        int larger = below > above ? below : above;
+        float apart = (float)(below - above) / (float)(2 * (larger > 1 ? larger : 1));
+        int d = best[x];
+        disparity[x] = (float)d + (d > 0 && d < last ? apart : 0);
+        best[x] = more < enough ? -1 : best[x];
     }
 }
 
-/* Loops over a number of vectors that is known are unrolled, and hold paths in registers. */
-#define BY_NUMBER(stretch, call)                                        \
-    switch ((stretch).vectors) {                                        \
-    case PER_CHUNK: { enum { vectors = PER_CHUNK }; call; } break;      \
-    case 2 * PER_CHUNK: { enum { vectors = 2 * PER_CHUNK }; call; } break; \
-    case 3 * PER_CHUNK: { enum { vectors = 3 * PER_CHUNK }; call; } break; \
-    case 4 * PER_CHUNK: { enum { vectors = 4 * PER_CHUNK }; call; } break; \
-    case 5 * PER_CHUNK: { enum { vectors = 5 * PER_CHUNK }; call; } break; \
-    default: { int vectors = (stretch).vectors; call; }                 \
-    }
-
-/* Nothing is wanted in a tile of a row. */
-INLINE int is_idle(const Matching *m, const uint8_t *where, int tile)
+/* Fill in a row: what both views agree on. ``rival``: NULL, or gets the second best where it costs
+   hardly more. */
+static void paint(const Matching *m, int16_t *found, float *disparity, float *margin, float *rival)
 {
-    int begin = tile * m->tiles.width, left = m->view.width - begin;
-    return !memchr(where + begin, 1, (size_t)(left < m->tiles.width ? left : m->tiles.width));
-}
-
-/* The last of the tiles from one on, in steps of 1 or -1, that have its set and are idle as it is. */
-INLINE int last_alike(const Matching *m, int y, const uint8_t *where, int tile, int step)
-{
-    const Set *sets = sets_of_row(m, y);
-    int idle = is_idle(m, where, tile), next = tile + step;
-    while (next >= 0 && next < tiles_across(m) && sets[next] == sets[tile]
-           && is_idle(m, where, next) == idle)
-        next += step;
-    return next - step;
-}
-
-static void row_up(Matching *m, int y, ptrdiff_t offset)
-{
-    const uint8_t *grey = m->view.right + (ptrdiff_t)y * m->view.width;
-    const uint8_t *beside = y < m->view.rows - 1 ? grey + m->view.width : grey;
-    fill_leaps(m, grey, beside, m->view.width, m->leap_along);
-    const uint8_t *where = m->view.where + (ptrdiff_t)y * m->view.width;
-    for (int tile = 0; tile < tiles_across(m);) {
-        Stretch s;
-        int last = last_alike(m, y, where, tile, 1);
-        stretch_of(m, y, tile, last, &s);
-        if (is_idle(m, where, tile))
-            for (int x = s.begin; x < s.end; x++)
-                m->up.least[x] = -1;
-        else
-            BY_NUMBER(s, go_up(m, &s, vectors, y, offset))
-        offset += words_of(&s);
-        tile = last + 1;
-    }
-}
-
-static void row_down(Matching *m, int y, ptrdiff_t offset)
-{
-    int width = m->view.width;
-    const uint8_t *where = m->view.where + (ptrdiff_t)y * width;
-    const uint8_t *grey = m->view.right + (ptrdiff_t)y * width;
-    fill_leaps(m, grey, y > 0 ? grey - width : grey, width, m->leap_along);
-    fill_leaps(m, grey + 1, grey, width - 1, m->leap_across + 1);
-    Across across = {0, {0}};
-    Stretch s;
-    for (int tile = 0; tile < tiles_across(m);) {
-        int last = last_alike(m, y, where, tile, 1);
-        stretch_of(m, y, tile, last, &s);
-        if (is_idle(m, where, tile)) {
-            across.started = 0;
-            for (int x = s.begin; x < s.end; x++)
-                m->down.least[x] = -1;
-        } else
-            BY_NUMBER(s, go_forward(m, &s, vectors, y, offset, &across))
-        offset += words_of(&s);
-        tile = last + 1;
-    }
+    ptrdiff_t line = columns(m);
+    int16_t *best = found + BEST * line;
+    const int16_t *cost = found + COST * line, *second = found + SECOND_COST * line;
+    int *partner = m->partner, width = m->view.width, before = -2;
     for (int x = 0; x < width + m->view.count; x++)
-        m->partner[x] = INT_MAX;
-    for (int x = 0; x < width; x++)
-        m->best[x] = -1;
-    across.started = 0;
-    for (int tile = tiles_across(m) - 1; tile >= 0;) {
-        int first = last_alike(m, y, where, tile, -1);
-        stretch_of(m, y, first, tile, &s);
-        offset -= words_of(&s);
-        if (is_idle(m, where, tile))
-            across.started = 0;
-        else
-            BY_NUMBER(s, go_back(m, &s, vectors, y, offset, &across))
-        tile = first - 1;
+        partner[x] = INT_MAX;
+    for (int x = 0; x < width; x++) {
+        int d = best[x], claim = claim_of(cost[x], d);
+        int *place = partner + (d < 0 ? width + m->view.count : x + d);
+        *place = claim < *place ? claim : *place;
+    }
+    for (int x = 0; rival && x < width; x++)
+        if (best[x] >= 0 && second[x] < MAX_COST
+            && (float)(second[x] - cost[x]) < RIVAL_SHARE * second[x])
+            rival[x] = found[RIVAL * line + x];
+    measure(m, found, best, disparity, margin);
+    for (int x = 0; x < width; x++) {
+        int d = best[x];
+        int is_known = d >= 0 && abs(disparity_of(partner[x + d]) - d) <= 1
+                       && (x + d < width || abs(before - d) <= 1);
+        before = is_known ? d : -2;
+        if (!is_known)
+            disparity[x] = margin[x] = NAN;
     }
 }
 
-static ptrdiff_t words_of_rows(const Matching *m, int first, int end)
+/* Go down a band and along its rows, and fill in what is found. */
+static void band_down(const Matching *m, int band, const uint8_t *kept, float *disparity,
+                      float *margin, float *rival)
 {
-    ptrdiff_t words = 0;
-    int width = m->tiles.width, last = tiles_across(m) - 1;
-    for (int y = first; y < end; y++) {
-        const Set *sets = sets_of_row(m, y);
-        for (int tile = 0; tile <= last; tile++) {
-            int pixels = tile < last ? width : m->view.width - last * width;
-            words += (ptrdiff_t)pixels * CHUNK * __builtin_popcountll(sets[tile]);
+    ptrdiff_t width = columns(m), offset = 0;
+    read_band(m, band);
+    for (int y = 0; y < LANES; y++) {
+        const uint8_t *here = m->right + (y + 1) * m->line + HALO;
+        fill_leaps(m, here, here - 1, m->leap + y * width);
+    }
+    for (ptrdiff_t x = 0; x < width; x += LANES) {
+        turn(m->leap + x, width, m->leap_across + x * LANES, LANES);
+        turn(m->where + x, width, m->where_across + x * LANES, LANES);
+    }
+    for (int y = 0; y < LANES; y++) {
+        const uint8_t *here = m->right + (y + 1) * m->line + HALO;
+        fill_leaps(m, here, here - m->line, m->leap + y * width);
+        for (ptrdiff_t x = 0; x < width; x++)
+            m->found[(y * RESULTS + BEST) * width + x] = -1;
+    }
+    store(m->across.least, all_of(-1));
+    for (int block = 0; block < m->blocks; block++) {
+        Choice choice;
+        choice_of(m, band, block, &choice);
+        if (choice.count > 0) {
+            block_forward(m, block, &choice, kept + offset, m->cost_across + offset,
+                          m->total_across + offset);
+            offset += costs_of(&choice);
+        } else {
+            store(m->across.least, all_of(-1));
+            store(m->down.least + block * LANES, all_of(-1));
         }
     }
-    return words;
+    store(m->across.least, all_of(-1));
+    for (int block = m->blocks - 1; block >= 0; block--) {
+        Choice choice;
+        choice_of(m, band, block, &choice);
+        if (choice.count > 0) {
+            offset -= costs_of(&choice);
+            block_back(m, block, &choice, m->cost_across + offset, m->total_across + offset,
+                       rival != NULL);
+        } else
+            store(m->across.least, all_of(-1));
+    }
+    for (int y = 0; y < LANES && band * LANES + y < m->view.rows; y++) {
+        ptrdiff_t at = (ptrdiff_t)(band * LANES + y) * m->view.width;
+        paint(m, m->found + y * RESULTS * width, disparity + at, margin + at,
+              rival ? rival + at : NULL);
+    }
 }
 
-/* Rows of a strip, so that its costs and totals take about as much as they may. */
-static int rows_of_strip(const Matching *m)
+static ptrdiff_t costs_of_bands(const Matching *m, int first, int end)
 {
-    ptrdiff_t rows = m->view.rows, words = words_of_rows(m, 0, m->view.rows);
-    ptrdiff_t bytes = (ptrdiff_t)(2 * sizeof(int16_t)) * words;
+    ptrdiff_t costs = 0;
+    for (int band = first; band < end; band++)
+        for (int block = 0; block < m->blocks; block++) {
+            Choice choice;
+            choice_of(m, band, block, &choice);
+            costs += costs_of(&choice);
+        }
+    return costs;
+}
+
+/* Bands of a strip, so that its costs take about as much memory as they may. */
+static int bands_of_strip(const Matching *m)
+{
+    ptrdiff_t bands = m->bands;
+    ptrdiff_t bytes = costs_of_bands(m, 0, m->bands);
     ptrdiff_t strips = bytes / m->view.strip_bytes + 1;
     /* What is brought to a strip takes memory, too: more strips than this take more of both. */
-    ptrdiff_t brought = (ptrdiff_t)sizeof(int16_t) * m->view.width * m->path_line;
+    ptrdiff_t brought = (ptrdiff_t)sizeof(int16_t) * m->blocks * m->path;
     while (strips * (strips - 1) * brought > bytes)
         strips--;
-    strips = strips < rows ? strips : rows;
-    return (int)((rows + strips - 1) / strips);
+    strips = strips < bands ? strips : bands;
+    return (int)((bands + strips - 1) / strips);
 }
 
-static void begin(const Matching *m, Columns *columns)
+static void begin(const Matching *m, int blocks, const Paths *paths)
 {
-    for (ptrdiff_t i = 0; i < m->view.width * m->path_line; i++)
-        columns->costs[i] = OUTSIDE;
-    for (int x = 0; x < m->view.width; x++) {
-        columns->least[x] = -1;
-        columns->sets[x] = 0;
-    }
+    for (ptrdiff_t i = 0; i < blocks * m->path; i++)
+        paths->costs[i] = OUTSIDE;
+    for (int i = 0; i < blocks * LANES; i++)
+        paths->least[i] = -1;
+    memset(paths->sets, 0, (size_t)blocks * sizeof(Set));
 }
 
-static void copy(const Matching *m, const Columns *from, const Columns *to)
+static void copy(const Matching *m, const Paths *from, const Paths *to)
 {
-    size_t width = (size_t)m->view.width;
-    memcpy(to->costs, from->costs, width * (size_t)m->path_line * sizeof(int16_t));
-    memcpy(to->least, from->least, width * sizeof(int16_t));
-    memcpy(to->sets, from->sets, width * sizeof(Set));
+    size_t blocks = (size_t)m->blocks;
+    memcpy(to->costs, from->costs, blocks * (size_t)m->path * sizeof(int16_t));
+    memcpy(to->least, from->least, blocks * LANES * sizeof(int16_t));
+    memcpy(to->sets, from->sets, blocks * sizeof(Set));
 }
 
 static int end_of_strip(const Matching *m, int first)
 {
-    return first + m->strip_rows < m->view.rows ? first + m->strip_rows : m->view.rows;
+    return first + m->strip_bands < m->bands ? first + m->strip_bands : m->bands;
 }
 
-/* Go up the rows of a strip. */
-static void strip_up(Matching *m, int first, int end)
+/* Go up the bands of a strip. */
+static void strip_up(const Matching *m, int first, int end)
 {
-    ptrdiff_t offset = words_of_rows(m, first, end);
-    for (int row = end; row >= first - 1; row--) {
-        differ(m, row);
-        int y = row + 1;
-        if (y < end) {
-            add_up(m, y);
-            offset -= words_of_rows(m, y, y + 1);
-            row_up(m, y, offset);
-        }
+    ptrdiff_t offset = costs_of_bands(m, first, end);
+    for (int band = end - 1; band >= first; band--) {
+        offset -= costs_of_bands(m, band, band + 1);
+        band_up(m, band, m->kept + offset);
     }
 }
 
@@ -689,63 +683,76 @@ static void strip_up(Matching *m, int first, int end)
     array = (void *)*memory;                                             \
     *memory += ((number) * sizeof(*array) + ALIGNMENT - 1) / ALIGNMENT * ALIGNMENT;
 
-/* Where the paths of all columns lie in memory; moves it on behind them. */
-static Columns columns_in(const Matching *m, uint8_t **memory)
+/* Where the paths of some blocks lie in memory; moves it on behind them. */
+static Paths paths_in(const Matching *m, int blocks, uint8_t **memory)
 {
-    Columns columns;
-    size_t width = (size_t)m->view.width;
-    TAKE(columns.costs, width * (size_t)m->path_line)
-    TAKE(columns.least, width)
-    TAKE(columns.sets, width)
-    return columns;
+    Paths paths;
+    TAKE(paths.costs, (size_t)blocks * (size_t)m->path)
+    TAKE(paths.least, (size_t)blocks * LANES)
+    TAKE(paths.sets, (size_t)blocks)
+    return paths;
 }
 
 /* Lay out the workspace; return where it ends. */
 static uint8_t *lay_out(Matching *m, uint8_t *start)
 {
     uint8_t *position = start, **memory = &position;
-    size_t width = (size_t)m->view.width, line = (size_t)m->line;
-    TAKE(m->low, width + line)
-    TAKE(m->high, width + line)
-    TAKE(m->slope, width + line)
-    TAKE(m->single, 3 * width * line)
-    TAKE(m->column, width * line)
-    TAKE(m->needed, width + 2)
-    TAKE(m->across, (size_t)m->path_line)
-    TAKE(m->best, width)
-    TAKE(m->partner, width + line)
-    TAKE(m->leap_along, width)
-    TAKE(m->leap_across, width + 1)
-    TAKE(m->around, 3 * width)
-    m->down = columns_in(m, memory);
-    m->strip_rows = rows_of_strip(m);
-    size_t words = 0;
+    size_t lines = LINES * (size_t)m->line, pixels = (size_t)columns(m) * LANES;
+    TAKE(m->right, lines)
+    TAKE(m->lean, lines)
+    TAKE(m->grey, (size_t)m->line + 2 * LANES)
+    TAKE(m->low, lines)
+    TAKE(m->high, lines)
+    TAKE(m->slope, lines)
+    TAKE(m->where, pixels)
+    TAKE(m->where_across, pixels)
+    TAKE(m->weight, pixels)
+    TAKE(m->wanted, pixels)
+    TAKE(m->leap, pixels)
+    TAKE(m->leap_across, pixels + LANES)
+    TAKE(m->found, RESULTS * pixels)
+    TAKE(m->partner, (size_t)(m->view.width + m->view.count) + 1)
+    m->down = paths_in(m, m->blocks, memory);
+    m->across = paths_in(m, 1, memory);
+    size_t block = 0, band = 0, strip = 0;
+    m->strip_bands = bands_of_strip(m);
     m->brought = position;
-    for (int first = 0; first < m->view.rows; first += m->strip_rows) {
-        size_t more = (size_t)words_of_rows(m, first, end_of_strip(m, first));
-        words = words > more ? words : more;
-        columns_in(m, memory);
+    for (int first = 0; first < m->bands; first += m->strip_bands) {
+        int end = end_of_strip(m, first);
+        size_t more = (size_t)costs_of_bands(m, first, end);
+        strip = strip > more ? strip : more;
+        for (int each = first; each < end; each++) {
+            size_t words = (size_t)costs_of_bands(m, each, each + 1);
+            band = band > words ? band : words;
+        }
+        paths_in(m, m->blocks, memory);
     }
-    TAKE(m->cost, words)
-    TAKE(m->total, words)
+    block = (size_t)m->view.count * LANES * LANES;
+    TAKE(m->sums, 2 * LANES * LANES)
+    TAKE(m->cost, block)
+    TAKE(m->total, block)
+    TAKE(m->cost_across, band)
+    TAKE(m->total_across, band)
+    TAKE(m->kept, strip)
     return position;
 }
 
-/* What the path from below brings to the strip from row ``first`` on. */
-static Columns brought_to(const Matching *m, int first)
+/* What the path from below brings to the strip from band ``first`` on. */
+static Paths brought_to(const Matching *m, int first)
 {
     uint8_t *memory = m->brought;
-    for (; first >= m->strip_rows; first -= m->strip_rows)
-        columns_in(m, &memory);
-    return columns_in(m, &memory);
+    for (; first >= m->strip_bands; first -= m->strip_bands)
+        paths_in(m, m->blocks, &memory);
+    return paths_in(m, m->blocks, &memory);
 }
 
 static Matching matching_of(View view, Penalties penalties, Tiles tiles)
 {
     Matching m = {.view = view, .penalties = penalties, .tiles = tiles};
-    m.chunks = (view.count + CHUNK - 1) / CHUNK;
-    m.line = m.chunks * CHUNK;
-    m.path_line = m.line + 2 * CHUNK;
+    m.blocks = (view.width + LANES - 1) / LANES;
+    m.bands = (view.rows + LANES - 1) / LANES;
+    m.line = (HALO + columns(&m) + view.count + 4 * LANES - 1) / (2 * LANES) * (2 * LANES);
+    m.path = (ptrdiff_t)(view.count + 2) * LANES;
     return m;
 }
 
@@ -763,30 +770,25 @@ static void semi_global_vectors(View view, Penalties penalties, Tiles tiles, uin
 {
     Matching matching = matching_of(view, penalties, tiles), *m = &matching;
     lay_out(m, memory + -(uintptr_t)memory % ALIGNMENT);
-    for (ptrdiff_t i = 0; i < m->path_line; i++)
-        m->across[i] = OUTSIDE;
-    m->leap_across[0] = m->leap_across[view.width] = 0;  /* no path comes there */
-    begin(m, &m->down);
-    int first = (view.rows - 1) / m->strip_rows * m->strip_rows;
+    begin(m, m->blocks, &m->down);
+    begin(m, 1, &m->across);
+    int first = (m->bands - 1) / m->strip_bands * m->strip_bands;
     m->up = brought_to(m, first);
-    begin(m, &m->up);
-    for (; first > 0; first -= m->strip_rows) {
-        Columns before = m->up;
-        m->up = brought_to(m, first - m->strip_rows);
+    begin(m, m->blocks, &m->up);
+    for (; first > 0; first -= m->strip_bands) {
+        Paths before = m->up;
+        m->up = brought_to(m, first - m->strip_bands);
         copy(m, &before, &m->up);
         strip_up(m, first, end_of_strip(m, first));
     }
-    for (; first < view.rows; first += m->strip_rows) {
+    for (; first < m->bands; first += m->strip_bands) {
         int end = end_of_strip(m, first);
         ptrdiff_t offset = 0;
         m->up = brought_to(m, first);
         strip_up(m, first, end);
-        for (int y = first; y < end; y++) {
-            m->margin = margin + (ptrdiff_t)y * view.width;
-            m->rival = rival ? rival + (ptrdiff_t)y * view.width : NULL;
-            row_down(m, y, offset);
-            paint(m, disparity + (ptrdiff_t)y * view.width, m->margin);
-            offset += words_of_rows(m, y, y + 1);
+        for (int band = first; band < end; band++) {
+            band_down(m, band, m->kept + offset, disparity, margin, rival);
+            offset += costs_of_bands(m, band, band + 1);
         }
     }
 }

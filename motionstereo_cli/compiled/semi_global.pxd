@@ -29,6 +29,7 @@ cdef extern from "semi_global.h" nogil:
         const unsigned long long *sets
         int rows
         int width
+        int chunk
 
     size_t workspace_bytes(View view, Tiles tiles)
     void semi_global_vectors(View view, Penalties penalties, Tiles tiles,

@@ -24,9 +24,8 @@ from cython.cimports.motionstereo_cli.compiled.semi_global import (
     workspace_bytes,
 )
 
-#: Disparities in a chunk, and their maximum total.
-CHUNK = cython.declare(cython.int, 16)
-MAX_COUNT = 1024
+#: Maximum number of disparities, and of chunks of them.
+MAX_COUNT, MAX_CHUNKS = 1024, 64
 
 #: Whether :func:`smooth` works: the processor looks up bytes, 32 at a time.
 CAN_SMOOTH = bool(HAS_LOOKUPS)
@@ -71,6 +70,7 @@ def semi_global(
     sets: cython.const[cython.ulonglong][:, ::1],
     tile_rows: cython.int,
     tile_width: cython.int,
+    chunk: cython.int,
     strip_bytes: cython.Py_ssize_t,
     work: Workspace,
     disparity: cython.float[:, ::1],
@@ -83,11 +83,12 @@ def semi_global(
         frame: what is matched.
         count: number of disparities, at most :data:`MAX_COUNT`.
         penalties: the fields of :class:`~motionstereo_cli.compiled.dense.Weights`, in order.
-        sets: which chunks of 16 disparities are looked at in each tile, a bit for each, at least
+        sets: which chunks of disparities are looked at in each tile, a bit for each, at least
             one, (tiles down, tiles across) uint64.
-        tile_rows, tile_width: size of a tile, px.
-        strip_bytes: memory for the costs of a strip of rows and of its paths: an image of several
-            strips takes half as long again.
+        tile_rows, tile_width: size of a tile, px: multiples of 16, or all of the image.
+        chunk: number of disparities in a chunk, so that there are at most :data:`MAX_CHUNKS`.
+        strip_bytes: memory for the costs of paths from below in a strip of rows: an image of
+            several strips takes half as long again.
         work: reusable buffers.
         disparity, margin: get the result.
         rival: gets the second best disparity where it costs hardly more, of NaN; of no rows = not
@@ -116,7 +117,7 @@ def semi_global(
         penalties[6],
         penalties[7],
     )
-    tiles: Tiles = Tiles(cython.address(sets[0, 0]), tile_rows, tile_width)
+    tiles: Tiles = Tiles(cython.address(sets[0, 0]), tile_rows, tile_width, chunk)
     size: cython.Py_ssize_t = workspace_bytes(view, tiles)
     if work.memory.shape[0] < size:
         work.memory = np.empty(size, np.uint8)
@@ -157,24 +158,30 @@ def fill_sets(
     candidates: cython.const[cython.float][:, :, ::1],
     per_px: cython.float,
     reach: cython.float,
+    cell: cython.int,
     rows: cython.int,
     width: cython.int,
+    around: cython.int,
     count: cython.int,
-    found: cython.ulonglong[:, ::1],
+    chunk: cython.int,
+    cells: cython.ulonglong[:, ::1],
     sets: cython.ulonglong[:, ::1],
 ) -> None:
     """Fill in the chunks that may hold the disparities of each tile, from a small image.
 
-    A tile gets the chunks within reach of any candidate in it or in a neighbouring tile. Without
-    any, it gets those of the nearest tiles on its left and right, else all.
+    A tile gets the chunks within reach of any candidate in it or around it. Without any, it gets
+    those of the nearest tiles on its left and right, else all.
 
     Args:
         candidates: disparities in the small image, (n, rows, width) float32, NaN = none.
         per_px: px of the image in a px of the small one.
         reach: how far candidates may be off, px of the image.
-        rows, width: of the small image that a tile takes.
+        cell: rows and px of the small image whose candidates are taken together.
+        rows, width: cells that a tile takes.
+        around: cells around a tile whose candidates it gets, too.
         count: number of disparities, at most :data:`MAX_COUNT`.
-        found: gets the sets before they are joined, of the same size as ``sets``.
+        chunk: disparities in a chunk.
+        cells: gets the chunks of each cell, and is of that size.
         sets: gets the result, (tiles down, tiles across) uint64.
     """
     i: cython.Py_ssize_t
@@ -184,11 +191,10 @@ def fill_sets(
     column: cython.Py_ssize_t
     one: cython.ulonglong = 1
     last: cython.int = count - 1
-    every: cython.ulonglong = (one << (last // CHUNK) << 1) - 1
-    down: cython.Py_ssize_t = sets.shape[0]
+    every: cython.ulonglong = (one << (last // chunk) << 1) - 1
     across: cython.Py_ssize_t = sets.shape[1]
     with cython.nogil:
-        found[:, :] = 0
+        cells[:, :] = 0
         for i in range(candidates.shape[0]):
             for y in range(candidates.shape[1]):
                 for x in range(candidates.shape[2]):
@@ -196,22 +202,39 @@ def fill_sets(
                     if place == place:  # noqa: PLR0124
                         low: cython.int = cython.cast(cython.int, max(place - reach, 0))
                         high: cython.int = cython.cast(cython.int, place + reach)
-                        low, high = min(low, last) // CHUNK, min(high, last) // CHUNK
-                        found[y // rows, x // width] |= (one << high << 1) - (one << low)
-        for y in range(down):
+                        low, high = min(low, last) // chunk, min(high, last) // chunk
+                        cells[y // cell, x // cell] |= (one << high << 1) - (one << low)
+        for y in range(sets.shape[0]):
             for x in range(across):
                 sets[y, x] = 0
-                for row in range(max(y - 1, 0), min(y + 2, down)):
-                    for column in range(max(x - 1, 0), min(x + 2, across)):
-                        sets[y, x] |= found[row, column]
-        found[:, :] = sets
-        for y in range(down):
-            before: cython.ulonglong = 0
-            for x in range(across):
-                before = found[y, x] if found[y, x] else before
-                sets[y, x] |= 0 if found[y, x] else before
-            before = 0
-            for x in range(across - 1, -1, -1):
-                before = found[y, x] if found[y, x] else before
-                sets[y, x] |= 0 if found[y, x] else before
-                sets[y, x] = sets[y, x] if sets[y, x] else every
+                for row in range(
+                    max(y * rows - around, 0), min((y + 1) * rows + around, cells.shape[0])
+                ):
+                    for column in range(
+                        max(x * width - around, 0), min((x + 1) * width + around, cells.shape[1])
+                    ):
+                        sets[y, x] |= cells[row, column]
+            fill_gaps(sets[y], every)
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def fill_gaps(sets: cython.ulonglong[::1], every: cython.ulonglong) -> cython.void:
+    """Fill in the empty sets of a row by the nearest ones to the left and right, else all."""
+    x: cython.Py_ssize_t
+    across: cython.Py_ssize_t = sets.shape[0]
+    before: cython.ulonglong = 0
+    x = 0
+    while x < across:
+        if sets[x]:
+            before = sets[x]
+            x += 1
+            continue
+        end: cython.Py_ssize_t = x
+        while end < across and not sets[end]:
+            end += 1
+        beside: cython.ulonglong = before | (sets[end] if end < across else 0)
+        while x < end:
+            sets[x] = beside if beside else every
+            x += 1

@@ -48,15 +48,16 @@ _AROUND_ROWS, _AROUND_COLUMNS = 8, 32
 #: in views of a quarter of the width, or of an eighth from the third on.
 _TILED_PX, _TILED_WIDTH, _WIDE = 48, 320, 1000
 
-#: Size of a tile, in rows of half height and in columns; disparities in a chunk, of which it has a
-#: set; and how far off small views may be, in px.
-_TILE, _CHUNK, _REACH_PX = (8, 16), 16, 6
+#: Size of a tile, in rows of half height and in columns; the least number of disparities in a
+#: chunk, of which it has a set; how far off small views may be, in px; size of their cells in px,
+#: and how many cells around a tile may tell its disparities.
+_TILE, _CHUNK, _REACH_PX, _CELL, _AROUND_CELLS = (16, 16), 2, 7, 2, 2
 
 #: Margin and share where a tile has a set: fewer rivals are seen than there are.
-_TILED_MARGIN, _TILED_SHARE = 86, 0.055
+_TILED_MARGIN, _TILED_SHARE = 90, 0.058
 
-#: Memory for the costs of a frame and of its paths, in each thread.
-_STRIP_BYTES = 40 << 20
+#: Memory for what paths from below add to the costs of a frame, in each thread.
+_STRIP_BYTES = 16 << 20
 
 #: The same for the loops.
 _PENALTIES = _MAX_GREY, _MAX_SLOPE, _STEP, _LEAP, _MIN_LEAP, _PER_GREY_LEVEL
@@ -177,18 +178,20 @@ def _sets(
         with_rivals=True,
     )
     tiles = -(-rows // _TILE[0]), -(-width // _TILE[1])
-    own, sets = np.zeros(tiles, np.uint64), np.zeros(tiles, np.uint64)
+    sets = np.zeros(tiles, np.uint64)
+    cells = np.zeros([-(-side // _CELL) for side in small_right.shape], np.uint64)
+    tile = 2 * _TILE[0] // (scale * _CELL), _TILE[1] // (scale * _CELL)
+    count = max_disparity + 1
     vectors.fill_sets(
-        *(
-            np.ascontiguousarray(found[::2]),
-            scale,
-            _REACH_PX,
-            2 * _TILE[0] // scale,
-            _TILE[1] // scale,
-        ),
-        *(max_disparity + 1, own, sets),
+        *(np.ascontiguousarray(found[::2]), scale, _REACH_PX, _CELL, *tile, _AROUND_CELLS),
+        *(count, _chunk(count), cells, sets),
     )
     return sets
+
+
+def _chunk(count: int) -> int:
+    """Return how many disparities a chunk has, of so many in all."""
+    return max(_CHUNK, -(-count // vectors.MAX_CHUNKS))
 
 
 def semi_global(
@@ -215,7 +218,7 @@ def semi_global(
         proposed_px: preferred disparities, (rows, width) float32.
         weight: cost of all others, 0 where none is proposed, (rows, width).
         max_disparity: px.
-        sets: chunks of 16 disparities to look at in each tile of 8 x 16 pixels, a bit for each,
+        sets: chunks of disparities to look at in each tile of 16 x 16 pixels, a bit for each,
             (tiles down, tiles across) uint64; None = all.
         margins: minimum margin of the second best disparity, and as a share of the best; below it
             the disparity is unknown.
@@ -236,21 +239,15 @@ def semi_global(
     weight = checked_array(weight, np.int16, shape)
     found = np.full((2 + with_rivals, *shape), np.nan, np.float32)
     if with_vectors and count <= vectors.MAX_COUNT:
-        tile = _TILE
+        tile, chunk = _TILE, _chunk(count)
         if sets is None:
-            tile, sets = shape, np.full((1, 1), (1 << -(-count // _CHUNK)) - 1, np.uint64)
+            tile, sets = shape, np.full((1, 1), (1 << -(-count // chunk)) - 1, np.uint64)
         frame = vectors.Frame(  # type: ignore[call-arg]
             *(right, left, right_slope, left_slope, wanted, proposed_px, weight)
         )
         vectors.semi_global(
-            *(
-                frame,
-                count,
-                np.array((*_PENALTIES, *margins), np.float32),
-                sets,
-                *tile,
-                strip_bytes,
-            ),
+            *(frame, count, np.array((*_PENALTIES, *margins), np.float32), sets, *tile, chunk),
+            strip_bytes,
             *(reused(vectors.Workspace), found[0], found[1], found[-1][: shape[0] * with_rivals]),
         )
     else:
