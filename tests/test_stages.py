@@ -6,6 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+from motionstereo_cli.compiled import pictures
+from motionstereo_cli.files.levels import full_range
 from motionstereo_cli.method.bands import band_table, bands, blur
 from motionstereo_cli.method.charge import accumulate, age, permanency
 from motionstereo_cli.method.confidence import confidence
@@ -43,7 +45,7 @@ class TestBands:
 
     def test_256_bands_do_not_overflow(self):
         grey = np.arange(256, dtype=np.uint8).reshape(16, 16)
-        assert np.array_equal(bands(grey, band_table(256)), grey.astype(int) + 1)
+        assert np.array_equal(bands(grey, 256), grey.astype(int) + 1)
 
     @given(st.integers(2, 256), st.integers(0, 254), st.data())
     def test_bands_are_the_equation_and_never_fall(self, n, low, data):
@@ -52,6 +54,8 @@ class TestBands:
         assert np.all(np.diff(table) >= 0)
         assert table[0] == 1
         assert table[255] <= n
+        grey = np.arange(256, dtype=np.uint8).reshape(16, 16)
+        assert np.array_equal(bands(grey, n, low, high).ravel(), table)
         level = data.draw(st.integers(low, high))
         assert table[level] == int(np.floor((level - low) * n / (high - low + 1))) + 1
 
@@ -248,3 +252,24 @@ class TestQuantiles:
                 assert np.isnan(got)
             else:
                 assert got == pytest.approx(np.quantile(known, 0.8), rel=1e-5, abs=1e-5)
+
+
+class TestLevels:
+    """Limited range of video, all 256 levels: the equations of BT.601."""
+
+    LEVELS = np.arange(256, dtype=np.uint8).reshape(8, 32)
+
+    def test_luma_of_limited_range_becomes_grey(self):
+        padded = np.pad(self.LEVELS, ((0, 0), (0, 5)))
+        wanted = np.clip(np.rint((self.LEVELS.astype(float) - 16) * 255 / 219), 0, 255)
+        assert np.array_equal(full_range(padded, 32), wanted)
+
+    def test_grey_becomes_luma_and_colours_that_are_none(self):
+        luma, blue, red = (np.zeros(shape, np.uint8) for shape in ((8, 37), (4, 20), (4, 20)))
+        pictures.grey_planes(self.LEVELS, luma, blue, red)
+        wanted = np.floor(16.5 + self.LEVELS * (219 / 255))
+        assert np.array_equal(luma[:, :32], wanted)
+        assert np.all(luma[:, 32:] == 0)
+        for plane in (blue, red):
+            assert np.all(plane[:, :16] == 128)
+            assert np.all(plane[:, 16:] == 0)

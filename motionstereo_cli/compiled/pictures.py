@@ -168,6 +168,71 @@ def up_16(
         result[2 * x + 2] = (here - over) & 255
 
 
+def full_range(luma: cython.const[cython.uchar][:, ::1], grey: cython.uchar[:, ::1]) -> None:
+    """Fill in 255 / 219 (luma - 16), rounded and limited to 0..255, as BT.601 has it.
+
+    Args:
+        luma: of limited range, (height, at least width) uint8.
+        grey: (height, width) uint8.
+    """
+    y: cython.Py_ssize_t
+    with cython.nogil:
+        for y in range(luma.shape[0]):
+            full_range_row(luma[y], grey[y])
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def full_range_row(luma: cython.const[cython.uchar][::1], grey: cython.uchar[::1]) -> cython.void:
+    """Fill in a row, in 16 bits; of all 256 levels the result is exact."""
+    x: cython.Py_ssize_t
+    for x in range(grey.shape[0]):
+        level: cython.uchar = luma[x]
+        level = level if level > 16 else 16
+        level = level if level < 235 else 235
+        above: cython.ushort = level - 13
+        grey[x] = level - 16 + (cython.cast(cython.uint, above) * 10776 >> 16)
+
+
+def grey_planes(
+    grey: cython.const[cython.uchar][:, ::1],
+    luma: cython.uchar[:, ::1],
+    blue: cython.uchar[:, ::1],
+    red: cython.uchar[:, ::1],
+) -> None:
+    """Fill in the planes of a grey yuv420p picture of limited range.
+
+    Args:
+        grey: (height, width) uint8; both even.
+        luma, blue, red: as of :func:`planes`; 16 + 219 / 255 grey, rounded, and 128.
+    """
+    x: cython.Py_ssize_t
+    y: cython.Py_ssize_t
+    with cython.nogil:
+        for y in range(grey.shape[0]):
+            limited_range_row(grey[y], luma[y])
+        for y in range(grey.shape[0] // 2):
+            for x in range(grey.shape[1] // 2):
+                blue[y, x] = 128
+            for x in range(grey.shape[1] // 2):
+                red[y, x] = 128
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def limited_range_row(
+    grey: cython.const[cython.uchar][::1], luma: cython.uchar[::1]
+) -> cython.void:
+    """Fill in a row, in 16 bits; of all 256 levels the result is exact."""
+    x: cython.Py_ssize_t
+    for x in range(grey.shape[0]):
+        level: cython.ushort = cython.cast(cython.ushort, grey[x])
+        less: cython.uint = cython.cast(cython.uint, 2 * level + 7) * 4627 >> 16
+        luma[x] = level + 16 - less
+
+
 def planes(
     levels: cython.const[cython.uchar][:, ::1],
     table: cython.const[cython.uchar][:, ::1],

@@ -14,20 +14,13 @@ import av
 import cv2
 import numpy as np
 
-from motionstereo_cli.compiled.pictures import planes as fill
+from motionstereo_cli.compiled import pictures as loops
 from motionstereo_cli.files.atomic import Temporary, open_new, remove_own, reported
 from motionstereo_cli.files.reading import open_regular
 from motionstereo_cli.files.segments import Segments
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
-
-#: Luma of a limited-range stream for each grey level: 0..255 becomes 16..235.
-_LIMITED_LUMA = (16.5 + np.arange(256) * (219 / 255)).astype(np.uint8)
-
-
-#: The same as a table of colours, see :class:`Indexed`.
-_GREY = np.stack([_LIMITED_LUMA, *[np.full(256, 128, np.uint8)] * 2])
 
 
 @dataclass(frozen=True, slots=True)
@@ -238,15 +231,16 @@ class VideoWriter:
         ]
         top = 0
         for picture, part in zip(pictures, parts, strict=True):
-            table = part.table if isinstance(part, Indexed) else _GREY
             rows = [
                 plane[top // k : (top + len(picture)) // k]
                 for plane, k in zip(planes, (1, 2, 2), strict=True)
             ]
-            if picture.ndim == 3:
+            if isinstance(part, Indexed):
+                loops.planes(picture, part.table, *rows)
+            elif picture.ndim == 3:
                 _convert(picture, rows)
             else:
-                fill(picture, table, *rows)
+                loops.grey_planes(picture, *rows)
             top += len(picture)
         return frame
 

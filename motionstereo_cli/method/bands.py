@@ -6,6 +6,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from motionstereo_cli.compiled import memory as loops
+
 
 def blur(grey: NDArray[np.uint8], sigma_px: float) -> NDArray[np.uint8]:
     """Return a grey image (height, width) uint8 smoothed by a Gaussian; sigma 0 returns it as is.
@@ -30,9 +32,16 @@ def band_table(n: int, grey_min: int = 0, grey_max: int = 255) -> NDArray[np.uin
 
 
 def bands(
-    grey: NDArray[np.uint8], table: NDArray[np.uint8 | np.uint16]
+    grey: NDArray[np.uint8], n: int, grey_min: int = 0, grey_max: int = 255
 ) -> NDArray[np.uint8 | np.uint16]:
-    """Return the band of each pixel of a grey image (height, width) uint8, by a band table."""
-    if table.dtype == np.uint8:
-        return np.asarray(cv2.LUT(grey, table), np.uint8)
-    return table[grey]
+    """Return the band of each pixel of a grey image (height, width) uint8.
+
+    As :func:`band_table` has them: where there are fewer bands than levels, one product gives the
+    same.
+    """
+    levels = grey_max - grey_min + 1
+    if n >= levels:
+        return band_table(n, grey_min, grey_max)[grey]
+    band = np.empty(grey.shape, np.uint8)
+    loops.bands(np.ravel(grey), grey_min, grey_max, -((-n << 16) // levels), band.ravel())
+    return band

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cache
 from typing import TYPE_CHECKING, TypeVar
 
 import cv2
@@ -13,7 +12,7 @@ from numpy.typing import NDArray
 from motionstereo_cli.compiled import checked_array
 from motionstereo_cli.compiled import memory as loops
 from motionstereo_cli.errors import InputError
-from motionstereo_cli.method.bands import band_table, bands, blur
+from motionstereo_cli.method.bands import bands, blur
 from motionstereo_cli.method.charge import accumulate, age, permanency
 from motionstereo_cli.method.contrast import contrast
 from motionstereo_cli.method.match_keys import match_keys
@@ -24,8 +23,6 @@ if TYPE_CHECKING:
     from motionstereo_cli.types import Grey, MatchKeys, Real, Rig, StereoFrame
 
 _T = TypeVar("_T", bound=np.generic)
-
-_band_table = cache(band_table)
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,7 +96,7 @@ def see(memory: Memory | None, image: Grey, settings: Settings) -> Memory:
     """
     s = settings
     local = blur(contrast(image, s.contrast_px, s.contrast_floor), s.blur_px)
-    banded = bands(local, _band_table(s.bands, s.grey_min, s.grey_max))
+    banded = bands(local, s.bands, s.grey_min, s.grey_max)
     if memory is None:
         at_rest = np.full_like(image, s.charge_min)
         return Memory(image, local, banded, np.zeros(image.shape, np.bool_), at_rest)

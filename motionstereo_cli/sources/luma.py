@@ -9,14 +9,12 @@ import cv2
 import numpy as np
 from av.video.reformatter import ColorRange
 
+from motionstereo_cli.files.levels import full_range
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from motionstereo_cli.types import Grey
-
-#: Grey levels for a step of a limited-range stream's luma, and for none: 16..235 becomes 0..255.
-_GREY_PER_LUMA = 255 / 219
-_GREY_OF_NONE = -16 * _GREY_PER_LUMA
 
 #: Differences of red, green and blue up to this are rounding.
 _GREY_SPREAD = 6
@@ -68,11 +66,10 @@ def grey_levels(frame: av.VideoFrame, white: int = 0) -> Grey:
     rows = np.frombuffer(memoryview(plane), np.uint8).reshape(
         -1, plane.line_size
     )  # rows are padded
-    luma = rows[: frame.height, : frame.width]
+    luma = rows[: frame.height]
     if full:
-        return np.ascontiguousarray(luma)
-    # Rounded, and limited to 0..255.
-    return np.asarray(cv2.addWeighted(luma, _GREY_PER_LUMA, luma, 0, _GREY_OF_NONE), np.uint8)
+        return np.ascontiguousarray(luma[:, : frame.width])
+    return full_range(luma, frame.width)
 
 
 def colours(frame: av.VideoFrame) -> NDArray[np.uint8]:
