@@ -27,7 +27,7 @@ from motionstereo_cli.commands.batch import plan_of
 from motionstereo_cli.method.settings import Settings
 from motionstereo_cli.report.batch_page import batch_page
 from motionstereo_cli.report.run_page import run_page
-from motionstereo_cli.runs import disparity_offset
+from motionstereo_cli.robot import odometer
 from motionstereo_cli.runs import run as runs
 from motionstereo_cli.runs.disparity_range import RANGE
 from motionstereo_cli.runs.plan import AUTO_POSES, RunPlan
@@ -175,7 +175,7 @@ def page_of_a_batch_with(clips, out, folder):
 @pytest.mark.parametrize("code", CODES)
 def test_each_warning_is_said_recorded_and_on_the_page(clips, tmp_path, capsys, monkeypatch, code):
     # How these two are measured has tests of its own.
-    monkeypatch.setattr(disparity_offset, "disparity_offset_px", lambda *_: 0.7)
+    monkeypatch.setattr(odometer, "disparity_offset_px", lambda *_: 0.7)
     if code == "sync-offset":
         monkeypatch.setattr(offset, "with_offset", unsure_offset)
     out = tmp_path / "o"
