@@ -76,6 +76,17 @@ def test_the_command_compares_files(tmp_path, capsys, form):
     assert dict(zip(head.split(","), row.split(","), strict=True))["poses"] == "60"
 
 
+def test_poses_without_truth_are_counted_and_said(tmp_path, capsys):
+    for name, count in (("found", 9), ("true", 5)):
+        rows = [f"{number} {number} 0 0 0 0 0 1\n" for number in range(count)]
+        (tmp_path / f"{name}.txt").write_text("".join(rows))
+    files = [str(tmp_path / f"{name}.txt") for name in ("found", "true")]
+    assert main(["evaluate", *files, "--json", "-"]) == 0
+    said = capsys.readouterr()
+    assert json.loads(said.out)["without_truth"] == 4
+    assert "4 poses of OUT have no true one" in said.err
+
+
 def test_what_is_unknown_is_a_dash_and_says_why(tmp_path, capsys):
     path = tmp_path / "short.txt"
     path.write_text("".join(f"{n} {n / 10} 0 0 0 0 0 1\n" for n in range(5)))

@@ -18,6 +18,7 @@ from motionstereo_cli.robot.course import (
     travelled,
     wrapped,
 )
+from motionstereo_cli.robot.grid import FloorView, sighted
 from motionstereo_cli.robot.guide import HELD_FRAMES, ImageGuide, MapGuide
 from motionstereo_cli.robot.local_map import (
     CELL_M,
@@ -25,14 +26,12 @@ from motionstereo_cli.robot.local_map import (
     CERTAIN,
     HALF_LIFE_FRAMES,
     Bearings,
-    FloorView,
     LocalMap,
     moved,
     nearest_by_bearing,
     profile,
     ranked_by_bearing,
     seen,
-    sighted,
 )
 from motionstereo_cli.types import Pose, Rig
 

@@ -164,6 +164,8 @@ def _evaluate_files(
     forms = ((csv_path, numbers.format_csv), (json_path, numbers.format_json))
     write_files(report, forms, inputs)
     print_form(report, forms, numbers.format_table)
+    if missing := getattr(report, "without_truth", 0):
+        say("warning", f"{missing} poses of OUT have no true one, and do not count")
     if unknown := [name for name, value in asdict(report).items() if math.isnan(value)]:
         say("note", f"{', '.join(unknown)}: unknown, as {report.NOTHING}")
 

@@ -1,7 +1,12 @@
-"""Quantiles and counts of nearness: the loops of :mod:`motionstereo_cli.robot.free_space`."""
+"""Quantiles of nearness, and what is nearest in each bearing.
+
+The loops of :mod:`motionstereo_cli.robot.free_space`, and of the profile of
+:mod:`motionstereo_cli.robot.local_map`.
+"""
 
 import cython
 import numpy as np
+from cython.cimports.libc.math import ceil, fabs
 
 NAN = cython.declare(cython.float, np.nan)
 UNKNOWN = cython.declare(cython.int, 255)  # the bucket of what is unknown
@@ -401,3 +406,181 @@ def split_row(
         lies: cython.bint = abs(up) < ground_share + error
         standing[x] = buckets[x] if stands else UNKNOWN
         lying[x] = buckets[x] if lies else UNKNOWN
+
+
+@cython.cclass
+@cython.dataclasses.dataclass
+class Things:
+    """What counts as an obstacle, and as its upper side.
+
+    Attributes:
+        cy_px: row of the principal point.
+        up_per_row: height in m times nearness in px, of a row.
+        focal_baseline: depth in m times nearness in px.
+        below_m, above_m: heights that are in the way, about the camera's.
+        nearer_share, least: as many points, a share and a number, are as near as the nearest.
+        one_share, one_px: what lies within the larger of these of it is of one thing.
+        higher_share: share of its points that are above its top.
+        low_m, high_m: tops between these are seen from above.
+        level_m: the upper side is within this height of the top.
+        cell_m, gap_m: it is looked for in steps, and ends at a wider gap.
+    """
+
+    cy_px: cython.double
+    up_per_row: cython.double
+    focal_baseline: cython.float
+    below_m: cython.double
+    above_m: cython.double
+    nearer_share: cython.double
+    least: cython.int
+    one_share: cython.float
+    one_px: cython.float
+    higher_share: cython.double
+    low_m: cython.float
+    high_m: cython.float
+    level_m: cython.double
+    cell_m: cython.double
+    gap_m: cython.double
+
+
+@cython.cclass
+class Workspace:
+    """The points in each bearing.
+
+    Args:
+        bearings: their number.
+        points: the most in one of them.
+        cells: steps in which upper sides are looked for.
+    """
+
+    count: cython.int[::1]
+    near: cython.float[:, ::1]
+    up: cython.double[:, ::1]
+    ranked: cython.float[::1]
+    filled: cython.uchar[::1]
+
+    def __init__(self, bearings, points, cells):
+        self.count = np.zeros(bearings, np.int32)
+        self.near = np.zeros((bearings, points), np.float32)
+        self.up = np.zeros((bearings, points))
+        self.ranked = np.zeros(points, np.float32)
+        self.filled = np.zeros(cells, np.uint8)
+
+
+def profile(
+    nearness: cython.const[cython.float][:, :],
+    fresh: cython.const[cython.uchar][:, :],
+    things: Things,
+    work: Workspace,
+    near: cython.float[::1],
+    top: cython.float[::1],
+    far: cython.float[::1],
+) -> None:
+    """Fill in the nearest thing in each bearing.
+
+    Args:
+        nearness: disparity + doffs, (height, width), NaN = unknown.
+        fresh: pixels that show the present, (height, width), 0 or 1.
+        things: what counts.
+        work: for so many bearings.
+        near: nearness of the nearest thing, (bearings,) px, NaN = unknown.
+        top: height of its top above the camera, (bearings,) m.
+        far: how far ahead its upper side ends, (bearings,) m; 0 where none is seen.
+    """
+    b: cython.Py_ssize_t
+    with cython.nogil:
+        take_points(nearness, fresh, things, work)
+        for b in range(near.shape[0]):
+            one_bearing(b, things, work, near, top, far)
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def take_points(
+    nearness: cython.const[cython.float][:, :],
+    fresh: cython.const[cython.uchar][:, :],
+    things: Things,
+    work: Workspace,
+) -> cython.void:
+    """Take the points of obstacles, by bearing."""
+    x: cython.Py_ssize_t
+    y: cython.Py_ssize_t
+    width: cython.Py_ssize_t = nearness.shape[1]
+    bearings: cython.Py_ssize_t = work.count.shape[0]
+    work.count[:] = 0
+    for y in range(nearness.shape[0]):
+        up_px: cython.double = (things.cy_px - y) * things.up_per_row
+        for x in range(width):
+            near: cython.float = nearness[y, x]
+            if not (fresh[y, x] and near > 0):
+                continue
+            up: cython.double = up_px / near
+            if -things.below_m < up < things.above_m:
+                b: cython.Py_ssize_t = x * bearings // width
+                work.near[b, work.count[b]] = near
+                work.up[b, work.count[b]] = up
+                work.count[b] += 1
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def one_bearing(
+    b: cython.Py_ssize_t,
+    things: Things,
+    work: Workspace,
+    near: cython.float[::1],
+    top: cython.float[::1],
+    far: cython.float[::1],
+) -> cython.void:
+    """Fill in what is in a bearing."""
+    n: cython.int
+    kept: cython.int = 0
+    count: cython.int = work.count[b]
+    near[b] = NAN
+    top[b] = NAN
+    far[b] = 0
+    for n in range(count):
+        work.ranked[n] = work.near[b, n]
+    near[b] = high(work.ranked, count, things.nearer_share, things.least)
+    margin: cython.float = things.one_share * near[b]
+    margin = margin if margin > things.one_px else things.one_px
+    for n in range(count):
+        if work.near[b, n] >= near[b] - margin:
+            work.ranked[kept] = cython.cast(cython.float, work.up[b, n])
+            kept += 1
+    top[b] = high(work.ranked, kept, things.higher_share, 1)
+    if not things.low_m < top[b] < things.high_m:
+        return
+    cells: cython.int = cython.cast(cython.int, work.filled.shape[0])
+    cell_m: cython.float = cython.cast(cython.float, things.cell_m)
+    work.filled[:] = 0
+    for n in range(count):
+        if fabs(work.up[b, n] - top[b]) < things.level_m:
+            place: cython.float = things.focal_baseline / work.near[b, n] / cell_m
+            if place < cells:
+                work.filled[cython.cast(cython.int, place)] = 1
+    front: cython.float = things.focal_baseline / near[b] / cell_m
+    last: cython.int = cells - 1 if front > cells - 1 else cython.cast(cython.int, front)
+    first: cython.int = last
+    for n in range(first + 1, cells):
+        if work.filled[n]:
+            last = n
+        if (n - last) * things.cell_m > things.gap_m:
+            break
+    far[b] = cell_m * cython.cast(cython.float, last + 1)
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def high(
+    values: cython.float[::1], count: cython.int, share: cython.double, least: cython.int
+) -> cython.float:
+    """Return the value that a share of the first values, but at least so many, are as high as.
+
+    NaN if there are too few. The values are reordered.
+    """
+    rank: cython.int = max(cython.cast(cython.int, ceil(share * count)), least)
+    return select(values, count, count - rank) if rank <= count else NAN

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
@@ -41,6 +41,7 @@ class PoseReport:
         ate_m: root mean square distance of places, once the path is moved and turned to fit best.
         step_m, step_deg: root mean square error of the motion from pose to pose.
         end_m: distance of the ends, once the beginnings agree.
+        without_truth: found poses that have no true one.
     """
 
     NOTHING: ClassVar[str] = f"the true path is shorter than {LENGTHS_M[0]} m"
@@ -53,6 +54,7 @@ class PoseReport:
     step_m: float
     step_deg: float
     end_m: float
+    without_truth: int = field(default=0, kw_only=True)
 
 
 def evaluate_poses(found: str | Path, true: str | Path) -> PoseReport:
@@ -88,7 +90,8 @@ def evaluate_poses(found: str | Path, true: str | Path) -> PoseReport:
             "this recording"
         )
     rows = [[getattr(pose, name) for name in Pose.__slots__] for pose in truth if pose is not None]
-    return compare(_matrices(one.poses[inside]), _matrices(np.array(rows)))
+    report = compare(_matrices(one.poses[inside]), _matrices(np.array(rows)))
+    return replace(report, without_truth=int(np.count_nonzero(~inside)))
 
 
 def _matrices(poses: Reals) -> Reals:

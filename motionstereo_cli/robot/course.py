@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from motionstereo_cli.compiled import local_map as loops
+from motionstereo_cli.compiled import grid as loops
 
 
 def steadied(before: float | None, target: float, gain: float) -> float:

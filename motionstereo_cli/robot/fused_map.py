@@ -12,6 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from motionstereo_cli.robot.grid import window
+
 Cells = NDArray[np.int64]
 
 #: Evidence of one frame, and its limit.
@@ -78,9 +80,7 @@ def _grown(known: Grid, low: Cells, high: Cells) -> Grid:
     if known.evidence.size:
         first = np.minimum(first, known.corner)
         end = np.maximum(end, np.add(known.corner, known.evidence.shape))
-    evidence = np.zeros(end - first, np.int8)
-    i, j = known.corner - first if known.evidence.size else (0, 0)
-    evidence[i : i + known.evidence.shape[0], j : j + known.evidence.shape[1]] = known.evidence
+    evidence = window(known.evidence, known.corner, first, end - first)
     return Grid(evidence, (int(first[0]), int(first[1])))
 
 
@@ -89,10 +89,9 @@ def trimmed(known: Grid) -> Grid:
     at = np.argwhere(known.evidence)
     if not len(at):
         return Grid(np.zeros((1, 1), np.int8), known.corner)
-    low, high = at.min(axis=0), at.max(axis=0) + 1
-    part = known.evidence[low[0] : high[0], low[1] : high[1]]
-    i, j = low + known.corner
-    return Grid(part, (int(i), int(j)))
+    low, high = at.min(axis=0) + known.corner, at.max(axis=0) + 1 + known.corner
+    part = window(known.evidence, known.corner, low, high - low)
+    return Grid(part, (int(low[0]), int(low[1])))
 
 
 @dataclass(frozen=True, slots=True)

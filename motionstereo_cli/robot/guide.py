@@ -36,12 +36,12 @@ from motionstereo_cli.robot.free_space import (
     nearest,
     way_ahead,
 )
+from motionstereo_cli.robot.grid import FloorView
 from motionstereo_cli.robot.local_map import (
     CELL_M,
     CELLS,
     CERTAIN,
     Bearings,
-    FloorView,
     LocalMap,
     moved,
     profile,
@@ -267,7 +267,9 @@ class ImageGuide:
         return before, Steering(
             status="held" if target is None else "ok",
             steer=1 - 2 * place,
-            steer_rad=_angle_rad(place, width, self.rig, self.settings.reference),
+            steer_rad=None
+            if self.rig is None
+            else _angle_rad(place, width, self.rig, self.settings.reference),
             depth_m=_depth_m(ahead_px, self.rig),
             nearest_m=_depth_m(seen.nearest_px, self.rig),
             risk_s=before.approach.contact_s,
@@ -533,9 +535,7 @@ def _thinning(image: Real) -> tuple[int, int]:
     return height, width
 
 
-def _angle_rad(place: float, width: int, rig: Rig | None, camera: str) -> float | None:
-    if rig is None:
-        return None
+def _angle_rad(place: float, width: int, rig: Rig, camera: str) -> float:
     column = place * width - 0.5  # of pixel centres
     return math.atan2(rig.cx_of(camera) - column, rig.focal_px)
 

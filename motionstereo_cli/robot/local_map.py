@@ -21,10 +21,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from motionstereo_cli.compiled import local_map as loops
+from motionstereo_cli.compiled import free_space as loops
 from motionstereo_cli.compiled import reused
-
-Reals = NDArray[np.float32]
+from motionstereo_cli.robot.grid import FloorView, Reals, sighted, window
 
 CELL_M = 0.1
 #: Cells along one side of the map: 16 m.
@@ -40,8 +39,7 @@ CERTAIN = 0.7
 
 #: Distance from the robot up to which points are marked as occupied.
 _HIT_REACH_M = 6.0
-#: Tolerances of disparity, in px, for free cells and occupied ones.
-_FREE_ERROR_PX = 1.0
+#: Tolerance of disparity, in px, for occupied cells.
 _HIT_ERROR_PX = 0.5
 
 #: Nearest pixels of a bearing that are ignored: a share, and a number.
@@ -65,13 +63,6 @@ _LEVEL_M, _LEVEL_REACH_M, _LEVEL_GAP_M = 0.12, 4.0, 0.45
 #: How far above the top of a thing a sight has to pass to be said to pass over it.
 _TOP_ERROR_M = 0.1
 
-#: Bearings without points are interpolated: up to this angle as free, up to this length as
-#: occupied. Straight ahead, between points that are far, little shifts in the images while the rig
-#: drives there, and a wider gap may be free.
-_BRIDGED_RAD = math.radians(10)
-_BRIDGED_AHEAD_RAD, _FAR_M = math.radians(20), 6.0
-_BRIDGED_M = 1.5
-
 
 @dataclass(frozen=True, slots=True)
 class LocalMap:
@@ -92,28 +83,6 @@ class LocalMap:
         """Return an empty map around a place."""
         nothing = np.zeros((CELLS, CELLS), np.float32)
         return cls(nothing, nothing, _corner(x_m, y_m))
-
-
-@dataclass(frozen=True, slots=True)
-class FloorView:
-    """A camera on the floor plane.
-
-    Attributes:
-        x_m, y_m: its place in the world.
-        yaw_rad: its heading.
-        focal_px, focal_y_px: focal lengths along x and y.
-        cx_px, cy_px: principal point.
-        focal_baseline: focal length in px times baseline in m.
-    """
-
-    x_m: float
-    y_m: float
-    yaw_rad: float
-    focal_px: float
-    focal_y_px: float
-    cx_px: float
-    cy_px: float
-    focal_baseline: float
 
 
 class Bearings(NamedTuple):
@@ -203,17 +172,9 @@ def nearest_by_bearing(near_px: Reals, bearing: NDArray[np.intp], bearings: int)
 def moved(known: LocalMap, x_m: float, y_m: float) -> LocalMap:
     """Return the map with its middle at a place; what is beyond its edge is dropped."""
     corner = _corner(x_m, y_m)
-    evidence, top_m = np.zeros_like(known.evidence), np.zeros_like(known.top_m)
-    spans = []
-    for axis in (0, 1):
-        shift = corner[axis] - known.corner[axis]
-        low, high = max(shift, 0), min(CELLS + shift, CELLS)
-        if low >= high:
-            return LocalMap(evidence, top_m, corner)
-        spans.append((slice(low - shift, high - shift), slice(low, high)))
-    (to_x, from_x), (to_y, from_y) = spans
-    evidence[to_x, to_y] = known.evidence[from_x, from_y]
-    top_m[to_x, to_y] = known.top_m[from_x, from_y]
+    evidence, top_m = (
+        window(each, known.corner, corner, each.shape) for each in (known.evidence, known.top_m)
+    )
     return LocalMap(evidence, top_m, corner)
 
 
@@ -258,96 +219,11 @@ def seen(
     return LocalMap(evidence.clip(-_MOST, _MOST), np.where(hit, top_m, known.top_m), known.corner)
 
 
-class Sight(NamedTuple):
-    """What a camera sees of a grid, of the grid's shape each.
-
-    Attributes:
-        free: cells that it sees through, bool.
-        hit: cells in which it sees something, bool.
-        bearing: in which bearing a cell lies, 0 where in none, int.
-        ahead_m: how far ahead of the camera a cell lies, float32.
-    """
-
-    free: NDArray[np.bool_]
-    hit: NDArray[np.bool_]
-    bearing: NDArray[np.intp]
-    ahead_m: Reals
-
-
-def sighted(
-    shape: tuple[int, ...],
-    corner: tuple[int, int],
-    near_px: Reals,
-    view: FloorView,
-    width: int,
-    *,
-    cell_m: float,
-    reach_m: float,
-    error_px: float,
-    far_m: Reals | None = None,
-) -> Sight:
-    """Return the cells of a grid that a camera sees through, and those in which it sees something.
-
-    Args:
-        shape: number of cells along the world's x and y.
-        corner: world cell of the first.
-        near_px: profile of the frame, (bearings,) float32 px, NaN = unknown.
-        view: the camera.
-        width: width of its images in px.
-        cell_m: size of a cell.
-        reach_m: farther points are too uncertain to be marked; the space up to them is free.
-        error_px: error of a disparity that an occupied place allows for.
-        far_m: as of the profile: what it sees onto is occupied up to there.
-    """
-    bridged, solid = _bridged(near_px, view, width)
-    x_m, y_m = (
-        ((np.arange(count) + first + 0.5) * cell_m - place).astype(np.float32)
-        for count, first, place in zip(shape, corner, (view.x_m, view.y_m), strict=True)
-    )
-    camera: Any = loops.Camera(  # type: ignore[call-arg]
-        *(math.cos(view.yaw_rad), math.sin(view.yaw_rad), view.cx_px, view.focal_px),
-        *(view.focal_baseline, width, cell_m, reach_m, error_px, _FREE_ERROR_PX, 0.75 * cell_m),
-    )
-    far_m = np.zeros_like(bridged) if far_m is None else far_m
-    free, hit = np.empty((2, *shape), np.bool_)
-    sight = Sight(free, hit, np.empty(shape, np.intp), np.empty(shape, np.float32))
-    loops.sight(
-        *(x_m, y_m, camera, bridged, solid.view(np.uint8), far_m, np.empty(shape[1], np.float32)),
-        *(free.view(np.uint8), hit.view(np.uint8), sight.bearing, sight.ahead_m),
-    )
-    return sight
-
-
 def _corner(x_m: float, y_m: float) -> tuple[int, int]:
     return (
         math.floor(x_m / CELL_M) - CELLS // 2,
         math.floor(y_m / CELL_M) - CELLS // 2,
     )
-
-
-def _bridged(near_px: Reals, view: FloorView, width: int) -> tuple[Reals, NDArray[np.bool_]]:
-    """Return the profile with short gaps filled, and where it is dense enough for a surface.
-
-    A plane is linear in disparity, so a wall between two points is interpolated linearly.
-    """
-    bearing = np.arange(len(near_px))
-    points = np.flatnonzero(~np.isnan(near_px))
-    if not len(points):
-        return near_px, np.zeros(len(near_px), np.bool_)
-    after = np.searchsorted(points, bearing).clip(0, len(points) - 1)
-    before = np.maximum(np.where(points[after] == bearing, after, after - 1), 0)
-    low, high = points[before], points[after]
-    near = np.interp(bearing, points, near_px[points])
-    pixels = width / len(near_px)
-    gap_rad = (high - low) * pixels / view.focal_px
-    depth_low, depth_high = (view.focal_baseline / near_px[ends] for ends in (low, high))
-    ahead = view.cx_px / pixels
-    is_far_ahead = (low <= ahead) & (ahead <= high) & (np.minimum(depth_low, depth_high) > _FAR_M)
-    most_rad = np.where(is_far_ahead, _BRIDGED_AHEAD_RAD, _BRIDGED_RAD)
-    between = (low <= bearing) & (bearing <= high) & (gap_rad <= most_rad)
-    gap_m = np.hypot(depth_high - depth_low, gap_rad * (depth_low + depth_high) / 2)
-    solid: NDArray[np.bool_] = between & (gap_rad <= _BRIDGED_RAD) & (gap_m <= _BRIDGED_M)
-    return np.where(between, near, np.nan).astype(np.float32), solid
 
 
 def _filled(values: Reals) -> Reals:

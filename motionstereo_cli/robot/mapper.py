@@ -25,8 +25,9 @@ from motionstereo_cli.robot.fused_map import (
     trimmed,
     voxels_of,
 )
+from motionstereo_cli.robot.grid import sighted
 from motionstereo_cli.robot.guide import view_of
-from motionstereo_cli.robot.local_map import nearest_by_bearing, sighted
+from motionstereo_cli.robot.local_map import nearest_by_bearing
 from motionstereo_cli.robot.points import in_world, points
 
 if TYPE_CHECKING:
