@@ -34,7 +34,7 @@ from motionstereo_cli.method.memory import (
     see,
 )
 from motionstereo_cli.method.settings import AUTO, MATCHERS, Settings
-from motionstereo_cli.method.steady import averaged
+from motionstereo_cli.method.steady import PARTS_PER_PX, averaged
 from motionstereo_cli.robot.guide import Guide, guide_of
 from motionstereo_cli.robot.objects import Region
 from motionstereo_cli.robot.tracker import Tracker, Tracks
@@ -487,13 +487,14 @@ def analyse(
         now.set_exception(error)
         raise
     now.set_result(sighting)
-    earlier = [(each.result().disparity_px, each.result().grey) for each in before]
+    earlier = [(each.result().parts, each.result().grey) for each in before]
     if earlier:
         age = age_of(shown, s)
-        steady = averaged(found.disparity_px, sighting.grey, age, earlier)
+        steady = averaged(found.disparity_px, (sighting.parts, sighting.grey), age, earlier)
         found = found._replace(disparity_px=steady)
-    earlier_px = [disparity_px for disparity_px, _ in earlier]
-    images, summary = described(frame, shown, found, motion, context, earlier_px)
+    images, summary = described(
+        frame, shown, found, motion, context, [parts for parts, _ in earlier]
+    )
     return FrameAnalysis(images, summary)
 
 
@@ -503,7 +504,7 @@ def described(
     found: Match,
     motion: robot.odometry.Motion | None,
     context: StreamContext,
-    earlier_px: Sequence[Real] = (),
+    earlier: Sequence[NDArray[np.uint16]] = (),
 ) -> tuple[FrameImages, FrameSummary]:
     """Return all results that depend on one frame's disparity.
 
@@ -513,13 +514,13 @@ def described(
         found: its disparity, and further results of the matcher.
         motion: the rig's own.
         context: the constants of the stream.
-        earlier_px: disparity of the last frames, each of its own alone.
+        earlier: disparity of the last frames, each of its own alone, in parts of a px.
     """
     s, rig, disparity_px = context.settings, context.rig, found.disparity_px
     regions: tuple[Region, ...] = ()
     if context.tracker and (not context.objects_are_movers or robot.mover_finder.stands(motion)):
         fresh = age_of(shown, s) <= FRESH_FRAMES
-        regions = context.tracker.regions(disparity_px, fresh, earlier_px)
+        regions = context.tracker.regions(disparity_px, fresh, earlier, PARTS_PER_PX)
     images = FrameImages(
         time=frame.time,
         view=frame.right if s.reference == "right" else frame.left,

@@ -19,6 +19,7 @@ from bench import objects as bench
 from motionstereo_cli.commands import cli
 from motionstereo_cli.compiled import objects as loops
 from motionstereo_cli.method.settings import Settings
+from motionstereo_cli.method.steady import in_parts
 from motionstereo_cli.pipeline import process
 from motionstereo_cli.robot import objects
 from motionstereo_cli.robot.assignment import assignment
@@ -127,12 +128,14 @@ class TestRegions:
         fresh = scene((40, 20, 64, 48, 1), ground=0) > 0
         lost = np.full(now.shape, NAN)
         for earlier in ([was], [was, now, lost]):
-            hidden = uncovered(now, fresh, earlier, 0.0)
+            hidden = uncovered(now, fresh, [in_parts(each) for each in earlier], 32, 0.0)
             assert hidden[20:68, 40:64].all()
             assert np.count_nonzero(hidden) == 24 * 48
-        assert not uncovered(now, fresh, [], 0.0).any()
-        assert not uncovered(now, fresh, [now + np.float32(1)], 0.0).any()  # it drew back a little
-        assert not uncovered(now, fresh, [was], 200.0).any()  # 12 px are a small share of 208
+        assert not uncovered(now, fresh, [], 32, 0.0).any()
+        drew_back = in_parts(now + np.float32(1))  # a little
+        assert not uncovered(now, fresh, [drew_back], 32, 0.0).any()
+        parts = [in_parts(was)]
+        assert not uncovered(now, fresh, parts, 32, 200.0).any()  # 12 px are a small share of 208
 
     @given(
         arrays(np.float32, (3, 5, 7), elements=st.sampled_from([np.nan, 0.5, 4, 5, 5.5, 40, 43])),
@@ -144,12 +147,13 @@ class TestRegions:
         with np.errstate(invalid="ignore"):
             before = np.fmax(*earlier)
             wanted = fresh & (before - now > np.maximum(1, np.float32(0.06) * (now + doffs_px)))
-        assert np.array_equal(uncovered(now, fresh, earlier, doffs_px), wanted)
+        parts = [in_parts(each) for each in earlier]
+        assert np.array_equal(uncovered(now, fresh, parts, 32, doffs_px), wanted)
 
     def test_what_recedes_uncovers_nothing(self):
         earlier = [scene((40, 20, 64, 48, 20 * 1.015**ago)) for ago in range(7, 0, -1)]
-        fresh = np.isfinite(earlier[0])
-        assert not uncovered(scene((40, 20, 64, 48, 20)), fresh, earlier, 0.0).any()
+        fresh, parts = np.isfinite(earlier[0]), [in_parts(each) for each in earlier]
+        assert not uncovered(scene((40, 20, 64, 48, 20)), fresh, parts, 32, 0.0).any()
 
     def test_what_reaches_across_the_image_is_none(self):
         assert found(scene((0, 40, 160, 56, 10))) == ()

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from motionstereo_cli.method.settings import Settings
-from motionstereo_cli.method.steady import averaged
+from motionstereo_cli.method.steady import averaged, in_parts
 from motionstereo_cli.pipeline import process
 from motionstereo_cli.simulate.scenes import render_scene
 from motionstereo_cli.simulate.settings import SimulateSettings
@@ -22,21 +22,30 @@ def sighting(rng):
     return disparity, rng.integers(100, 108, disparity.shape).astype(np.uint8)
 
 
+def in_short(seen):
+    return in_parts(seen[0]), seen[1]
+
+
 @settings(max_examples=40)
 @given(st.integers(0, 10_000), st.integers(0, 5))
 def test_averages_are_the_oracles(seed, count):
     rng = np.random.default_rng(seed)
     now, before = sighting(rng), [sighting(rng) for _ in range(count)]
     age = rng.choice([0, 1, 2, 5, 255], now[0].shape).astype(np.uint8)
-    found, wanted = averaged(*now, age, before), oracles.averaged(*now, age, before)
-    np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-5)
+    found = averaged(now[0], in_short(now), age, [in_short(each) for each in before])
+    np.testing.assert_allclose(found, oracles.averaged(*now, age, before), rtol=0, atol=1e-5)
+
+
+def test_parts_are_32nds_of_a_px():
+    parts = in_parts(np.array([[np.nan, 0, 0.02, 3.26, 2039.5, 3000]], np.float32))
+    assert parts.tolist() == [[0, 1, 1, 104, 65264, 65280]]
 
 
 def test_what_moved_just_now_is_not_averaged():
     rng = np.random.default_rng(0)
     now = sighting(rng)
     age = np.zeros(now[0].shape, np.uint8)
-    np.testing.assert_array_equal(averaged(*now, age, [now, now]), now[0])
+    np.testing.assert_array_equal(averaged(now[0], in_short(now), age, [in_short(now)] * 2), now[0])
 
 
 @pytest.fixture(scope="module")

@@ -60,8 +60,10 @@ def in_cells(
                         mean[row, column] = middle
 
 
-def take_larger(values: cython.const[cython.float][:, ::1], largest: cython.float[:, ::1]) -> None:
-    """Put values in place of smaller ones, pixel by pixel; NaN are none."""
+def take_larger(
+    values: cython.const[cython.ushort][:, ::1], largest: cython.ushort[:, ::1]
+) -> None:
+    """Put values in place of smaller ones, pixel by pixel."""
     y: cython.Py_ssize_t
     with cython.nogil:
         for y in range(values.shape[0]):
@@ -71,7 +73,8 @@ def take_larger(values: cython.const[cython.float][:, ::1], largest: cython.floa
 def hidden_before(
     disparity: cython.const[cython.float][:, ::1],
     fresh: cython.const[cython.uchar][:, ::1],
-    before: cython.const[cython.float][:, ::1],
+    before: cython.const[cython.ushort][:, ::1],
+    per_px: cython.float,
     doffs_px: cython.float,
     hidden_px: cython.float,
     hidden_share: cython.float,
@@ -82,7 +85,8 @@ def hidden_before(
     Args:
         disparity: px, (height, width), NaN = unknown.
         fresh: where something has just moved, (height, width), 0 or 1.
-        before: the largest disparity of the last frames.
+        before: the largest disparity of the last frames, in parts of a px, 0 = unknown.
+        per_px: parts of a px.
         doffs_px: nearness less disparity.
         hidden_px, hidden_share: it was nearer by more than the larger of these.
         result: gets 0 or 1.
@@ -91,7 +95,14 @@ def hidden_before(
     with cython.nogil:
         for y in range(disparity.shape[0]):
             hidden_row(
-                disparity[y], fresh[y], before[y], doffs_px, hidden_px, hidden_share, result[y]
+                disparity[y],
+                fresh[y],
+                before[y],
+                per_px,
+                doffs_px,
+                hidden_px,
+                hidden_share,
+                result[y],
             )
 
 
@@ -101,7 +112,9 @@ def hidden_before(
 @cython.cfunc
 @cython.nogil
 @cython.exceptval(check=False)
-def larger_row(values: cython.const[cython.float][::1], largest: cython.float[::1]) -> cython.void:
+def larger_row(
+    values: cython.const[cython.ushort][::1], largest: cython.ushort[::1]
+) -> cython.void:
     """Take the larger values of a row."""
     x: cython.Py_ssize_t
     for x in range(largest.shape[0]):
@@ -114,7 +127,8 @@ def larger_row(values: cython.const[cython.float][::1], largest: cython.float[::
 def hidden_row(
     disparity: cython.const[cython.float][::1],
     fresh: cython.const[cython.uchar][::1],
-    before: cython.const[cython.float][::1],
+    before: cython.const[cython.ushort][::1],
+    per_px: cython.float,
     doffs_px: cython.float,
     hidden_px: cython.float,
     hidden_share: cython.float,
@@ -125,7 +139,7 @@ def hidden_row(
     for x in range(result.shape[0]):
         limit: cython.float = hidden_share * (disparity[x] + doffs_px)
         limit = limit if limit > hidden_px else hidden_px
-        result[x] = fresh[x] & (before[x] - disparity[x] > limit)
+        result[x] = fresh[x] & (before[x] / per_px - disparity[x] > limit)
 
 
 def boxes(

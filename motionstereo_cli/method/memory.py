@@ -18,6 +18,7 @@ from motionstereo_cli.method.contrast import contrast
 from motionstereo_cli.method.match_keys import match_keys
 from motionstereo_cli.method.motion import motion
 from motionstereo_cli.method.settings import Settings
+from motionstereo_cli.method.steady import in_parts
 
 if TYPE_CHECKING:
     from motionstereo_cli.types import Grey, MatchKeys, Real, Rig, StereoFrame
@@ -50,17 +51,17 @@ class Sighting:
     """What later frames need of a frame.
 
     Attributes:
-        disparity_px: of this frame alone, (height, width) float32, NaN = unknown.
+        parts: disparity of this frame alone, (height, width), as :func:`in_parts` gives it.
         grey: mean of 3 x 3 pixels of the reference view, (height, width) uint8.
     """
 
-    disparity_px: NDArray[np.float32]
+    parts: NDArray[np.uint16]
     grey: NDArray[np.uint8]
 
     @classmethod
     def of(cls, disparity_px: Real, view: Grey) -> Sighting:
         """Return the sighting of a disparity and its view."""
-        return cls(disparity_px, np.asarray(cv2.blur(view, (3, 3)), np.uint8))
+        return cls(in_parts(disparity_px), np.asarray(cv2.blur(view, (3, 3)), np.uint8))
 
 
 def checked_views(frame: StereoFrame, before: Memory | None, rig: Rig | None) -> tuple[Grey, Grey]:

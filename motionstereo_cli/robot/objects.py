@@ -197,24 +197,29 @@ def regions(
 
 
 def uncovered(
-    disparity_px: Reals, fresh: NDArray[np.bool_], earlier_px: Sequence[Reals], doffs_px: float
+    disparity_px: Reals,
+    fresh: NDArray[np.bool_],
+    earlier: Sequence[NDArray[np.uint16]],
+    parts_per_px: int,
+    doffs_px: float,
 ) -> NDArray[np.bool_]:
     """Return where something changed because what was before it moved on, (height, width) bool.
 
     Args:
         disparity_px: (height, width) float32, NaN = unknown.
         fresh: where something has just moved, (height, width) bool.
-        earlier_px: disparity in the last frames.
+        earlier: disparity in the last frames, in parts of a px, (height, width), 0 = unknown.
+        parts_per_px: these parts.
         doffs_px: nearness less disparity.
     """
-    before = np.full(fresh.shape, -np.inf, np.float32)
-    for each in earlier_px:
-        loops.take_larger(checked_array(each, np.float32, fresh.shape), before)
+    before = np.zeros(fresh.shape, np.uint16)
+    for each in earlier:
+        loops.take_larger(checked_array(each, np.uint16, fresh.shape), before)
     result = np.empty(fresh.shape, np.bool_)
     loops.hidden_before(
         checked_array(disparity_px, np.float32, fresh.shape),
         *(checked_array(fresh, np.bool_).view(np.uint8), before),
-        *(doffs_px, _HIDDEN_PX, _HIDDEN_SHARE, result.view(np.uint8)),
+        *(parts_per_px, doffs_px, _HIDDEN_PX, _HIDDEN_SHARE, result.view(np.uint8)),
     )
     where = np.flatnonzero(result)
     after = [disparity_px.ravel()[where]]
@@ -223,11 +228,11 @@ def uncovered(
     )
     # What recedes grows farther by and by; what uncovers something else, within few frames.
     soon = np.zeros(len(where), np.bool_)
-    for each in reversed(earlier_px):
-        was = each.ravel()[where]
+    for each in reversed(earlier):
+        was = each.ravel()[where] / np.float32(parts_per_px)
         level = was - hidden_px
         soon |= (level > after[0]) & (level > np.minimum.reduce(after[-_SOON_FRAMES:]))
-        after.append(np.where(np.isnan(was), after[-1], was))
+        after.append(np.where(was > 0, was, after[-1]))
     result.ravel()[where] = soon
     return result
 

@@ -90,19 +90,24 @@ class Tracker:
     rig: Rig | None
 
     def regions(
-        self, disparity_px: Real, fresh: NDArray[np.bool_], earlier_px: Sequence[Real] = ()
+        self,
+        disparity_px: Real,
+        fresh: NDArray[np.bool_],
+        earlier: Sequence[NDArray[np.uint16]] = (),
+        parts_per_px: int = 1,
     ) -> tuple[Region, ...]:
         """Return the regions of a frame that may be objects; they depend on the last frames only.
 
         Args:
             disparity_px: (height, width) float32, NaN = unknown.
             fresh: where the disparity shows the present, (height, width) bool.
-            earlier_px: disparity in the last frames.
+            earlier: disparity in the last frames, in parts of a px, 0 = unknown.
+            parts_per_px: these parts.
         """
         near, doffs_px = disparity_px, 0.0
         if self.rig is not None:
             near, doffs_px = self.rig.nearness_px(disparity_px), self.rig.doffs
-        fresh = fresh & ~uncovered(disparity_px, fresh, earlier_px, doffs_px)
+        fresh = fresh & ~uncovered(disparity_px, fresh, earlier, parts_per_px, doffs_px)
         found = regions(near, fresh, MIN_KNOWN_SHARE)
         if not found:
             return ()

@@ -173,7 +173,7 @@ def check_state(state: State, settings: Settings, width: int, height: int) -> No
             if values.min() < low or values.max() > high:
                 raise ValueError(f"its {name} is not in {low}..{high}")
     for sighting in state.recent:
-        for values in (sighting.disparity_px, sighting.grey):
+        for values in (sighting.parts, sighting.grey):
             if values.shape != (height, width):
                 raise ValueError(f"an earlier frame is {values.shape} large")
 
