@@ -541,7 +541,7 @@ static void measure(const Matching *m, const int16_t *found, int16_t *restrict b
 }
 
 /* Fill in a row: what both views agree on. ``rival``: NULL, or gets the second best where it costs
-   hardly more. */
+   hardly more, else NaN. */
 static void paint(const Matching *m, int16_t *found, float *disparity, float *margin, float *rival)
 {
     ptrdiff_t line = columns(m);
@@ -555,10 +555,11 @@ static void paint(const Matching *m, int16_t *found, float *disparity, float *ma
         int *place = partner + (d < 0 ? width + m->view.count : x + d);
         *place = claim < *place ? claim : *place;
     }
-    for (int x = 0; rival && x < width; x++)
-        if (best[x] >= 0 && second[x] < MAX_COST
-            && (float)(second[x] - cost[x]) < RIVAL_SHARE * second[x])
-            rival[x] = found[RIVAL * line + x];
+    for (int x = 0; rival && x < width; x++) {
+        int is_rival = best[x] >= 0 && second[x] < MAX_COST
+                       && (float)(second[x] - cost[x]) < RIVAL_SHARE * second[x];
+        rival[x] = is_rival ? (float)found[RIVAL * line + x] : NAN;
+    }
     measure(m, found, best, disparity, margin);
     for (int x = 0; x < width; x++) {
         int d = best[x];

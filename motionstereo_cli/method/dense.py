@@ -237,7 +237,7 @@ def semi_global(
     wanted = checked_array(where, np.bool_, shape).view(np.uint8)
     proposed_px = checked_array(proposed_px, np.float32, shape)
     weight = checked_array(weight, np.int16, shape)
-    found = np.full((2 + with_rivals, *shape), np.nan, np.float32)
+    found = np.empty((2 + with_rivals, *shape), np.float32)
     if with_vectors and count <= vectors.MAX_COUNT:
         tile, chunk = _TILE, _chunk(count)
         if sets is None:
