@@ -192,6 +192,41 @@ class TestMotion:
         assert vague.covariance.trace() > sure.covariance.trace() + 0.1
         assert travelled(vague, found[3]).lost == 0
 
+    def test_where_the_rig_is_lost_it_slows_down(self):
+        turning = np.eye(4)
+        turning[:3, :3] = cv2.Rodrigues(np.array([0.1, 0.2, 0.0]))[0]
+        path = replace(setting_out(), last=turning)
+        for _ in range(60):
+            path = travelled(path, None)
+        turned = np.linalg.norm(cv2.Rodrigues(path.pose[:3, :3])[0])
+        assert turned == pytest.approx(4 * np.hypot(0.1, 0.2), rel=1e-3)
+        np.testing.assert_allclose(path.last, np.eye(4), atol=1e-5)
+
+    def test_a_vague_motion_counts_as_far_as_it_is_sure(self, street):
+        rig, pairs, _ = street
+        found = motions(pairs[:4], lens_of(rig))
+        path, _ = path_of(found[:3])
+        slower, unsure = travelled(path, None), np.eye(6) * 1e4
+        off = replace(found[3], before_from_now=np.eye(4), covariance=unsure, vague=True)
+        np.testing.assert_allclose(travelled(path, off).pose, slower.pose, atol=1e-4)
+
+    def test_points_of_now_tell_it_where_those_of_the_keyframe_are_hidden(self, street):
+        rig, pairs, true = street
+        lens, other = lens_of(rig), pairs[9]
+        hidden, _ = step(
+            None,
+            None,
+            ViewPair(other.right[::-1].copy(), other.left[::-1].copy()),
+            0,
+            lens,
+            RANGE_PX,
+        )
+        after, motion = step(hidden, pairs[3], pairs[4], 4, lens, RANGE_PX)
+        assert motion is not None
+        wanted = np.linalg.inv(true[3]) @ true[4]
+        assert np.allclose(motion.before_from_now, wanted, atol=0.03)
+        assert np.array_equal(after.motion, np.eye(4))
+
     def test_of_a_blank_recording_is_unknown(self):
         blank = np.full((60, 80), 90, np.uint8)
         lens = Lens((70.0, 70.0), 39.5, 39.5, 29.5, 0.1)

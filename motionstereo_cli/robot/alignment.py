@@ -49,7 +49,8 @@ _NOISE = 2.0
 _SECOND_BEST = 1.5
 _WEIGHTS = (3.0, 0.02, 1.345, 4 * 1.345)
 _COARSE_WEIGHTS = (6.0, 0.02, 1.345, 4.0)
-#: A near start is aligned from this level on, and what differs by more is left out.
+#: A near start is aligned from this level on, and what differs by more is left out but at the
+#: finest.
 _NEAR_LEVEL, _NEAR_CUT = 1, 2.5
 
 #: Prior information that gain is 1 and offset 0.
@@ -242,11 +243,11 @@ def align(
     state = np.concatenate([start[:3].ravel(), key.light, np.zeros(3)])
     normal, residual = np.empty((13, 14)), np.empty(len(key.points), np.float32)
     work: Any = reused(loops.Workspace)
-    cut = _NEAR_CUT if near else _WEIGHTS[3]
-    weights: Any = loops.Weights(*_WEIGHTS[:3], cut)  # type: ignore[call-arg]
     first = 0 if pinned else _NEAR_LEVEL if near else LEVELS - 1
     for level in range(first, -1, -1):
         views = _views(key, right, left, level)
+        cut = _NEAR_CUT if near and level else _WEIGHTS[3]
+        weights: Any = loops.Weights(*_WEIGHTS[:3], cut)  # type: ignore[call-arg]
         seen = loops.align(
             *(views, lens.at(level), weights, prior, with_error, _ITERATIONS, _LEAST_STEP_PX),
             *(work, state, normal[: 0 if level else 13], residual),

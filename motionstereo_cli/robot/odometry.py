@@ -40,20 +40,19 @@ BLOCK_FRAMES = 8
 #: So is one that sees less than this share of the last keyframe's points.
 _MIN_SEEN = 0.7
 
-#: An alignment is good enough with this share of the keyframe's median score; at first, of the
-#: last value. Corners are tried below the second share.
-_ENOUGH, _POOR, _USUAL_SCORE = 0.75, 0.7, 0.85
-#: One that keeps near to the last motion, whatever else moves, has to be so much better.
-_NEAR_MARGIN = 1.1
-#: Below it, the rig is lost, unless so many corners agree, and such a share of them.
-_MIN_SCORE = 0.3
+#: One alignment is enough with this share of the keyframe's median score; at first, of the last
+#: value. Other starts are tried below the second share, and corners below the third.
+_GOOD, _ENOUGH, _POOR, _USUAL_SCORE = 0.9, 0.75, 0.7, 0.85
+#: Below it, the rig is lost, unless so many corners agree, and such a share of them, or points of
+#: now are found in the last views with the second score.
+_MIN_SCORE, _MIN_BACK_SCORE = 0.3, 0.5
 _MIN_INLIERS, _MIN_INLIER_SHARE = 15, 0.4
 _CORNERS, _CORNER_CELLS = 400, (4, 8)
 
 #: Initial motions without a prior: turns to either side, and ways ahead as shares of the depth.
 _TURNS_RAD = np.radians([0, -2, 2, -4, 4, -6, 6, -8, 8, -10, 10])
 _AHEAD = (0.0, 0.03, 0.06, 0.1, 0.16, -0.03)
-_TRIED = 2
+_TRIED = 4
 
 #: Limits of the motion in a frame: rotation, and translation as a share of the points' depth.
 _MAX_TURN_RAD, _MAX_AHEAD = float(np.radians(15)), 0.5
@@ -74,8 +73,9 @@ _ERROR_TOLD_PX, _USUAL_RAYS = (0.06, 0.12), np.array([1.0, 0.3, 0.15])
 #: or that of the turn over such an angle, and moves points in the image by so many px: before a
 #: blank wall, few edges agree with many motions. The likeliest one goes into the path all the same.
 _VAGUE_BASELINES, _VAGUE_RAD, _VAGUE_PX = 0.2, 0.014, 1.0
-#: Standard deviations of shift and turn in a frame where the rig is lost.
-_LOST_M, _LOST_RAD = 0.2, 0.1
+#: Standard deviations of shift and turn in a frame where the rig is lost, and by what factor it
+#: slows down there in each: a wrong motion that went on would turn the path over.
+_LOST_M, _LOST_RAD, _SLOWING = 0.2, 0.1, 0.8
 #: Covariance of a motion over that of its equations, whose points share their errors likewise.
 _COVARIANCE = 10.0
 
@@ -169,7 +169,9 @@ def step(
         found = _aligned(before, last, views, lens, range_px, with_error=with_error)
         found = _at_rest(before.key, found, right, left, lens) or found
     if found is None or found.score < _MIN_SCORE:
-        return _anew(keyframe(right, left, lens, range_px)), None
+        key = keyframe(right, left, lens, range_px)
+        backward = None if key is None else _backward(key, before.velocity, last, lens)
+        return _anew(key), backward
     new = number % BLOCK_FRAMES == 0 or found.seen < _MIN_SEEN
     motion, per_error = _motion(before, found, lens)
     if new:
@@ -216,9 +218,8 @@ def _aligned(
 
     def attempt(start: Reals, *, near: bool = False) -> None:
         nonlocal best
-        margin = _NEAR_MARGIN if near else 1.0
         found = align(key, right, left, lens, start, with_error=with_error, near=near)
-        if found is None or (best is not None and found.score <= best.score * margin):
+        if found is None or (best is not None and found.score <= best.score):
             return
         if _plausible(before.motion @ _inverse(found.motion), depth_m):
             best = found
@@ -229,14 +230,16 @@ def _aligned(
         return best is None or best.score < share * usual
 
     if before.velocity is not None:
-        attempt(before.velocity @ before.motion)
-        if below(_ENOUGH):  # something large that moves by itself may have drawn it away
-            attempt(before.velocity @ before.motion, near=True)
+        # From farther off, something large that moves by itself may draw it away.
+        attempt(before.velocity @ before.motion, near=True)
+        if below(_GOOD):
+            attempt(before.velocity @ before.motion)
     if below(_ENOUGH):
         starts = _starts(depth_m) @ before.motion
         costs = mismatch(key, right, lens, starts)
         for number in np.argsort(costs, kind="stable")[:_TRIED]:
             attempt(starts[number])
+            attempt(starts[number], near=True)
             if not below(_ENOUGH):
                 break
     if below(_POOR):
@@ -347,6 +350,28 @@ def _motion(before: Odometry, found: Alignment, lens: Lens) -> tuple[Motion, Rea
     return motion, per_error
 
 
+def _backward(key: Keyframe, velocity: Reals | None, last: ViewPair, lens: Lens) -> Motion | None:
+    """Return the motion since the last frame by the points of now; None where they are not found.
+
+    Args:
+        key: the points of now.
+        velocity: (4, 4) the motion before, from before to after; None where unknown.
+        last: the views before.
+        lens: the rig.
+    """
+    views = pyramid(last.right), pyramid(last.left)
+    start = np.eye(4) if velocity is None else _inverse(velocity)
+    tried = [align(key, *views, lens, start, near=near) for near in (True, False)]
+    found = max((each for each in tried if each), key=lambda each: each.score, default=None)
+    if found is None or found.score < _MIN_BACK_SCORE:
+        return None
+    if not _plausible(found.motion, _depth_m(key, lens)):
+        return None
+    back = replace(found, motion=_inverse(found.motion))
+    motion, per_error = _motion(_anew(key), back, lens)
+    return replace(motion, per_error=per_error)
+
+
 def _by_corners(
     last: ViewPair, image: Grey, lens: Lens, range_px: int
 ) -> tuple[Reals, bool] | None:
@@ -419,12 +444,16 @@ def travelled(path: TravelledPath, motion: Motion | None) -> TravelledPath:
     """Return the path a frame later.
 
     A motion is corrected, to first order, for the error of disparity estimated from all frames.
-    While the rig is lost a vague motion is taken or else the last one is assumed to continue, which
-    :attr:`TravelledPath.lost` tells.
+    While the rig is lost, which :attr:`TravelledPath.lost` tells, it is assumed to slow down; of a
+    vague motion, only what is surer than that counts.
     """
     if motion is None or motion.vague:
-        moved = path.last if motion is None else motion.before_from_now
+        moved = _small(_SLOWING * _vector(path.last))
         unsure = np.diag([_LOST_M**2] * 3 + [_LOST_RAD**2] * 3)
+        if motion is not None:
+            gain = motion.covariance @ np.linalg.inv(motion.covariance + unsure)
+            off = _vector(moved @ _inverse(motion.before_from_now))
+            moved = _small(gain @ off) @ motion.before_from_now
         turned = adjoint(_inverse(moved))
         return replace(
             path,
@@ -473,6 +502,11 @@ def _small(shift_and_turn: Reals) -> Reals:
     motion[:3, :3] = cv2.Rodrigues(shift_and_turn[3:])[0]
     motion[:3, 3] = shift_and_turn[:3]
     return motion
+
+
+def _vector(motion: Reals) -> Reals:
+    """Return the shift and turn of a motion (4, 4), the inverse of :func:`_small`."""
+    return np.concatenate([motion[:3, 3], cv2.Rodrigues(motion[:3, :3])[0][:, 0]])
 
 
 def _inverse(motion: Reals) -> Reals:
