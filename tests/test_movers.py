@@ -9,7 +9,7 @@ import pytest
 from motionstereo_cli.compiled import movers as loops
 from motionstereo_cli.method.settings import Settings
 from motionstereo_cli.pipeline import StreamContext, process, steps
-from motionstereo_cli.robot.movers import Eye, Moment, Movers, pyramid, see
+from motionstereo_cli.robot.movers import Eye, Moment, Movers, _down, pyramid, see
 from motionstereo_cli.simulate.scenes import render_scene
 from motionstereo_cli.simulate.settings import SimulateSettings
 from motionstereo_cli.types import StereoFrame
@@ -309,7 +309,24 @@ def test_a_thing_has_to_move_on_as_it_did(places, size, wall_px, even):
     if even:  # at 1.25 m, with 150 px a radian
         across_mps = 10 * (places[1] - places[0]) * 1.25 / 150
         right, down, ahead, per_px = np.median(told, axis=0)
-        assert (right, down, ahead) == pytest.approx((across_mps, 0, 0), rel=0.03, abs=0.02)
+        assert (right, ahead) == pytest.approx((across_mps, 0), rel=0.03, abs=0.02)
+        assert np.isnan(down)  # the rig does not drive ahead
         back = round(1.25 / 12 / (0.1 * per_px))
         assert per_px == pytest.approx(1.25 / 12 / (0.1 * back), rel=1e-4)
         assert back in (1, 2, 3)
+
+
+@pytest.mark.parametrize("tilt_rad", [0.0, 0.4, -0.3])
+@pytest.mark.parametrize("turn_rad", [0.0, 0.1])
+def test_the_way_tells_how_a_camera_is_tilted(tilt_rad, turn_rad):
+    """It drives ahead, level, and turns; the camera looks down by the tilt."""
+    cos, sin = math.cos(tilt_rad), math.sin(tilt_rad)
+    level_from_camera = np.array([[1, 0, 0], [0, cos, sin], [0, -sin, cos]])
+    cos, sin = math.cos(turn_rad), math.sin(turn_rad)
+    turn = np.array([[cos, 0, sin], [0, 1, 0], [-sin, 0, cos]])
+    motion = np.eye(4)
+    motion[:3, :3] = level_from_camera.T @ turn @ level_from_camera
+    motion[:3, 3] = level_from_camera.T @ turn @ (0, 0, 0.2)
+    np.testing.assert_allclose(_down(motion), level_from_camera.T @ (0, 1, 0), atol=1e-9)
+    motion[:3, 3] = 0.2, 0, 0.05  # it drives aside
+    assert np.isnan(_down(motion)).all()

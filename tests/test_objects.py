@@ -291,11 +291,13 @@ class TestMovement:
         assert moves.sigma_mps == pytest.approx((older + newer) ** -0.5)
         assert movement(Track(1, observations[:1], 2)) is None
 
-    @pytest.mark.parametrize(("sigma_mps", "sure"), [(0.4, True), (0.6, False)])
+    @pytest.mark.parametrize(("sigma_mps", "sure"), [(0.9, True), (1.1, False)])
     def test_what_moves_surely_does_so_in_the_median(self, sigma_mps, sure):
         observations = tuple(
             Observation(0.1 * n, replace(region(60), sigma_mps=sigma_mps), (2, 0), (2, 0), speed)
-            for n, speed in enumerate([(0.5, 0.0), (0.3, -0.4), None, (9.0, 0.0), (0.0, 0.1)])
+            for n, speed in enumerate(
+                [(0.5, 0.0), (0.3, -0.4), None, (9.0, 0.0), (9.0, 0.1), (0.0, 0.1)]
+            )
         )
         assert moves_surely(Track(1, observations, 5)) == sure
         assert moves_surely(Track(1, observations[2:3], 5))  # nothing is measured
@@ -648,7 +650,7 @@ def test_what_moves_by_itself_stands_on_ground(top, stands):
     disparity, moved = np.full((120, 160), NAN), np.zeros((120, 160), np.bool_)
     disparity[top : top + 24, 40:64] = 1.5
     moved[top : top + 24, 40:64] = True
-    velocity_mps = np.ones((30, 40, 4), np.float32)
+    velocity_mps = np.full((30, 40, 4), np.float32([1, 0, 1, 1]))
     found = Tracker(Settings(), rig).moving_regions(disparity, moved, velocity_mps)
     assert [(each.x, each.y, each.width, each.height) for each in found] == (
         [(40, top, 24, 24)] if stands else []
@@ -668,7 +670,7 @@ def test_the_velocity_of_a_region_is_the_median_of_its_cells(driven_m):
     disparity[40:80, 120:140] = 3  # beside it, but not of it
     moved[40:80, 120:140] = True
     velocity_mps = np.full((HEIGHT // 4, WIDTH // 4, 4), NAN)
-    velocity_mps[10:20, 10:25:2] = (-0.5, 9.0, 1.0, 2.0)
+    velocity_mps[10:20, 10:25:2] = (-0.5, 0.02, 1.0, 2.0)
     velocity_mps[10:20, 10] = (3.0, 0.0, 4.0, 2.0)
     tracker, tracks = Tracker(Settings(), RIG), Tracks()
     for number in range(2):
@@ -682,13 +684,38 @@ def test_the_velocity_of_a_region_is_the_median_of_its_cells(driven_m):
     assert seen[0].closing_mps == pytest.approx(10 * driven_m - 1)
 
 
+@pytest.mark.parametrize(
+    ("sinks_mps", "ahead_mps", "count"),
+    [(0.1, 2.0, 1), (0.3, 2.0, 0), (-0.3, 2.0, 0), (NAN, 2.0, 1), (0.01, 0.15, 0), (0.0, 0.15, 1)],
+)
+def test_what_leaves_the_ground_is_no_mover(sinks_mps, ahead_mps, count):
+    """A speed that is not significant, 0.1 m/s times 2, has to be level all the more."""
+    disparity, moved = np.full((HEIGHT, WIDTH), NAN), np.zeros((HEIGHT, WIDTH), np.bool_)
+    disparity[40:60, 40:60] = 6
+    moved[40:60, 40:60] = True
+    velocity_mps = np.full((HEIGHT // 4, WIDTH // 4, 4), NAN)
+    velocity_mps[10:15, 10:15] = (0.0, sinks_mps, ahead_mps, 2.0)
+    found = Tracker(Settings(), RIG).moving_regions(disparity, moved, velocity_mps)
+    assert len(found) == count
+
+
+def test_a_mover_beside_nearer_ones_is_found():
+    disparity, moved = np.full((HEIGHT, WIDTH), NAN), np.zeros((HEIGHT, WIDTH), np.bool_)
+    disparity[40:60, 40:60] = 6
+    disparity[40:60, 20:40] = disparity[40:60, 60:80] = 12
+    moved[40:60, 20:80] = True
+    velocity_mps = np.full((HEIGHT // 4, WIDTH // 4, 4), np.float32([2, 0, 2, 1]))
+    found = Tracker(Settings(), RIG).moving_regions(disparity, moved, velocity_mps)
+    assert sorted(each.nearness_px for each in found) == [6, 12, 12]
+
+
 @pytest.mark.parametrize(("inner_px", "count"), [(6.6, 1), (10, 2)])
 def test_a_part_of_what_moves_is_no_other_thing(inner_px, count):
     disparity, moved = np.full((HEIGHT, WIDTH), 6, np.float32), np.zeros((HEIGHT, WIDTH), np.bool_)
     moved[40:80, 40:100] = True
     disparity[:40] = disparity[80:] = disparity[:, :40] = disparity[:, 100:] = np.nan
     disparity[52:68, 60:76] = inner_px
-    velocity_mps = np.ones((HEIGHT // 4, WIDTH // 4, 4), np.float32)
+    velocity_mps = np.full((HEIGHT // 4, WIDTH // 4, 4), np.float32([1, 0, 1, 1]))
     found = Tracker(Settings(), RIG).moving_regions(disparity, moved, velocity_mps)
     assert [each.width for each in found] == [60, 16][:count]
 

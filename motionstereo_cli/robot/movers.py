@@ -61,8 +61,10 @@ _HIDDEN_PX, _HIDDEN_SHARE = 1.5, 0.25
 
 #: A patch moved if that is so many squared standard deviations and px, if so little of what
 #: differed is left, if disparity then was what it had to be, and if nearness changed by no larger
-#: share of it.
-_SURE, _LEAST_PX, _LEFT = 100.0, 0.5, 0.3
+#: share of it. Below a nearness fewer squared standard deviations do, in proportion, down to the
+#: least: errors of disparity and of the rig's way shift what is far off less.
+_SURE, _LEAST_PX, _LEFT = 100.0, 0.5, 0.45
+_SURE_NEAR_PX, _LEAST_SURE = 8.0, 50.0
 _OFF_PX, _OFF_SHARE = 0.5, 0.05
 _MAX_NEARER = 0.3
 #: Maximum difference of the shifts of neighbouring patches of a mover: the larger of these.
@@ -71,6 +73,10 @@ _ALIKE_PX, _ALIKE_SHARE = 0.7, 0.2
 _MIN_PATCHES, _LASTING = 3, 0.45
 #: That is, by a shift that differs by at most the larger of these.
 _LASTING_PX, _LASTING_SHARE = 2.0, 0.5
+
+#: The rig's way tells how its camera is tilted if it is so long in m, and leads ahead or back by
+#: so much of it.
+_WAY_M, _AHEAD = 0.02, 0.7
 
 #: Number of earlier frames on which a result depends.
 RUN_IN_FRAMES = GAPS + 1
@@ -180,8 +186,9 @@ def see(movers: Movers, now: Moment, eye: Eye) -> tuple[Movers, NDArray[np.bool_
     """Return what is known after a frame, where something moved by itself, and how fast.
 
     The second is (height, width) bool. The third, (rows, columns, 4) m/s, NaN = unknown, is the
-    velocity over ground of cells of :data:`CELL_PX`, to the right, down and ahead of the camera,
-    and by how much the last is wrong per px by which the change of disparity is.
+    velocity over ground of cells of :data:`CELL_PX`: to the right of the camera; down, at right
+    angles to the rig's way; ahead; and by how much the last is wrong per px by which the change of
+    disparity is. Down is unknown where the rig does not drive ahead or back.
 
     Args:
         movers: what was known before.
@@ -338,7 +345,7 @@ def _moved(shifts: Real, near: Real) -> NDArray[np.bool_]:
     known = np.nonzero(np.isfinite(shifts[..., 4]))
     shift, (sure, off, left), n = shifts[known][:, :3], shifts[known][:, 3:].T, near[known]
     moved[known] = (
-        (sure > _SURE)
+        (sure > _SURE * np.clip(n / _SURE_NEAR_PX, _LEAST_SURE / _SURE, 1))
         & (np.abs(shift).max(axis=1) > _LEAST_PX)
         & (left < _LEFT)
         & (np.abs(off) < np.maximum(_OFF_PX, _OFF_SHARE * n))
@@ -367,9 +374,25 @@ def _velocity_mps(
     x_px, y_px = (eye.in_view_px(stood) + shift[:, :2]).T
     there = eye.places_m(x_px, y_px, eye.focal_baseline / stood[:, 2] + shift[:, 2])
     moved_m = here - (there - motion[:3, 3]) @ motion[:3, :3]
+    moved_m[:, 1] = moved_m @ _down(motion)
     moved_m = np.column_stack([moved_m, here[:, 2] / near])
     known = (there[:, 2] > 0) & (apart_s > 0)
     return np.where(known[:, None], moved_m / (apart_s or 1), np.nan)
+
+
+def _down(motion: Reals) -> Reals:
+    """Return the direction down in the camera of now (3,), NaN where its way does not tell.
+
+    Args:
+        motion: (4, 4) takes places in the camera of now to those in the earlier one.
+    """
+    way = motion[:3, :3].T @ motion[:3, 3]
+    length = float(np.linalg.norm(way))
+    if abs(way[2]) < max(_WAY_M, _AHEAD * length):
+        return np.full(3, np.nan)
+    way = way / length
+    down = np.array([0.0, 1.0, 0.0]) - way[1] * way
+    return np.asarray(down / np.linalg.norm(down))
 
 
 def _places_m(where: NDArray[np.bool_], near: Real, eye: Eye) -> Reals:

@@ -68,7 +68,10 @@ _MIN_CELLS, _CELLS_ALIKE = 3, 5.0
 _CELL_SIGMA_PX, _ACCELERATION_MPS2 = 0.1, 2.0
 #: What moves by itself is faster than this over ground, and than so many standard deviations; by
 #: single frames, than so many in the median.
-_MIN_OVER_GROUND_MPS, _SIGMAS, _SURE_SIGMAS = 0.2, 2.0, 1.0
+_MIN_OVER_GROUND_MPS, _SIGMAS, _SURE_SIGMAS = 0.2, 2.0, 0.5
+#: It moves along the ground: by a single frame it rises or sinks by no larger share of its speed,
+#: or of a speed that is not significant.
+_SLOPE, _LEAST_SLOPE = 0.1, 0.03
 #: Standard deviation over median absolute deviation of what is normally distributed.
 _NORMAL = 1.4826
 #: A fit that misses the nearness by so much, on average, is worth half.
@@ -155,8 +158,8 @@ def regions(
 ) -> tuple[Region, ...]:
     """Return the regions of an image that may be objects.
 
-    Background, as of a turning camera, is left out, and so are regions that reach from the left
-    border of the image to the right one.
+    Regions that reach from the left border of the image to the right one are left out and, without
+    velocities, background, as of a turning camera.
 
     Args:
         nearness_px: disparity + doffs, (height, width) float32, NaN = unknown.
@@ -169,10 +172,12 @@ def regions(
     bridged = _bridged(cells)
     count, labels = _labelled(bridged)
     known = _around(cells, nearness_px)
-    nearer, farther, sides = _neighbours(labels, bridged, known, count)
+    wanted = np.ones(count, np.bool_)
+    if velocity_mps is None:
+        nearer, farther, sides = _neighbours(labels, bridged, known, count)
+        wanted = (nearer <= _BEHIND_SHARE * sides) | (farther > _BEFORE_SHARE * sides)
     labels[np.isnan(cells)] = 0
     size, boxes = _boxes(labels, count)
-    wanted = (nearer <= _BEHIND_SHARE * sides) | (farther > _BEFORE_SHARE * sides)
     wanted &= size >= min_share * cells.size
     wanted &= boxes[:, 2] - boxes[:, 0] < cells.shape[1]
     wanted[0] = False  # the unknown
@@ -356,7 +361,10 @@ def region_of(left: int, top: int, cells: Reals) -> Region:
 
 
 def _median_velocity(velocity_mps: Reals) -> tuple[tuple[float, float] | None, float]:
-    """Return the velocity ahead and to the left that cells (n, 4) agree on, and its sigma."""
+    """Return the velocity ahead and to the left that cells (n, 4) agree on, and its sigma.
+
+    None where they significantly leave the ground: they are no mover.
+    """
     if not velocity_mps.size:
         return None, math.inf
     known = velocity_mps[np.isfinite(velocity_mps[:, 0])].astype(np.float64)
@@ -366,9 +374,16 @@ def _median_velocity(velocity_mps: Reals) -> tuple[tuple[float, float] | None, f
     middle = _median(each)
     spread = np.hypot(*(_NORMAL * _median(np.abs(each - middle))))
     spread = np.hypot(spread, _CELL_SIGMA_PX * _median(known[:, 3]))
-    own = max(len(known) / _CELLS_ALIKE, 1.0)
+    own = math.sqrt(max(len(known) / _CELLS_ALIKE, 1.0))
     ahead, left = middle.tolist()
-    return (ahead, left), float(spread) / math.sqrt(own)
+    speed_mps, sigma_mps = math.hypot(ahead, left), float(spread) / own
+    down = known[:, 1]
+    sinks = float(_median(down))
+    sinks_sigma = float(_NORMAL * _median(np.abs(down - sinks))) / own
+    slope = _SLOPE if speed_mps > _SIGMAS * sigma_mps else _LEAST_SLOPE
+    if abs(sinks) > max(slope * speed_mps, sinks_sigma):
+        return None, math.inf
+    return (ahead, left), sigma_mps
 
 
 def follow(
