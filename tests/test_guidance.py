@@ -15,6 +15,7 @@ from motionstereo_cli.robot.course import (
     Course,
     free_distances,
     plan,
+    taken_along,
     travelled,
     wrapped,
 )
@@ -390,6 +391,21 @@ class TestPlan:
         assert course.travel_rad == pytest.approx(math.pi / 2, abs=0.01)
         assert travelled(course, 0.0, 0.0).travel_rad == course.travel_rad
 
+    @pytest.mark.parametrize("side", [1, -1])
+    def test_a_course_turns_along_with_a_rig_that_turns_away_unasked(self, side):
+        def taken(*yaws, asked=0.0, look=0, heading=0.3):
+            yaws = [side * yaw for yaw in yaws]
+            course = Course(side * heading, 0.1, look)
+            found = taken_along(course, yaws, [side * asked] * (len(yaws) - 1))
+            return side * found.heading_rad, side * (found.travel_rad - 0.1)
+
+        assert taken(0.0, 0.1) == (0.3, 0.0)  # it turns toward it
+        assert taken(0.0, 0.2, 0.35) == pytest.approx((0.35, 0.05))
+        assert taken(0.0, 0.2, 0.5, heading=0.1) == pytest.approx((0.4, 0.3))
+        assert taken(0.0, 0.2, 0.5, heading=0.1, asked=0.1) == pytest.approx((0.4, 0.3))
+        assert taken(0.0, 0.2, 0.5, heading=0.1, asked=0.3) == (0.1, 0.0)  # late, but as asked
+        assert taken(0.0, 0.2, 0.5, look=1) == (0.3, 0.0)
+
 
 class TestMapGuide:
     def steered(self, disparities, poses, fresh=True):
@@ -470,6 +486,30 @@ class TestMapGuide:
         assert held.steer == pytest.approx(steering.steer, abs=0.05)
         assert held.depth_m == pytest.approx(steering.depth_m, abs=0.2)
         assert held.nearest_m is None
+
+    def test_until_something_is_certain_it_is_blind_and_begins_with_the_free_way(self):
+        found = [self.steered([self.flat(6.0)] * n, [pose()] * n) for n in (1, 2, 3)]
+        assert [each.status for each in found] == ["blind", "ok", "ok"]
+        assert max(abs(each.steer) for each in found[1:]) < 0.1
+
+    def test_at_a_corner_it_goes_along_with_who_drives(self):
+        """A wall 4 m ahead and one 1 m to the right; the rig turns left, where the way is."""
+
+        def corner(yaw_rad):
+            off_rad = np.arctan((RIG.cx - np.arange(WIDTH)) / RIG.focal_px)
+            x, y = np.cos(yaw_rad + off_rad), np.sin(yaw_rad + off_rad)
+            inverse_m = np.maximum.reduce([x / 4, y / 9, -y])
+            return np.tile((FB * inverse_m / np.cos(off_rad)).astype(np.float32), (HEIGHT, 1))
+
+        turns = [0.0] * 14 + [0.05 * n for n in range(1, 14)]
+        guide, state, steers = MapGuide(Settings(), RIG), None, []
+        for yaw_rad in turns:
+            seen = guide.profile(corner(yaw_rad), np.full((HEIGHT, WIDTH), fill_value=True))
+            state, steering = guide.steer(state, seen, pose(yaw_rad=yaw_rad))
+            steers.append(steering.steer)
+        assert steers[0] is None
+        assert min(steers[1:]) > -0.1
+        assert np.abs(np.diff(steers[1:])).max() < 0.2
 
     def test_before_a_wall_there_is_no_free_way(self):
         steering = self.steered([self.flat(1.0)] * 5, [pose()] * 5)

@@ -32,7 +32,9 @@ def simulate(out: Path, overwrite: bool, chosen: dict[str, Any]) -> None:
     """Render a stereo recording with exact truth into the folder OUT.
 
     It writes left.mp4, right.mp4, rig.yaml, disparity/ (KITTI format: 16-bit PNG, 1/256 px; right
-    view) and poses.txt (TUM format, m; the point halfway between the cameras).
+    view) and poses.txt (TUM format, m; the point halfway between the cameras). Of cards and streets
+    also what moves by itself: movers/ (8-bit PNG, its number in each pixel of the right view, 0 =
+    none) and objects.csv, as run --save objects has it.
     """
     settings = SimulateSettings(**chosen)
 

@@ -7,7 +7,8 @@ For guidance by single images, see :mod:`~motionstereo_cli.robot.free_space`.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -48,6 +49,9 @@ _FOUND_FREE_M = 1.5
 _AHEAD_RAD = math.radians(35)
 #: After looking around by this angle without success, the direction back is allowed.
 _LOOK_RAD = math.radians(540)
+#: How far a rig has turned is looked at over the first number of frames, what it was asked to do
+#: over the second, as it may be late. In each it turns by the angle that it is asked, at most.
+TURN_FRAMES, ASKED_FRAMES = 8, 12
 #: Distance over which the direction of travel follows the robot.
 _TRAVEL_M = 2.5
 
@@ -188,6 +192,34 @@ def travelled(course: Course, forward_m: float, direction_rad: float) -> Course:
     off_rad = math.remainder(direction_rad - course.travel_rad, math.tau)
     travel_rad = course.travel_rad + share * off_rad
     return Course(course.heading_rad, travel_rad, course.look, course.looked_rad)
+
+
+def taken_along(course: Course, yaws_rad: Sequence[float], asked_rad: Sequence[float]) -> Course:
+    """Return the course of a rig that turns away from it, as it was not asked to: it turns along.
+
+    Somebody drives it, and knows more of the way, such as which way to go at a corner. A robot that
+    does what it is asked, perhaps late, turns toward its course, or a little too far.
+
+    Args:
+        course: the last one.
+        yaws_rad: yaws of the rig in the world in the last frames, up to this one.
+        asked_rad: angles that it was asked to turn by in these and earlier frames.
+    """
+    yaw_rad = yaws_rad[-1]
+    off_rad = math.remainder(yaw_rad - course.heading_rad, math.tau)
+    side = math.copysign(1.0, off_rad)
+    turned_rad, last_rad = (
+        side * math.remainder(yaw_rad - yaws_rad[-n], math.tau) for n in (len(yaws_rad), 2)
+    )
+    its_own_rad = sum(max(0.0, side * each) for each in asked_rad)
+    if course.look or last_rad <= 0 or turned_rad <= its_own_rad:
+        return course
+    along_rad = side * min(last_rad, abs(off_rad))
+    return replace(
+        course,
+        heading_rad=course.heading_rad + along_rad,
+        travel_rad=course.travel_rad + along_rad,
+    )
 
 
 def wrapped(angle_rad: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -17,12 +17,15 @@ from numpy.typing import NDArray
 from motionstereo_cli.method.settings import Settings
 from motionstereo_cli.robot.approach import Approach, nearest_in_way
 from motionstereo_cli.robot.course import (
+    ASKED_FRAMES,
     DIRECTIONS_RAD,
+    TURN_FRAMES,
     Course,
     cells_within,
     free_distances,
     plan,
     steadied,
+    taken_along,
     travelled,
 )
 from motionstereo_cli.robot.free_space import (
@@ -313,6 +316,7 @@ class MapCourse:
         approach: what was in the way in the last frames.
         image: what :class:`ImageGuide` keeps.
         trail: places and yaws of the last frames, (x, y, yaw) in m and rad.
+        asked_rad: by which angles the rig was asked to turn in the last frames.
     """
 
     map: LocalMap
@@ -322,6 +326,7 @@ class MapCourse:
     approach: Approach = field(default_factory=Approach)
     image: ImageHeading = field(default_factory=ImageHeading)
     trail: tuple[tuple[float, float, float], ...] = ()
+    asked_rad: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -386,11 +391,15 @@ class MapGuide:
                 image, seen_now.image, travel, time_s
             )
         before = replace(before, map=known, image=image, trail=trail)
-        if before.course is None and (seen_now.undecided or not new):
+        is_known = bool((np.abs(known.evidence) > CERTAIN).any())
+        if before.course is None and (seen_now.undecided or not is_known):
             return replace(before, pose=pose), _BLIND
         x_m, y_m = pose.x_m - before.pose.x_m, pose.y_m - before.pose.y_m
         course = before.course or Course(yaw, yaw)
         course = travelled(course, math.hypot(x_m, y_m), math.atan2(y_m, x_m))
+        if len(before.asked_rad) == ASKED_FRAMES:
+            yaws = [each for _, _, each in trail[-TURN_FRAMES - 1 :]]
+            course = taken_along(course, yaws, before.asked_rad)
         directions = yaw + DIRECTIONS_RAD
         known_m, possible_m = free_distances(
             (known.evidence > CERTAIN) | self._foreseen(nearest_contact(objects), known),
@@ -413,13 +422,17 @@ class MapGuide:
         half_way = s.robot_radius_m / self.rig.baseline_m
         near_px = nearest_in_way(seen_now.bearings.near_px, place, width, half_way)
         approach = before.approach.after(time_s, place, near_px)
-        after = replace(before, pose=pose, course=course, place=place, approach=approach)
+        steer_rad = _angle_rad(place, width, self.rig, s.reference)
+        asked = (*before.asked_rad, steer_rad)[-ASKED_FRAMES:]
+        after = replace(
+            before, pose=pose, course=course, place=place, approach=approach, asked_rad=asked
+        )
         if by_image is not None and self._is_open(by_image, seen_now, trail):
             return replace(after, place=image.place), by_image
         return after, Steering(
             status="ok" if new else "held",
             steer=1 - 2 * place,
-            steer_rad=_angle_rad(place, width, self.rig, s.reference),
+            steer_rad=steer_rad,
             depth_m=free_m,
             nearest_m=_depth_m(seen_now.nearest_px, self.rig),
             risk_s=approach.contact_s,
