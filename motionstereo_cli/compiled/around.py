@@ -211,8 +211,9 @@ def rest(
     """Fill in what is textured, and what of that rests."""
     x: cython.Py_ssize_t
     for x in range(row.shape[0]):
+        known: cython.uint = cython.cast(cython.uint, textured[x])
         rests: cython.uint = 1 if age[x] >= rest_frames else 0
-        row[x] = textured[x] + (textured[x] & rests) * SECOND
+        row[x] = known + (known & rests) * SECOND
 
 
 @cython.cfunc
