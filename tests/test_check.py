@@ -381,6 +381,11 @@ def test_nothing_to_see() -> None:
     assert [finding.name for finding in said((grey, grey))] == ["still"]
 
 
+def test_a_single_column_is_no_failure(corridor: Views) -> None:
+    left, right = (np.ascontiguousarray(side[:, :, 40:41]) for side in corridor)
+    assert "few-matches" in [finding.name for finding in checked((left, right)).findings]
+
+
 def test_unknown_length(corridor: Views) -> None:
     report = check(frames_of(corridor), MAX_DISPARITY)
     assert report.matches > 100

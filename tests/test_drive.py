@@ -217,7 +217,7 @@ class TestWalkers:
 
 
 def test_finds_its_way_round_a_corner():
-    world = DriveWorld(DriveSettings(seed=4, laps=0.3))
+    world = DriveWorld(DriveSettings(seed=0, laps=0.3))
     for _, found in driven(world, Settings()):
         world.act_on(found.steering)
     assert world.ended == "laps done"

@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 from pathlib import Path
 
 import numpy as np
@@ -287,6 +288,7 @@ def test_a_goal_that_is_reached_ends_the_drive(tmp_path):
     while one.ended is None:
         one.act(Command(MAX_FORWARD_M, 0.0))
     assert one.ended == "goal reached"
+    assert one.to_goal_m < 0.6
     assert one.robot.x_m == pytest.approx(-1.5, abs=MAX_FORWARD_M)
 
 
@@ -297,6 +299,11 @@ def test_a_goal_on_the_command_line_comes_before_that_of_the_plan(tmp_path, caps
     goal = ["--goal", "0.3,-0.2", "--max-frames", "3"]
     assert main(["drive", str(tmp_path / "out"), "--world", str(path), *size, *goal]) == 0
     assert "goal reached" in capsys.readouterr().err
+    far = ["--goal", "-2,0", "--max-frames", "1", "--overwrite"]
+    assert main(["drive", str(tmp_path / "out"), "--world", str(path), *size, *far]) == 0
+    assert re.search(
+        r"out of frames after 1 frames .*: \d\.\d m from the goal, ", capsys.readouterr().err
+    )
     for wrong in ("4", "1,x", "1,inf", "1,2,3"):
         assert main(["drive", str(tmp_path / "no"), "--goal", wrong]) == 2
         assert f"--goal cannot be '{wrong}': give X,Y in m" in capsys.readouterr().err

@@ -292,7 +292,9 @@ def _light(windows: Sequence[FrameWindow]) -> dict[str, Any]:
     pairs = [(window.left[-1], window.right[-1]) for window in windows]
     brightest = max(int(np.percentile(image, 99.9)) for pair in pairs for image in pair)
     apart = np.mean([np.mean(cv2.absdiff(left, right)) for left, right in pairs])
-    aside = np.mean([np.mean(cv2.absdiff(left[:, 1:], left[:, :-1])) for left, _ in pairs])
+    aside = 0.0
+    if pairs[0][0].shape[1] > 1:
+        aside = np.mean([np.mean(cv2.absdiff(left[:, 1:], left[:, :-1])) for left, _ in pairs])
     alike = float(apart / aside) if aside > _MIN_TEXTURE else None
     return {"brightest": brightest, "alike": alike}
 

@@ -48,7 +48,7 @@ def drive(
     world_settings = DriveSettings(**world)
 
     from motionstereo_cli.simulate.drive import drive as library
-    from motionstereo_cli.simulate.drive_world import world_of
+    from motionstereo_cli.simulate.drive_world import GOAL_M, world_of
 
     started_s = time.perf_counter()
     driven = world_of(world_settings, settings.goal_m)
@@ -63,10 +63,12 @@ def drive(
         record = library(out, driven, settings, view=view, overwrite=overwrite, progress=progress)
     wall_s = time.perf_counter() - started_s
     laps = f"{record.laps:.2f} laps, " if driven.lap_m else ""
+    away_m = driven.to_goal_m
+    missed = "" if away_m is None or away_m <= GOAL_M else f"{away_m:.1f} m from the goal, "
     say(
         "note",
         f"{record.ended} after {record.frames} frames "
-        f"({record.frames / wall_s:.0f} frames per second): {laps}"
+        f"({record.frames / wall_s:.0f} frames per second): {missed}{laps}"
         f"{record.distance_m:.1f} m, nearest pass {record.nearest_pass_m:.2f} m; "
         f"results in {out}",
     )

@@ -391,8 +391,7 @@ class MapGuide:
                 image, seen_now.image, travel, time_s
             )
         before = replace(before, map=known, image=image, trail=trail)
-        is_known = bool((np.abs(known.evidence) > CERTAIN).any())
-        if before.course is None and (seen_now.undecided or not is_known):
+        if before.course is None and (seen_now.undecided or not new):
             return replace(before, pose=pose), _BLIND
         x_m, y_m = pose.x_m - before.pose.x_m, pose.y_m - before.pose.y_m
         course = before.course or Course(yaw, yaw)
@@ -424,9 +423,9 @@ class MapGuide:
         approach = before.approach.after(time_s, place, near_px)
         steer_rad = _angle_rad(place, width, self.rig, s.reference)
         asked = (*before.asked_rad, steer_rad)[-ASKED_FRAMES:]
-        after = replace(
-            before, pose=pose, course=course, place=place, approach=approach, asked_rad=asked
-        )
+        after = replace(before, pose=pose, place=place, approach=approach)
+        if (np.abs(known.evidence) > CERTAIN).any():  # until then it only looks around
+            after = replace(after, course=course, asked_rad=asked)
         if by_image is not None and self._is_open(by_image, seen_now, trail):
             return replace(after, place=image.place), by_image
         return after, Steering(

@@ -202,10 +202,15 @@ class RobotWorld:
 
     def _finished(self) -> str | None:
         """Return why the drive is over, although nothing was touched; None if it goes on."""
+        away_m = self.to_goal_m
+        return "goal reached" if away_m is not None and away_m <= GOAL_M else None
+
+    @property
+    def to_goal_m(self) -> float | None:
+        """The distance to the goal in m; None without one."""
         if self.goal is None:
             return None
-        off = self.robot.x_m - self.goal[0], self.robot.y_m - self.goal[1]
-        return "goal reached" if math.hypot(*off) <= GOAL_M else None
+        return math.hypot(self.robot.x_m - self.goal[0], self.robot.y_m - self.goal[1])
 
     def _went(self, before: FloorPose) -> None:
         """Take in that the robot has moved by a frame: what walks does so, too."""
