@@ -278,6 +278,36 @@ def test_range_below_and_above(corridor: Views) -> None:
     assert converging.disparity_low_px < -1
 
 
+@pytest.mark.parametrize(("seed", "pan"), [(0, False), (1, True)])
+def test_a_wall_that_repeats_itself_behind_objects_does_not_widen_the_range(
+    seed: int, pan: bool
+) -> None:
+    shots = list(render_scene(SimulateSettings(scene="cards", frames="0:16", seed=seed, pan=pan)))
+    true = np.percentile([shot.disparity_px for shot in shots], [0, 100])
+    report = checked((np.stack([s.left for s in shots]), np.stack([s.right for s in shots])))
+    assert true[0] - 1 < report.disparity_low_px < report.disparity_high_px < true[1] + 1
+    assert report.advised_max_disparity == 32
+
+
+@pytest.mark.parametrize(
+    ("repeats", "left"),
+    [
+        ([40] * 12, {5, 30}),  # 85 is as far from 45 as that from 5
+        ([40] * 11, {5, 30, 45}),  # too few for twelve matches
+        ([40] * 9, {-35, 5, 30, 45, 85}),  # too few for any
+        ([40] * 12 + list(range(100, 800, 10)), {-35, 5, 30, 45, 85}),  # few of many
+        ([], {-35, 5, 30, 45, 85}),
+    ],
+)
+def test_repetitions_explain_disparities_that_fewer_matches_have(
+    repeats: list[int], left: set[int]
+) -> None:
+    column = np.array([5.0] * 30 + [45.0] * 12 + [-35.0, 30.0, 85.0])
+    matches = features.Matches(*[column] * 6)
+    kept = features.without_repetitions(matches, np.array(repeats, np.float64))
+    assert set(kept.disparity) == left
+
+
 def test_known_principal_points_excuse_negative_disparities(corridor: Views) -> None:
     left, right = corridor
     frames = frames_of((left[:, :, 12:], right[:, :, :-12]))

@@ -31,6 +31,15 @@ _MAX_RATIO = 0.8
 _ROW_REACH = 0.1  # of the height: matches are looked for so far off the row
 
 
+_REPEAT_PX = 2  # repetitions and disparities agree up to so many px
+
+
+_MIN_REPEAT_PX = 8  # what is nearer is part of the same thing
+
+
+_MIN_REPEATS, _REPEAT_SHARE = 10, 0.3  # as far apart, and of all: fewer are chance
+
+
 _FOLLOW_SPANS = (2, 4)
 
 
@@ -146,6 +155,10 @@ class FrameWindow:
             down[new], followed[new] = _followed(self.left, t, points[new])
         return down[chosen], followed[chosen]
 
+    def repeats(self) -> Column:
+        """Return the distances at which the left image looks alike on a row, in px, (n,)."""
+        return np.concatenate([_repeats(self._seen("left", t)) for t in self._seen_moments])
+
     def middle(self) -> tuple[Keypoints, Keypoints]:
         """Return the keypoints of both views at the middle one of its moments."""
         t = self._seen_moments[len(self._seen_moments) // 2]
@@ -176,6 +189,52 @@ def mutual_matches(left: Keypoints, right: Keypoints) -> NDArray[np.intp]:
     one = np.flatnonzero(forth >= 0)
     one = one[back[forth[one]] == one]
     return np.stack([one, forth[one]], axis=1)
+
+
+def _repeats(seen: Keypoints) -> Column:
+    """Return the distances of keypoints on a row, each the most alike to the other one, (n,)."""
+    if len(seen.points) < 2:
+        return np.empty(0)
+    within = _distances(seen, seen)
+    np.fill_diagonal(within, np.inf)
+    like = within.argmin(axis=1)
+    one = np.flatnonzero(like[like] == np.arange(len(like)))
+    apart, off = (seen.points[like[one]] - seen.points[one]).T
+    on_row = (apart > _MIN_REPEAT_PX) & (np.abs(off) < _REPEAT_PX)
+    return np.asarray(apart[on_row], np.float64)
+
+
+def without_repetitions(matches: Matches, repeats: Column) -> Matches:
+    """Return the matches but for those that a pattern that repeats itself explains.
+
+    Where an object hides the true partner and its likes, another repetition is matched. Its
+    disparity is off by the distance of two repetitions, from one that has more matches. A distance
+    counts if it is one of a few, and seen at least as often as the disparity that it explains.
+
+    Args:
+        matches: the matches.
+        repeats: distances of two repetitions in px, (n,).
+    """
+    if not len(matches) or not len(repeats):
+        return matches
+    place = np.rint(matches.disparity).astype(np.intp)
+    place -= place.min()
+    size = int(place.max()) + 1
+    found = _counts(place, size)
+    distances = _counts(np.rint(repeats).astype(np.intp), size)
+    explained = np.zeros(size, np.bool_)
+    for apart in np.flatnonzero(distances >= max(_MIN_REPEATS, _REPEAT_SHARE * len(repeats))):
+        less, more = found[:-apart], found[apart:]
+        often = distances[apart]
+        explained[:-apart] |= (less < more) & (less <= often)
+        explained[apart:] |= (more < less) & (more <= often)
+    return matches.where(~explained[place])
+
+
+def _counts(places: NDArray[np.intp], size: int) -> NDArray[np.intp]:
+    """Return how many places lie around each of 0..size - 1, (size,)."""
+    exact = np.bincount(places[places < size], minlength=size)
+    return np.convolve(exact, np.ones(2 * _REPEAT_PX + 1, np.intp))[_REPEAT_PX:][:size]
 
 
 def _distances(one: Keypoints, other: Keypoints) -> NDArray[np.float32]:

@@ -18,7 +18,13 @@ from typing import TYPE_CHECKING, Any
 import cv2
 import numpy as np
 
-from motionstereo_cli.check.features import NO_MATCHES, FrameWindow, Matches, joined
+from motionstereo_cli.check.features import (
+    NO_MATCHES,
+    FrameWindow,
+    Matches,
+    joined,
+    without_repetitions,
+)
 from motionstereo_cli.check.findings import DARK_GREY, CheckReport, Finding
 from motionstereo_cli.check.lag import BANDS, lag_of, profile, small
 from motionstereo_cli.check.mounting import mounted
@@ -258,7 +264,10 @@ class _Checker:
             matches = [window.matches(step.whole) for window in self._windows]
         seen = joined(matches)
         rows = fit_rows(seen, self._windows[0].shape)
-        agreed = NO_MATCHES if rows is None else seen.where(rows.chosen)
+        repeats = np.concatenate([window.repeats() for window in self._windows])
+        agreed = NO_MATCHES
+        if rows is not None:
+            agreed = without_repetitions(seen.where(rows.chosen), repeats)
         return dataclasses.replace(
             report,
             ahead_frames=None if step is None else step.frames,
