@@ -75,6 +75,16 @@ def test_small_boxes_and_rows_in_them_do_not_count():
     assert (report.true_boxes, report.false_rows) == (1, 0)
 
 
+@pytest.mark.parametrize(("least", "false_rows"), [(0, 0), (1000, 0), (3000, 0)])
+def test_a_row_that_is_found_is_not_false_where_its_true_box_is_too_small(least, false_rows):
+    # Of the row, 45 % lie in the box, which it overlaps by 45 %.
+    true = ObjectBox(0, "1", 10.0, 20.0, 50.0, 38.0)
+    report = compare(
+        [box(0)], [true, box(0, "2", 300.0)], EvaluateSettings(min_box_px=least, min_overlap=0.4)
+    )
+    assert report.false_rows == false_rows
+
+
 def test_where_nothing_moves_rows_are_false():
     report = compare([box(3)], [], None, 50)
     assert report.false_rows_a_frame == pytest.approx(0.02)
@@ -145,7 +155,12 @@ def test_a_run_that_began_later_is_compared_from_there(tmp_path):
         ("0 1 Car 0 0 -1 10 20 50 60 1 1 1 0 0 5 0\n" * 2, "comes twice"),
         ("frame,id,x,y,width,height\n0,1,5,5,x,4\n", "width"),
         ("frame,id,x,y,width,height\n0,1,5,5,0,4\n", "no box"),
-        ("something else\n", "has no objects"),
+        (f"{HEADER}\n0,3,10,20,40,40,17.0,,,1.00,,,,,yes\n", "shadow is 'yes': give 0, 1,"),
+        (f"{HEADER}\n0,3,10,20,40,40,17.0,,,1.00,,,,,-0.5\n", "frame 0: shadow is '-0.5'"),
+        (f"{HEADER}\n-1,3,10,20,40,40,17.0,,,1.00,,,,,0\n", "-1 is no frame"),
+        ("something else\n", "has no objects: give"),
+        ("", "has no objects: give"),
+        ("frame,id,x,y,depth_m\n0,1,5,5,3\n", "has no objects, as it lacks width, height: give"),
         (f"{HEADER}\n", "neither file"),
     ],
 )
@@ -153,8 +168,9 @@ def test_what_is_no_file_of_objects_is_said(tmp_path, capsys, content, said):
     good, bad = tmp_path / "good.csv", tmp_path / "bad.txt"
     good.write_text(f"{HEADER}\n" + ("" if "neither" in said else "0,1,1,1,5,5,,,,,,,,,\n"))
     bad.write_text(content)
-    assert main(["evaluate", str(good), str(bad)]) == 1
-    assert said in capsys.readouterr().err
+    for sides in ((good, bad), (bad, good)):
+        assert main(["evaluate", *map(str, sides)]) == 1
+        assert said in capsys.readouterr().err
 
 
 def test_an_unreadable_file_is_an_input_error(tmp_path):

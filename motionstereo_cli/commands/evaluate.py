@@ -157,7 +157,7 @@ def _evaluate_files(
     inputs = (result, truth, *config_files())
     check_targets((csv_path, json_path), inputs)
     report: PoseReport | ObjectReport
-    if objects.is_objects(result):
+    if objects.is_objects(result) or (truth.is_file() and objects.is_objects(truth)):
         report = objects.evaluate_objects(result, truth, settings)
     else:
         report = poses.evaluate_poses(result, truth)

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     Reals = NDArray[np.float64]
 
 #: Columns that a table of objects has at least.
-_COLUMNS = frozenset({"frame", "id", "x", "y", "width", "height"})
+_COLUMNS = ("frame", "id", "x", "y", "width", "height")
 #: Of a line of KITTI's tracking labels: fields, and of a result one more, its score.
 _KITTI_FIELDS = (17, 18)
 #: What it calls places where objects are not labelled.
@@ -77,7 +77,7 @@ class ObjectReport:
             file, from the first one that either side has a row in to the last.
         true_boxes: rows of the truth that count.
         found: share of these that have a row.
-        false_rows: rows that are no true object's.
+        false_rows: rows that are no true object's, nor lie in or match a box that does not count.
         false_rows_a_frame: the same, a frame.
         switches: how often the id found for a true object became another one.
         mota: 1 - (missed + false + switches) / true boxes: multiple object tracking accuracy.
@@ -112,12 +112,22 @@ def is_objects(path: Path) -> bool:
     Raises:
         InputError: the file cannot be read.
     """
+    line = _first_line(path)
+    return _lacking(line) == [] or _is_label(line.split())
+
+
+def _first_line(path: Path) -> str:
     try:
         with open_regular(path) as file:
-            line = file.readline(4096).decode(errors="replace").strip("\ufeff \r\n")
+            return file.readline(4096).decode(errors="replace").strip("\ufeff \r\n")
     except OSError as error:
         raise InputError(f"cannot read {path}: {error.strerror}") from error
-    return set(line.split(",")) >= _COLUMNS or _is_label(line.split())
+
+
+def _lacking(line: str) -> list[str]:
+    """Return the columns that a table of objects with this first line lacks."""
+    columns = line.split(",")
+    return [name for name in _COLUMNS if name not in columns]
 
 
 def evaluate_objects(
@@ -151,8 +161,10 @@ def read_objects(path: Path, settings: EvaluateSettings) -> list[ObjectBox]:
         InputError: it is neither, or a row cannot be understood.
     """
     if not is_objects(path):
+        lacking = _lacking(_first_line(path))
+        why = f", as it lacks {', '.join(lacking)}" if len(lacking) < len(_COLUMNS) else ""
         raise InputError(
-            f"{path} has no objects: give a table with the columns frame, id, x, y, width, height, "
+            f"{path} has no objects{why}: give a table with the columns {', '.join(_COLUMNS)}, "
             "or labels of KITTI's tracking benchmark"
         )
     with open_regular(path) as file:
@@ -171,11 +183,18 @@ def read_objects(path: Path, settings: EvaluateSettings) -> list[ObjectBox]:
 def _of_table(path: Path) -> Iterator[ObjectBox]:
     seen: set[tuple[int, str]] = set()
     for frame, row in Table(path):
+        if frame < 0:
+            raise InputError(f"{path}: {frame} is no frame of a recording: write it again")
         name = row.get("id", "")
         if (frame, name) in seen:
             raise InputError(f"{path}: object {name} comes twice in frame {frame}")
         seen.add((frame, name))
-        if row.get("shadow") == "1":  # it says that this is no object
+        shadow = row.get("shadow", "")
+        if shadow not in ("", "0", "1"):
+            raise InputError(
+                f"{path}, frame {frame}: shadow is {shortened(shadow)}: give 0, 1, or nothing"
+            )
+        if shadow == "1":  # it says that this is no object
             continue
 
         def number(column: str, row: dict[str, str] = row, frame: int = frame) -> float:
@@ -322,7 +341,7 @@ def _judge(
         before = last.get(true[column].id, found[row].id)
         sums.switches += before != found[row].id
         last[true[column].id] = found[row].id
-    excused = (common > _INSIDE * area[:, None]) & ~counts
+    excused = ((common > _INSIDE * area[:, None]) | (overlap >= min_overlap)) & ~counts
     sums.false += sum(row not in taken and not excused[row].any() for row in range(len(found)))
 
 

@@ -51,7 +51,8 @@ class EvaluateSettings:
     )
     min_box_px: float = param(
         0.0,
-        "Minimum number of pixels of a true box: smaller ones, and rows in them, do not count.",
+        "Minimum number of pixels of a true box: smaller ones, and rows that lie in them or "
+        "match them, do not count.",
         unit="px",
         low=0,
     )
