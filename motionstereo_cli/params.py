@@ -57,6 +57,10 @@ class Param:
         """The name as a command-line option."""
         return "--" + self.name.replace("_", "-")
 
+    def flag_for(self, value: object) -> str:
+        """Return the option that sets this value; that of a switch that is off begins with no."""
+        return self.flag if value is not False else f"--no-{self.flag.removeprefix('--')}"
+
     @property
     def range(self) -> str:
         """The allowed values in words, empty = any."""

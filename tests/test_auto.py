@@ -127,7 +127,22 @@ def test_given_ends_of_the_depth_colours_stay(recording, tmp_path, given, ends):
     args = ["run", *recording, "--rig", str(rig), "--save", "depth-video", "-o"]
     assert main([*args, str(tmp_path / "o"), *given]) == 0
     assert ends_in(tmp_path / "o") == [*ends, 0, 0]
-    assert main([*args, str(tmp_path / "p"), "--near-px", "3"]) == 2
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ("--near-px 3", "not --near-px\n"),
+        ("--far-px 3", "not --far-px\n"),
+        ("--near-px 9 --far-px 3", "not --near-px and --far-px\n"),
+    ],
+)
+def test_ends_in_px_are_not_those_of_a_rig(recording, tmp_path, capsys, given, said):
+    rig = tmp_path / "rig.yaml"
+    rig.write_text("width: 160\nheight: 96\nfocal_px: 36\nbaseline_m: 0.2\ncx: 80\ncy: 48\n")
+    args = ["run", *recording, "--rig", str(rig), "-o", str(tmp_path / "o"), *given.split()]
+    assert main(args) == 2
+    assert said in capsys.readouterr().err
 
 
 def test_the_colours_of_a_pipe_are_those_of_its_first_frames(recording, tmp_path):

@@ -238,6 +238,7 @@ def drive_out(tmp_path_factory):
 def test_a_drive_writes_all_it_promises(drive_out):
     assert {path.name for path in drive_out.iterdir()} == set(OUTPUTS)
     record = json.loads((drive_out / "drive.json").read_text())
+    assert record["outputs"] == list(OUTPUTS)
     assert record["ended"] == "out of frames"
     assert (record["frames"], record["collisions"]) == (25, [])
     assert record["distance_m"] > 0.5
@@ -299,6 +300,8 @@ def test_only_a_former_drive_is_replaced(drive_out, tmp_path):
         assert motionstereo("drive", tmp_path, *few, "--overwrite").exit_code == 0
     names = {path.name for path in tmp_path.iterdir()}
     assert names == {*OUTPUTS, "my.png"} - {"drive.mp4"}
+    record = json.loads((tmp_path / "drive.json").read_text())
+    assert {*record["outputs"], "my.png"} == names
 
 
 @pytest.mark.parametrize("world", ["corridor", "office"])

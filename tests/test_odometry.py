@@ -352,10 +352,12 @@ class TestRun:
 
     def test_options_without_effect_and_a_mistyped_auto_are_said(self, recording, tmp_path, capsys):
         idle = ["--map-cell-m", "0.1", "--pose-time-unit", "ms", "--depth-scale", "256"]
+        idle += ["--no-legend"]
         out = ["--save", "steering,depth", "--poses", "auto"]
         self.run(recording, tmp_path / "out", *out, *idle)
         said = capsys.readouterr().err
         assert "--map-cell-m has no effect without --save map" in said
+        assert "note: --no-legend has no effect without --save depth-video" in said
         assert "--pose-time-unit has no effect without --poses FILE" in said
         assert "--depth-scale" not in said
         given = [recording / "left.mp4", recording / "right.mp4", "--rig", recording / "rig.yaml"]

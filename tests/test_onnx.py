@@ -148,7 +148,7 @@ def test_conventions_are_found_or_said(clip, tmp_path, form):
 def test_tiles_give_what_the_whole_gives(clip, tmp_path):
     whole = correlation(tmp_path / "w.onnx", ("left", "right"))
     tiled = correlation(tmp_path / "t.onnx", ("left", "right"), size=(64, 96))
-    (tmp_path / "t.toml").write_text('large = "tiles"\n')
+    (tmp_path / "t.toml").write_text('large = "tiles"\n', encoding="utf-8-sig")
     assert ran(clip, whole, tmp_path / "whole") == 0
     assert ran(clip, tiled, tmp_path / "tiled") == 0
     one, other = (Maps(tmp_path / name, "disparity").read(2) for name in ("whole", "tiled"))

@@ -82,7 +82,9 @@ WRONG = [
     ("heading_deg", "colour", "robot.colour is unknown: choose from start, heading_deg, goal"),
     ("height_m = 0.5", 'height_m = "low"', "boxes[0].height_m: expected float, got str"),
     ("height_m = 0.5", "height_m = -1", "boxes[0].height_m: expected float >= 0.0"),
-    ("height_m = 0.5", "height_m = nan", "boxes[0].height_m: expected float"),
+    ("height_m = 0.5", "height_m = nan", "boxes[0].height_m: nan is no place, length or angle"),
+    ("start = [0, 0]", "start = [nan, 0]", "robot.start[0]: nan is no place"),
+    ("heading_deg = 20", "heading_deg = -inf", "robot.heading_deg: -inf is no place"),
     ("height_m = 0.5", "height = 0.5", "boxes[0].height is unknown (did you mean 'height_m'?)"),
     ("height_m = 0.5", "paint = 'red'", "boxes[0].paint: invalid enum value 'red': choose from d"),
     ("1.5\nheight_m = 1.7", "4\nheight_m = 5", "boxes[1].bottom_m is not below the ceiling"),
@@ -120,6 +122,12 @@ def test_errors_of_a_plan_name_their_place_in_one_line(tmp_path, capsys, part, o
     assert str(path) in told
     assert "\n" not in told
     assert not (tmp_path / "out").exists()
+
+
+def test_a_plan_may_begin_with_a_byte_order_mark(tmp_path):
+    path = tmp_path / "plan.toml"
+    path.write_bytes(b"\xef\xbb\xbf" + PLAN.encode())
+    assert read_plan(str(path)).about == "A room with one of each."
 
 
 @pytest.mark.parametrize(

@@ -29,10 +29,8 @@ class Changed(NamedTuple):
     @property
     def option(self) -> list[str]:
         """The option that sets it on the command line."""
-        if self.item.kind is bool:
-            no = "" if self.value else "no-"
-            return [f"--{no}{self.item.flag.removeprefix('--')}"]
-        return [self.item.flag, f"{self.value}"]
+        flag = self.item.flag_for(self.value)
+        return [flag] if self.item.kind is bool else [flag, f"{self.value}"]
 
 
 def changed(record: RunRecord) -> Iterator[Changed]:

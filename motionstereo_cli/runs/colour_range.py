@@ -45,8 +45,10 @@ def with_colour_range(job: Job, *, in_order: bool = False) -> Job:
         SettingsError: the ends are given in px, and there is a rig.
     """
     output, rig = job.context.output, job.context.rig
-    if rig is not None and (output.near_px or output.far_px):
-        raise SettingsError("with a rig depth is in m: give --near-m and --far-m, not --near-px")
+    in_px = {"--near-px": output.near_px, "--far-px": output.far_px}
+    if rig is not None and any(in_px.values()):
+        given = " and ".join(flag for flag, value in in_px.items() if value)
+        raise SettingsError(f"with a rig depth is in m: give --near-m and --far-m, not {given}")
     near, far = (output.near_px, output.far_px) if rig is None else (output.near_m, output.far_m)
     if (near and far) or not any(OUTPUTS[name].shows_scale for name in job.save):
         return job

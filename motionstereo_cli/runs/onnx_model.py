@@ -110,7 +110,7 @@ def _form_of(model: Path) -> ModelForm:
     try:
         import tomllib  # which takes time
 
-        values = tomllib.loads(read_bytes(path, "a form", _MAX_FORM_BYTES).decode())
+        values = tomllib.loads(read_bytes(path, "a form", _MAX_FORM_BYTES).decode("utf-8-sig"))
     except (ValueError, RecursionError) as error:
         raise InputError(f"{path} cannot be read as TOML: {error}") from None
     return typed(values, ModelForm, path)

@@ -293,7 +293,8 @@ def _tell_of_options(job: Job, note: Callable[[str], object]) -> None:
         (plan.pose_settings, ["FILE"] if plan.poses_file else [], "--poses"),
     ):
         for item in idle(settings, present):
-            note(f"{item.flag} has no effect without {without} {' or '.join(item.only_with)}")
+            flag = item.flag_for(getattr(settings, item.name))
+            note(f"{flag} has no effect without {without} {' or '.join(item.only_with)}")
     if plan.settings.goal and plan.poses is None:
         raise SettingsError("--goal needs --poses: without it nothing is known of the world")
 

@@ -44,10 +44,10 @@ if TYPE_CHECKING:
 _TIME_BASE = Fraction(1, 1000)
 
 #: Files of a drive; the record is the last.
-RECORD = "drive.json"
+RECORD, _VIEW = "drive.json", "drive.mp4"
 OUTPUTS = (
     *("left.mkv", "right.mkv", "rig.yaml", "steering.csv", "poses.txt", "plan.png"),
-    *("map.ply", "map.png", "map.yaml", "map-sheet.png", "drive.mp4", RECORD),
+    *("map.ply", "map.png", "map.yaml", "map-sheet.png", _VIEW, RECORD),
 )
 
 
@@ -116,8 +116,9 @@ def drive(
     plan = Plan(world)
     context = RunContext(_TIME_BASE, settings, rig, colours(world) if view else OutputSettings())
     poses = [HEAD]
-    with RunFolder(out, OUTPUTS, _KIND, overwrite=overwrite, inputs=inputs) as folder:
-        names = ("left.mkv", "right.mkv", *(("drive.mp4",) if view else ()))
+    outputs = [name for name in OUTPUTS if view or name != _VIEW]
+    with RunFolder(out, outputs, _KIND, overwrite=overwrite, inputs=inputs) as folder:
+        names = [name for name in ("left.mkv", "right.mkv", _VIEW) if name in outputs]
         videos = [folder.own(VideoWriter(out / name, _TIME_BASE)) for name in names]
         surroundings = MapFiles(out / "map.ply", context)
         folder.add("map", lambda _: surroundings)

@@ -157,7 +157,7 @@ def read_plan(world: str) -> FloorPlan:
             f"or one of {', '.join(names)}"
         )
     try:
-        values = tomllib.loads(read_bytes(path, "the floor plan", _MAX_BYTES).decode())
+        values = tomllib.loads(read_bytes(path, "the floor plan", _MAX_BYTES).decode("utf-8-sig"))
     except UnicodeDecodeError:
         raise InputError(f"{path} cannot be read as TOML: it is not text in UTF-8") from None
     except (ValueError, RecursionError) as error:
@@ -166,6 +166,7 @@ def read_plan(world: str) -> FloorPlan:
         raise InputError(f"{path} is empty: give about, [robot] with start, and what stands")
     try:
         _check_keys(values, FloorPlan)
+        _check_finite(values)
         plan = msgspec.convert(values, FloorPlan)
         prisms(plan)
     except msgspec.ValidationError as error:
@@ -192,6 +193,22 @@ def _check_keys(values: dict[str, Any], kind: type[_Table], place: str = "") -> 
         for number, table in enumerate(tables):
             if isinstance(of, type) and issubclass(of, _Table) and isinstance(table, dict):
                 _check_keys(table, of, f"{key}[{number}]." if tables is value else f"{key}.")
+
+
+def _check_finite(value: object, place: str = "") -> None:
+    """Check that all numbers in a value of TOML are finite.
+
+    Raises:
+        ValueError: one is not; the message names its place.
+    """
+    if isinstance(value, dict):
+        for key, each in value.items():
+            _check_finite(each, f"{place}.{key}" if place else key)
+    elif isinstance(value, list):
+        for number, each in enumerate(value):
+            _check_finite(each, f"{place}[{number}]")
+    elif isinstance(value, float) and not math.isfinite(value):
+        raise ValueError(f"{place}: {value} is no place, length or angle: give a finite number")
 
 
 def _lowered(text: str) -> str:
