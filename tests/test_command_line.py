@@ -538,7 +538,7 @@ def test_a_bad_file_is_pointed_at(run_args, capsys, text, said):
 def test_the_key_of_an_option_is_its_name(recording, tmp_path, capsys):
     sides = [str(recording / f"{side}.mp4") for side in ("left", "right")]
     config = tmp_path / "my.toml"
-    config.write_text("json = true\nmax-disparity = 32\nend = 5")
+    config.write_text("json = true\nmax-disparity = 32\nend = 5", encoding="utf-8-sig")
     assert main(["check", *sides, "--config", str(config)]) in (0, 1)
     assert json.loads(capsys.readouterr().out)["frames"] == 5
     config.write_text("json = true\nend = 5")

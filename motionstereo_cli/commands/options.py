@@ -282,7 +282,7 @@ def _read_config(ctx: click.Context, path: Path) -> None:
     """Make the values of a configuration file the defaults of the command's options."""
     ctx.meta[_CONFIG] = (path,)
     try:
-        values = _toml(read_bytes(path, "a configuration", _MAX_CONFIG_BYTES).decode())
+        values = _toml(read_bytes(path, "a configuration", _MAX_CONFIG_BYTES).decode("utf-8-sig"))
     except InputError as error:
         raise click.UsageError(str(error), ctx) from None
     except (ValueError, RecursionError) as error:
