@@ -20,32 +20,14 @@ if TYPE_CHECKING:
 
 # Features. Distances are in px of the image looked at.
 _FEATURES = 600
-
-
 _MIN_CONTRAST = 0.02
-
-
 _MAX_RATIO = 0.8
-
-
 _ROW_REACH = 0.1  # of the height: matches are looked for so far off the row
-
-
 _REPEAT_PX = 2  # repetitions and disparities agree up to so many px
-
-
 _MIN_REPEAT_PX = 8  # what is nearer is part of the same thing
-
-
 _MIN_REPEATS, _REPEAT_SHARE = 10, 0.3  # as far apart, and of all: fewer are chance
-
-
 _FOLLOW_SPANS = (2, 4)
-
-
 _FOLLOW_BACK_PX = 0.5
-
-
 _FOLLOW_CHANGE_PX = 0.1
 
 
