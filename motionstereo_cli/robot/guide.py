@@ -400,9 +400,10 @@ class MapGuide:
             yaws = [each for _, _, each in trail[-TURN_FRAMES - 1 :]]
             course = taken_along(course, yaws, before.asked_rad)
         directions = yaw + DIRECTIONS_RAD
+        occupied, free = known.evidence > CERTAIN, known.evidence < -CERTAIN
         known_m, possible_m = free_distances(
-            (known.evidence > CERTAIN) | self._foreseen(nearest_contact(objects), known),
-            known.evidence < -CERTAIN,
+            occupied | self._foreseen(nearest_contact(objects), known),
+            free,
             (pose.x_m / CELL_M - known.corner[0], pose.y_m / CELL_M - known.corner[1]),
             directions,
             cell_m=CELL_M,
@@ -424,7 +425,7 @@ class MapGuide:
         steer_rad = _angle_rad(place, width, self.rig, s.reference)
         asked = (*before.asked_rad, steer_rad)[-ASKED_FRAMES:]
         after = replace(before, pose=pose, place=place, approach=approach)
-        if (np.abs(known.evidence) > CERTAIN).any():  # until then it only looks around
+        if occupied.any() or free.any():  # until then it only looks around
             after = replace(after, course=course, asked_rad=asked)
         if by_image is not None and self._is_open(by_image, seen_now, trail):
             return replace(after, place=image.place), by_image
