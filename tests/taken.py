@@ -1,6 +1,10 @@
-"""What sinks take, made of results."""
+"""What sinks take, made of results, and a folder for what they write."""
+
+from pathlib import Path
 
 from motionstereo_cli.robot.mapper import camera_points
+from motionstereo_cli.runs.folder import RunFolder
+from motionstereo_cli.runs.folder_files import head
 from motionstereo_cli.sinks.outputs import OUTPUTS
 from motionstereo_cli.types import FrameImages, FrameResult, Rig, Step
 
@@ -28,3 +32,10 @@ def taken(name: str, result: FrameResult, reference: str = "right") -> FrameImag
     """What the sink of an output takes of a result."""
     step = step_of(result, reference=reference)
     return step.images if OUTPUTS[name].takes == "images" else step
+
+
+def prepared(out: Path, save: tuple[str, ...], **how) -> RunFolder:
+    """The folder of a run, ready for its outputs."""
+    folder = RunFolder(out, save, identity=head(save), **how)
+    folder.prepare()
+    return folder

@@ -20,6 +20,7 @@ from fuzzing import Fuzz
 from PIL import Image
 from recordings import encode, scene
 from spatial import svo2, vr180, with_boxes
+from taken import prepared
 from test_calibration import (
     KITTI,
     MIDDLEBURY,
@@ -74,7 +75,6 @@ from motionstereo_cli.rig import format_rig, read_rig
 from motionstereo_cli.rig.calibration import read_calibration
 from motionstereo_cli.rig.poses import read_poses
 from motionstereo_cli.runs.checkpoint import check_state, read_checkpoint, write_checkpoint
-from motionstereo_cli.runs.folder import prepare
 from motionstereo_cli.runs.onnx_model import load_model
 from motionstereo_cli.runs.open_outputs import Totals
 from motionstereo_cli.simulate.floor_plan import prisms, read_plan
@@ -309,7 +309,7 @@ def test_records_of_runs(fuzz, tmp_path):
         assert result_of(compare, actual, golden) is not None  # unreadable is a difference
         result_of(lambda: Comparison(Maps(actual), Maps(golden)).pair(0))
         (out / "run.json").write_bytes(content)
-        result_of(prepare, out, ["steering"], overwrite=True)
+        result_of(prepared, out, ["steering"], overwrite=True)
 
     fuzz([sample], check, [b"[" * 3000, b"{" + b'"a": {' * 3000])
 

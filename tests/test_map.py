@@ -13,7 +13,7 @@ import pytest
 from click.testing import CliRunner
 from hypothesis import given
 from hypothesis import strategies as st
-from taken import step_of, taken
+from taken import prepared, step_of, taken
 
 from bench import map as bench
 from motionstereo_cli.commands import cli
@@ -33,7 +33,6 @@ from motionstereo_cli.robot.fused_map import (
 )
 from motionstereo_cli.robot.mapper import Floor, Mapper, apart_from, camera_points, standing
 from motionstereo_cli.robot.points import in_world, points
-from motionstereo_cli.runs.folder import prepare
 from motionstereo_cli.simulate.camera import Pose as RobotPose
 from motionstereo_cli.simulate.camera import stereo_cameras
 from motionstereo_cli.simulate.corridor import FRAMES_PER_SIDE, Corridor
@@ -527,15 +526,15 @@ class TestFiles:
         assert names == (wanted if keep else set())
 
     def test_all_its_files_are_known_as_a_runs_own(self, tmp_path):
-        prepare(tmp_path, ["map", "steering"])
+        prepared(tmp_path, ["map", "steering"])
         for name in ("map.ply", "map.png"):
             (tmp_path / name).touch()
         part_of(tmp_path / "map.yaml").touch()
-        prepare(tmp_path, ["steering"], overwrite=True)
+        prepared(tmp_path, ["steering"], overwrite=True)
         assert [path.name for path in tmp_path.iterdir()] == ["run.json.part"]
         (tmp_path / "map.yaml").touch()
         with pytest.raises(OutputError, match=r"map\.yaml is not from an earlier run"):
-            prepare(tmp_path, ["map"], overwrite=True)
+            prepared(tmp_path, ["map"], overwrite=True)
 
 
 def motionstereo(*arguments):

@@ -61,9 +61,9 @@ def until(*args, **options):
 
 library.steps = until
 if when == "complete":
-    folder.complete = kill
+    folder.name_part = kill
 if when == "clear":
-    folder.clear = kill
+    folder.RunFolder._clear = kill
 sys.exit(main(sys.argv[2:]))
 """
 

@@ -19,16 +19,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
-from msgspec import structs
-from taken import step_of, taken
+from taken import prepared, step_of, taken
 
-from motionstereo_cli.errors import OutputError, SettingsError
+from motionstereo_cli.errors import InputError, OutputError, SettingsError
 from motionstereo_cli.files.atomic import part_of, reported, segment_of, write_whole
 from motionstereo_cli.files.encode import encode_pfm, encode_png
 from motionstereo_cli.files.video import Indexed, SegmentedVideo, VideoWriter, join, table_of
 from motionstereo_cli.method.settings import Settings
 from motionstereo_cli.params import params
-from motionstereo_cli.runs.folder import complete, prepare, tidy
+from motionstereo_cli.runs.folder import RunFolder
 from motionstereo_cli.runs.folder_files import head
 from motionstereo_cli.runs.threaded_sink import Threaded
 from motionstereo_cli.sinks.drawing import coloured, depth_colours
@@ -506,7 +505,7 @@ def test_an_error_at_the_last_frame_is_raised_by_close():
 
 def a_run(out: Path, save: tuple[str, ...], frames: int, *, done: bool = True) -> None:
     """Leave what a run leaves, complete or cut off."""
-    prepare(out, save, overwrite=True)
+    folder = prepared(out, save, overwrite=True)
     for name in save:
         path = out / OUTPUTS[name].path
         path.parent.mkdir(exist_ok=True)
@@ -516,7 +515,7 @@ def a_run(out: Path, save: tuple[str, ...], frames: int, *, done: bool = True) -
         else:
             (path if done else part_of(path)).write_bytes(b"stream")
     if done:
-        complete(out, structs.replace(head(save), counts=Counts(written=frames)))
+        folder.complete(counts=Counts(written=frames))
 
 
 def names(out: Path) -> set[str]:
@@ -537,7 +536,7 @@ def test_every_default_is_an_output_and_depth_needs_a_rig():
 def test_a_folder_with_anything_in_it_is_refused(tmp_path):
     (tmp_path / "notes.txt").touch()
     with pytest.raises(OutputError, match="not empty"):
-        prepare(tmp_path, ["steering"])
+        prepared(tmp_path, ["steering"])
     assert names(tmp_path) == {"notes.txt"}
 
 
@@ -550,13 +549,13 @@ def test_overwrite_removes_what_a_run_wrote_and_nothing_else(tmp_path, done):
         path = tmp_path / stranger
         path.parent.mkdir(exist_ok=True)
         path.write_bytes(b"mine")
-    prepare(tmp_path, ["steering", "charge"], overwrite=True)
+    prepared(tmp_path, ["steering", "charge"], overwrite=True)
     assert names(tmp_path) == {*strangers, "run.json.part"}
 
 
 def test_overwrite_leaves_no_empty_folder_of_a_former_run(tmp_path):
     a_run(tmp_path, ("depth",), 3)
-    prepare(tmp_path, ["steering"], overwrite=True)
+    prepared(tmp_path, ["steering"], overwrite=True)
     assert not (tmp_path / "depth").exists()
 
 
@@ -569,7 +568,7 @@ def test_nobody_elses_file_is_written_over(tmp_path, stranger):
     path.parent.mkdir(exist_ok=True)
     path.write_text('{"program": "another"}')
     with pytest.raises(OutputError, match="not from an earlier run"):
-        prepare(tmp_path, ["steering", "depth"], overwrite=True)
+        prepared(tmp_path, ["steering", "depth"], overwrite=True)
     assert names(tmp_path) == {stranger}
 
 
@@ -578,7 +577,7 @@ def test_a_record_that_makes_no_sense_gives_no_right_to_remove(tmp_path, record)
     (tmp_path / "run.json").write_text(record)
     (tmp_path / "steering.csv").touch()
     with pytest.raises(OutputError, match="not from an earlier run"):
-        prepare(tmp_path, ["steering"], overwrite=True)
+        prepared(tmp_path, ["steering"], overwrite=True)
     assert names(tmp_path) == {"run.json", "steering.csv"}
 
 
@@ -590,7 +589,7 @@ def test_a_record_cannot_point_outside_the_folder(tmp_path):
     (out / "run.json").write_text(
         json.dumps({"program": "motionstereo", "outputs": outputs, "counts": {"written": 1}})
     )
-    prepare(out, ["steering"], overwrite=True)
+    prepared(out, ["steering"], overwrite=True)
     assert (tmp_path / "steering.csv").exists()
 
 
@@ -599,13 +598,13 @@ def test_an_input_is_not_harmed(tmp_path, taken):
     a_run(tmp_path, ("steering", "depth", "charge"), 2)
     before = names(tmp_path)
     with pytest.raises(OutputError, match="is an input of this run"):
-        prepare(tmp_path, ["depth"], overwrite=True, inputs=[tmp_path / taken])
+        prepared(tmp_path, ["depth"], overwrite=True, inputs=[tmp_path / taken])
     assert names(tmp_path) == before
 
 
 def test_an_input_elsewhere_in_the_folder_stays(tmp_path):
     (tmp_path / "left.mp4").touch()
-    prepare(tmp_path, ["steering"], overwrite=True, inputs=[tmp_path / "left.mp4"])
+    prepared(tmp_path, ["steering"], overwrite=True, inputs=[tmp_path / "left.mp4"])
     assert names(tmp_path) == {"left.mp4", "run.json.part"}
 
 
@@ -613,18 +612,21 @@ def test_an_output_folder_that_cannot_be(tmp_path):
     (tmp_path / "file").touch()
     for out in (tmp_path / "file", tmp_path / "file/out"):
         with pytest.raises(OutputError, match=f"cannot write {out}"):
-            prepare(out, ["steering"], overwrite=True)
+            prepared(out, ["steering"], overwrite=True)
 
 
-def test_a_failed_run_leaves_its_record_only_beside_images(tmp_path):
-    prepare(tmp_path, ["depth"])
-    (tmp_path / "depth").mkdir()
-    (tmp_path / "depth/000000.png").touch()
-    tidy(tmp_path)
-    assert names(tmp_path) == {"run.json.part", "depth/000000.png"}
-    (tmp_path / "depth/000000.png").unlink()
-    tidy(tmp_path)
-    assert not list(tmp_path.iterdir())
+@pytest.mark.parametrize("left", [{"depth/000000.png"}, set()])
+def test_a_failed_run_leaves_its_record_only_beside_images(tmp_path, left):
+    def fail() -> None:
+        with RunFolder(tmp_path, ["depth"], identity=head(["depth"])):
+            for name in left:
+                (tmp_path / name).parent.mkdir()
+                (tmp_path / name).touch()
+            raise InputError("the second frame cannot be read")
+
+    with pytest.raises(InputError, match="the second"):
+        fail()
+    assert names(tmp_path) == (left and {"run.json.part", *left})
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])

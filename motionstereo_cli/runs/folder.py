@@ -35,7 +35,6 @@ from motionstereo_cli.runs.folder_files import (
     RUN,
     TABLE,
     FolderKind,
-    head,
     present_of,
     read_record,
     remove_empty_folders,
@@ -70,7 +69,7 @@ class RunFolder(Sinks):
         overwrite: replace what an earlier run wrote; other files are never touched.
         resume: continue where the same run ended, or begin it.
         inputs: files and folders that must not be written to.
-        table: a further steering table, elsewhere; see :func:`check_table`.
+        table: a further steering table, elsewhere.
         check: raises a ValueError for a state that does not fit this run.
 
     Raises:
@@ -96,6 +95,7 @@ class RunFolder(Sinks):
         self.path = path
         self._outputs = outputs
         self._kind = kind
+        self._record, self._part = path / kind.record, part_of(path / kind.record)
         self._identity = identity or kind.kind(program=kind.program, outputs=tuple(outputs))
         self._frames = frames
         self._overwrite = overwrite
@@ -126,7 +126,7 @@ class RunFolder(Sinks):
                 self._keep = self._keep and self._kind.keeps
                 super().__exit__(kind, error, traceback)
                 if not self._complete:
-                    tidy(self.path, self._kind)
+                    self._tidy()
 
     def checkpoint(self) -> None:
         """Begin to write what another process needs to continue after this frame.
@@ -175,7 +175,11 @@ class RunFolder(Sinks):
             if self._table is not None:
                 sums[TABLE] = sums_of(self._table.parent, [self._table.name], 1)
             record = structs.replace(record, sums=sums)
-        complete(self.path, record, self._kind)
+        # The .part stays until all is on disk: it marks the folder as this program's.
+        write_whole(self._part, self._kind.format(record), durable=True)
+        with reported(self._record):
+            name_part(self._record)
+        self._clear(record)
         super().complete()
         return record
 
@@ -210,195 +214,131 @@ class RunFolder(Sinks):
             if not (above.is_dir() and os.access(above, os.W_OK)):
                 raise OutputError(f"cannot write {self.path}: {above} cannot be written to")
             return
-        overwrite, record = self._overwrite, self.path / self._kind.record
         if self._resume and (
-            begun := record_of(self.path, self._kind) or read_record(part_of(record), self._kind)
+            begun := record_of(self.path, self._kind) or read_record(self._part, self._kind)
         ):
             check_same(self.path, self._identity, begun)
-            overwrite = True
-        check_free(
-            *(self.path, self._outputs, self._kind),
-            frames=self._frames,
-            overwrite=overwrite,
-            inputs=self._inputs,
-            table=self._table,
-        )
+            self._overwrite = True
+        self._former_files()
 
     def _begin(self) -> None:
-        overwrite = self._overwrite
         if self._resume:
             if finished := record_of(self.path, self._kind):
                 check_same(self.path, self._identity, finished)
                 self._check_sums(finished)
-                clear(self.path, finished, self._kind)
+                self._clear(finished)
                 self.finished = finished
                 return
-            if begun := read_record(part_of(self.path / self._kind.record), self._kind):
+            if begun := read_record(self._part, self._kind):
                 check_same(self.path, self._identity, begun)
-                overwrite = True
+                self._overwrite = True
                 self.resumed = True
                 if since := read_checkpoint(self.path / CHECKPOINT, self._identity, self._check):
                     self.state, self.totals = since.state, since.totals
                     self._marks, self._keep = since.sinks, True
-                    if self._table is not None:
-                        _is_former(self._table, self.path, self._kind, overwrite=True)
+                    self._check_table()
                     return
-        prepare(
-            *(self.path, self._outputs, self._kind),
-            identity=self._identity,
-            frames=self._frames,
-            overwrite=overwrite,
-            inputs=self._inputs,
-            table=self._table,
-        )
+        self.prepare()
 
+    def prepare(self) -> None:
+        """Make the folder ready for a new run.
 
-def prepare(
-    out: Path,
-    outputs: Sequence[str],
-    kind: FolderKind = RUN,
-    *,
-    identity: FolderRecord | None = None,
-    frames: int | None = None,
-    overwrite: bool = False,
-    inputs: Iterable[Path] = (),
-    table: Path | None = None,
-) -> None:
-    """Make the output folder ready.
+        With ``overwrite``, exactly the files that the record of an earlier run lists are removed.
+        Other files are neither removed nor overwritten. After a kill in between, the record still
+        lists the remaining ones.
 
-    With ``overwrite``, exactly the files that the record of an earlier run lists are removed. Other
-    files are neither removed nor overwritten. After a kill in between, the record still lists
-    the remaining ones.
+        Raises:
+            OutputError: the folder is not empty, cannot be written, or holds an input or someone
+                else's file where something would be written.
+        """
+        make_folder(self.path, self.path)
+        former = self._former_files()
+        with reported(self.path):
+            if self._table is not None and os.path.lexists(self._table):
+                remove(self._table.parent, [self._table])
+            if self._record in former:  # incomplete from now on, and still this program's
+                unname(self._record)
+            # From the last image to the first: of an interrupted run, the images up to a gap count.
+            remove(self.path, sorted(former - {self._record, self._part}, reverse=True))
+            remove_empty_folders(self.path, self._kind)
+        write_whole(self._part, self._kind.format(self._identity))
 
-    Args:
-        out: the folder; made where it is missing.
-        outputs: names of the outputs.
-        kind: whose folder it is.
-        identity: what the record says while the run is incomplete; if None, only who wrote it.
-        frames: see :class:`RunFolder`.
-        overwrite: accept a folder that is not empty.
-        inputs: files and folders that are read.
-        table: see :class:`RunFolder`.
+    def _former_files(self) -> set[Path]:
+        """Return the files of an earlier run, once it is sure that the folder can be made ready.
 
-    Raises:
-        OutputError: the folder is not empty, cannot be written, or holds an input or someone
-            else's file where something would be written.
-    """
-    make_folder(out, out)
-    record, part = out / kind.record, part_of(out / kind.record)
-    former, former_table = check_free(
-        *(out, outputs, kind), frames=frames, overwrite=overwrite, inputs=inputs, table=table
-    )
-    with reported(out):
-        if former_table and table is not None:
-            remove(table.parent, [table])
-        if record in former:  # incomplete from now on, and still this program's
-            unname(record)
-        # From the last image to the first: of an interrupted run, the images up to a gap count.
-        remove(out, sorted(former - {record, part}, reverse=True))
-        remove_empty_folders(out, kind)
-    begun = identity or head(outputs)
-    write_whole(part, kind.format(begun))
+        Raises:
+            OutputError: as of :meth:`prepare`.
+        """
+        out, kind = self.path, self._kind
+        with reported(out):
+            if not self._overwrite and not all(
+                path.name == LOCK or is_left_over(path) for path in out.iterdir()
+            ):
+                advice = ", or --resume to go on" if kind is RUN and self._part.exists() else ""
+                raise OutputError(
+                    f"{out} is not empty: give another folder, or --overwrite{advice}"
+                )
+            former = written(out, kind) | {path for path in out.iterdir() if is_left_over(path)}
+            self._check_table()
+            paths = [path for name in self._outputs for path in kind.outputs[name]]
+            present = present_of(out, kind.record) | temporary(out, kind, self._outputs)
+            for target in paths:
+                there = present_of(out, target)
+                counted = self._frames is not None and (out / target).parent not in there
+                present |= up_to(self._frames, there) if "{" in target and counted else there
+            for path in sorted(present - former):
+                if path.is_symlink():
+                    raise OutputError(f"{path} is a link: remove it or give another folder")
+                raise OutputError(
+                    f"{path} is not from an earlier run: move it or give another folder"
+                )
+            taken = {real(path) for path in self._inputs}
+            for path in former.union(out / path for path in paths):
+                for place in (path, path.parent):
+                    if real(place) in taken:
+                        raise OutputError(f"{place} is an input of this run: give another folder")
+        return former
 
+    def _check_table(self) -> None:
+        """Make sure that where the table is to be, there is none but of an earlier run into here.
 
-def check_free(
-    out: Path,
-    outputs: Sequence[str],
-    kind: FolderKind = RUN,
-    *,
-    frames: int | None = None,
-    overwrite: bool = False,
-    inputs: Iterable[Path] = (),
-    table: Path | None = None,
-) -> tuple[set[Path], bool]:
-    """Make sure that an existing folder can be made ready; for the arguments see :func:`prepare`.
+        It is identified by its path, which is in the record, and by its content: the hash in the
+        record or, if the run ended before writing one, the partial table in the folder.
 
-    Returns:
-        The files of an earlier run, and whether the table is one of them.
+        Raises:
+            OutputError: another file is there, or it must not be overwritten.
+        """
+        table, out = self._table, self.path
+        if table is None or not os.path.lexists(table):
+            return
+        if not self._overwrite:
+            raise OutputError(f"{table} is there already: give another name, or --overwrite")
+        found = sum_of(table)
+        known = {sum_of(part_of(out / TABLE))} - {None}
+        for path in (self._record, self._part):
+            with contextlib.suppress(InputError, LookupError, ValueError, OSError):
+                record = read_record(path, self._kind)
+                if not (isinstance(record, RunRecord) and record.table and record.sums):
+                    continue
+                if real(out / record.table) == real(table):
+                    known.add(record.sums[TABLE].sha256)
+        if found is None or found not in known:
+            raise OutputError(
+                f"{table} was not written by an earlier run into {out}, or was changed: move it, "
+                "or give another name"
+            )
 
-    Raises:
-        OutputError: as of :func:`prepare`.
-    """
-    part = part_of(out / kind.record)
-    with reported(out):
-        if not overwrite and not all(
-            path.name == LOCK or is_left_over(path) for path in out.iterdir()
-        ):
-            advice = ", or --resume to go on" if kind is RUN and part.exists() else ""
-            raise OutputError(f"{out} is not empty: give another folder, or --overwrite{advice}")
-        former = written(out, kind) | {path for path in out.iterdir() if is_left_over(path)}
-        former_table = table is not None and _is_former(table, out, kind, overwrite=overwrite)
-        paths = [path for name in outputs for path in kind.outputs[name]]
-        present = present_of(out, kind.record) | temporary(out, kind, outputs)
-        for target in paths:
-            there = present_of(out, target)
-            numbered = "{" in target and frames is not None and (out / target).parent not in there
-            present |= up_to(frames, there) if numbered else there
-        for path in sorted(present - former):
-            if path.is_symlink():
-                raise OutputError(f"{path} is a link: remove it or give another folder")
-            raise OutputError(f"{path} is not from an earlier run: move it or give another folder")
-        taken = {real(path) for path in inputs}
-        for path in former.union(out / path for path in paths):
-            for place in (path, path.parent):
-                if real(place) in taken:
-                    raise OutputError(f"{place} is an input of this run: give another folder")
-    return former, former_table
+    def _clear(self, record: FolderRecord) -> None:
+        """Remove what a complete run no longer needs: its checkpoint, and segments of videos."""
+        names = self._kind.outputs.keys() & set(record.outputs or ())
+        with reported(self.path):
+            remove(self.path, sorted(temporary(self.path, self._kind, names)))
 
-
-def complete(out: Path, record: FolderRecord, kind: FolderKind = RUN) -> None:
-    """Write the record of a run that is done.
-
-    Args:
-        out: the folder.
-        record: the record.
-        kind: the command whose folder it is.
-
-    Raises:
-        OutputError: the record cannot be written.
-    """
-    # The .part stays until all is on disk: it marks the folder as this program's.
-    part = part_of(out / kind.record)
-    write_whole(part, kind.format(record), durable=True)
-    with reported(out / kind.record):
-        name_part(out / kind.record)
-    clear(out, record, kind)
-
-
-def clear(out: Path, record: FolderRecord, kind: FolderKind = RUN) -> None:
-    """Remove what a complete run no longer needs: its checkpoint, and segments of its videos."""
-    with reported(out):
-        remove(out, sorted(temporary(out, kind, kind.outputs.keys() & set(record.outputs or ()))))
-
-
-def _is_former(table: Path, out: Path, kind: FolderKind, *, overwrite: bool) -> bool:
-    """Return whether a table exists that an earlier run into the same folder wrote.
-
-    It is identified by its path, which is in the record, and by its content: the hash in the record
-    or, if the run ended before writing one, the partial table in the folder.
-
-    Raises:
-        OutputError: another file is there, or it must not be overwritten.
-    """
-    if not os.path.lexists(table):
-        return False
-    if not overwrite:
-        raise OutputError(f"{table} is there already: give another name, or --overwrite")
-    found = sum_of(table)
-    known = {sum_of(part_of(out / TABLE))} - {None}
-    for path in (out / kind.record, part_of(out / kind.record)):
-        with contextlib.suppress(InputError, LookupError, ValueError, OSError):
-            record = read_record(path, kind)
-            if not (isinstance(record, RunRecord) and record.table and record.sums):
-                continue
-            if real(out / record.table) == real(table):
-                known.add(record.sums[TABLE].sha256)
-    if found is None or found not in known:
-        raise OutputError(
-            f"{table} was not written by an earlier run into {out}, or was changed: move it, or "
-            "give another name"
-        )
-    return True
+    def _tidy(self) -> None:
+        """Remove what a failed run left, if none of it is of use."""
+        with contextlib.suppress(OSError):
+            if not self._kind.keeps or written(self.path, self._kind) == {self._part}:
+                _remove_all(self.path, self._kind)
 
 
 def record_of(out: Path, kind: FolderKind = RUN) -> FolderRecord | None:
@@ -408,14 +348,6 @@ def record_of(out: Path, kind: FolderKind = RUN) -> FolderRecord | None:
         InputError: it is damaged.
     """
     return read_record(out / kind.record, kind)
-
-
-def tidy(out: Path, kind: FolderKind = RUN) -> None:
-    """Remove what a failed run left, if none of it is of use."""
-    part = part_of(out / kind.record)
-    with contextlib.suppress(OSError):
-        if not kind.keeps or written(out, kind) == {part}:
-            _remove_all(out, kind)
 
 
 def discard(out: Path, kind: FolderKind) -> None:
