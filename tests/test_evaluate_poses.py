@@ -44,6 +44,16 @@ def test_a_path_that_is_two_percent_too_long_drifts_by_two_percent():
     assert report.ate_m == pytest.approx(3 / np.sqrt(12), rel=0.01)
 
 
+def test_drift_can_leave_out_where_the_rig_is_lost():
+    true = np.tile(np.eye(4), (301, 1, 1))
+    true[:, 0, 3] = np.arange(301) * 0.5
+    found, lost = true.copy(), np.zeros(301, bool)
+    found[100:, 1, 3] += 2
+    assert compare(found, true, lost).drift_percent > 1
+    lost[100] = True
+    assert compare(found, true, lost).drift_percent == pytest.approx(0, abs=1e-9)
+
+
 def test_a_turn_that_is_too_small_is_told_per_metre():
     true = np.tile(np.eye(4), (101, 1, 1))
     true[:, 0, 3] = np.arange(101) * 0.2

@@ -192,10 +192,14 @@ class TestMotion:
         assert vague.covariance.trace() > sure.covariance.trace() + 0.1
         assert travelled(vague, found[3]).lost == 0
 
-    def test_where_the_rig_is_lost_it_slows_down(self):
+    def test_where_the_rig_is_lost_it_goes_on_and_then_slows_down(self):
         turning = np.eye(4)
         turning[:3, :3] = cv2.Rodrigues(np.array([0.1, 0.2, 0.0]))[0]
         path = replace(setting_out(), last=turning)
+        for _ in range(16):
+            path = travelled(path, None)
+        np.testing.assert_allclose(path.last, turning, atol=1e-12)
+        path = replace(path, pose=np.eye(4))
         for _ in range(60):
             path = travelled(path, None)
         turned = np.linalg.norm(cv2.Rodrigues(path.pose[:3, :3])[0])

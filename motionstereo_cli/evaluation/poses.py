@@ -101,8 +101,12 @@ def _matrices(poses: Reals) -> Reals:
     return result
 
 
-def compare(found: Reals, true: Reals) -> PoseReport:
-    """Compare poses (n, 4, 4) of the same moments, n >= 2; see :class:`PoseReport`."""
+def compare(found: Reals, true: Reals, lost: NDArray[np.bool_] | None = None) -> PoseReport:
+    """Compare poses (n, 4, 4) of the same moments, n >= 2; see :class:`PoseReport`.
+
+    Drift is over the stretches within which no pose is ``lost`` (n,), if that is given.
+    """
+    losses = np.zeros(len(true)) if lost is None else np.cumsum(lost)
     step_m, step_deg = _errors(found[:-1], found[1:], true[:-1], true[1:])
     steps_m = np.linalg.norm(np.diff(true[:, :3, 3], axis=0), axis=1)
     way_m = np.concatenate([[0.0], np.cumsum(steps_m)])
@@ -111,6 +115,8 @@ def compare(found: Reals, true: Reals) -> PoseReport:
         ends = np.searchsorted(way_m, way_m + length_m)
         starts = np.flatnonzero(ends < len(true))
         ends = ends[starts]
+        known = losses[ends] == losses[starts]
+        starts, ends = starts[known], ends[known]
         off_m, off_deg = _errors(found[starts], found[ends], true[starts], true[ends])
         drifts.append(off_m / length_m)
         turns.append(off_deg / length_m)

@@ -73,9 +73,11 @@ _ERROR_TOLD_PX, _USUAL_RAYS = (0.06, 0.12), np.array([1.0, 0.3, 0.15])
 #: or that of the turn over such an angle, and moves points in the image by so many px: before a
 #: blank wall, few edges agree with many motions. The likeliest one goes into the path all the same.
 _VAGUE_BASELINES, _VAGUE_RAD, _VAGUE_PX = 0.2, 0.014, 1.0
-#: Standard deviations of shift and turn in a frame where the rig is lost, and by what factor it
-#: slows down there in each: a wrong motion that went on would turn the path over.
-_LOST_M, _LOST_RAD, _SLOWING = 0.2, 0.1, 0.8
+#: Standard deviations of shift and turn in a frame where the rig is lost.
+_LOST_M, _LOST_RAD = 0.2, 0.1
+#: There it goes on as it last certainly did for so many frames, and then slows down by a factor in
+#: each: a motion that never ended would turn the path over. Standard deviations of the change.
+_GOES_ON_FRAMES, _SLOWING, _CHANGE_M, _CHANGE_RAD = 16, 0.8, 0.05, 0.1
 #: Covariance of a motion over that of its equations, whose points share their errors likewise.
 _COVARIANCE = 10.0
 
@@ -422,7 +424,7 @@ class TravelledPath:
         covariance: (6, 6) of its shift and turn, of errors that frames do not share.
         error_px: (3,) error of disparity by all frames so far.
         information: (3, 3) inverse of its covariance.
-        last: (4, 4) the last motion that is known.
+        last: (4, 4) the last motion that is known, slower where that is long ago.
         lost: frames since one that was not lost.
     """
 
@@ -444,22 +446,24 @@ def travelled(path: TravelledPath, motion: Motion | None) -> TravelledPath:
     """Return the path a frame later.
 
     A motion is corrected, to first order, for the error of disparity estimated from all frames.
-    While the rig is lost, which :attr:`TravelledPath.lost` tells, it is assumed to slow down; of a
-    vague motion, only what is surer than that counts.
+    While the rig is lost, which :attr:`TravelledPath.lost` tells, it is assumed to go on as before,
+    and later to slow down; of a vague motion, only what is surer than that counts.
     """
     if motion is None or motion.vague:
-        moved = _small(_SLOWING * _vector(path.last))
-        unsure = np.diag([_LOST_M**2] * 3 + [_LOST_RAD**2] * 3)
+        slowing = _SLOWING if path.lost >= _GOES_ON_FRAMES else 1.0
+        last = moved = _small(slowing * _vector(path.last))
         if motion is not None:
-            gain = motion.covariance @ np.linalg.inv(motion.covariance + unsure)
+            change = np.diag([_CHANGE_M**2] * 3 + [_CHANGE_RAD**2] * 3)
+            gain = motion.covariance @ np.linalg.inv(motion.covariance + change)
             off = _vector(moved @ _inverse(motion.before_from_now))
             moved = _small(gain @ off) @ motion.before_from_now
+        unsure = np.diag([_LOST_M**2] * 3 + [_LOST_RAD**2] * 3)
         turned = adjoint(_inverse(moved))
         return replace(
             path,
             pose=path.pose @ moved,
             covariance=turned @ (path.covariance + unsure) @ turned.T,
-            last=moved,
+            last=last,
             lost=path.lost + 1,
         )
     information = path.information + _ERROR_GAIN * motion.information

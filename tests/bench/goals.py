@@ -13,7 +13,7 @@ import subprocess
 import tempfile
 import tomllib
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -183,6 +183,21 @@ def _of_own_motion(_: Sequence[Goal], quick: bool) -> dict[str, float]:
     }
 
 
+def _of_paths(_: Sequence[Goal], quick: bool) -> dict[str, float]:
+    """Of drives of a held-out seed: means over those that tell, and the share of wrong motions."""
+    settings = [each for kind in own_motion.drives([9]).values() for each in kind]
+    if quick:
+        settings = [replace(each, max_frames=3) for each in settings[:2]]
+    scores = [own_motion.measure_drive(each) for each in tqdm(settings, "paths", disable=None)]
+    frames, lost, wrong = np.sum([[s.frames, s.lost, s.wrong] for s in scores], axis=0)
+    return {
+        "drift": own_motion.mean([score.path.drift_percent for score in scores]),
+        "drift without lost frames": own_motion.mean([s.known.drift_percent for s in scores]),
+        "lost": lost / frames,
+        "wrong": wrong / frames,
+    }
+
+
 def _of_batch(_: Sequence[Goal], quick: bool) -> dict[str, float]:
     """Figures of the trials with many recordings, by their keys."""
     size = batch.QUICK if quick else batch.FULL
@@ -203,6 +218,7 @@ MEASURES: dict[str, Callable[[Sequence[Goal], bool], dict[str, float]]] = {
     "drive": _of_drive,
     "map": _of_map,
     "own_motion": _of_own_motion,
+    "paths": _of_paths,
     "batch": _of_batch,
     "given": _of_given,
 }

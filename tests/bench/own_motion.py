@@ -1,12 +1,14 @@
 """Own motion, and what moves by itself: ``python -m bench own_motion``.
 
 Streets and corridors are rendered and followed with nothing but the two views; the exact poses and
-the exact masks of what moves by itself are known.
+the exact masks of what moves by itself are known. So are, with ``--drives``, the views of a robot
+that drives by the depth of ``motionstereo``, as in ``bench drive``.
 """
 
 from __future__ import annotations
 
 import argparse
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,12 +18,17 @@ import cv2
 import numpy as np
 from tqdm import tqdm
 
+from bench.drive import SETTINGS
 from bench.markdown import table
 from motionstereo_cli.evaluation.poses import PoseReport, compare
 from motionstereo_cli.pipeline import process
 from motionstereo_cli.rig.pose_forms import rotations
+from motionstereo_cli.robot.odometer import Odometer
+from motionstereo_cli.simulate.drive import aimed, driven
+from motionstereo_cli.simulate.drive_world import world_of
+from motionstereo_cli.simulate.floor_plan import plan_names
 from motionstereo_cli.simulate.scenes import render_scene
-from motionstereo_cli.simulate.settings import SimulateSettings
+from motionstereo_cli.simulate.settings import DriveSettings, SimulateSettings
 from motionstereo_cli.types import Pose, StereoFrame
 
 if TYPE_CHECKING:
@@ -46,6 +53,8 @@ _USUAL: dict[str, Any] = {"width": 640, "height": 480, "frames": "28", "noise_si
 _FIRST_FRAME, _SMALL_PX, _LARGE_PX = 3, 150, 800
 #: A row is a thing's where their boxes overlap by this share of the smaller one.
 _MIN_OVERLAP = 0.3
+#: A motion from frame to frame that is off by more is wrong.
+_WRONG_M, _WRONG_DEG = 0.03, 1.0
 
 
 @dataclass(slots=True)
@@ -92,6 +101,94 @@ def measure(given: dict[str, Any], picture: Path | None = None) -> Score:
     if picture is not None and shown is not None:
         cv2.imwrite(str(picture), drawn(shown))
     return score
+
+
+@dataclass(slots=True)
+class DriveScore:
+    """What was found of the path of a drive.
+
+    Attributes:
+        frames: their number.
+        lost: those that are said to be lost.
+        wrong: motions that are wrong and not said to be lost.
+        path: of all poses.
+        known: of the same; its drift is over stretches without a lost frame.
+    """
+
+    frames: int
+    lost: int
+    wrong: int
+    path: PoseReport
+    known: PoseReport
+
+
+def measure_drive(settings: DriveSettings) -> DriveScore:
+    """Let the robot drive by exact poses, and find its path by its views alone."""
+    world = world_of(settings)
+    odometer = Odometer(world.settings.rig, SETTINGS.max_disparity)
+    state = last = path = None
+    found, true, lost = [], [], []
+    for frame, step in driven(world, aimed(SETTINGS, world)):
+        true.append(world.robot.rig_pose)
+        state, motion = odometer.step(state, last, frame.right, frame.left, frame.index)
+        path, pose, fix = odometer.follow(path, motion)
+        found.append(pose)
+        lost.append(fix.lost)
+        last = frame.right, frame.left
+        world.act_on(step.steering)
+    mine, exact, unknown = _matrices(found), _matrices(true), np.array(lost)
+    off = np.linalg.inv(np.linalg.inv(exact[:-1]) @ exact[1:]) @ (
+        np.linalg.inv(mine[:-1]) @ mine[1:]
+    )
+    cos = (np.trace(off[:, :3, :3], axis1=1, axis2=2) - 1) / 2
+    wrong = np.linalg.norm(off[:, :3, 3], axis=1) > _WRONG_M
+    wrong |= cos < np.cos(np.radians(_WRONG_DEG))
+    return DriveScore(
+        *(len(lost), int(unknown.sum()), int((wrong & ~unknown[1:]).sum())),
+        *(compare(mine, exact), compare(mine, exact, unknown)),
+    )
+
+
+def drives(seeds: Sequence[int]) -> dict[str, list[DriveSettings]]:
+    """Return drives by kind: a lap of a corridor with 0, 1 and 2 walkers, and the floor plans."""
+    noise_sigma = _USUAL["noise_sigma"]
+    kinds = {
+        f"corridor, {walkers} walkers": [
+            DriveSettings(seed=seed, laps=1.0, walkers=walkers, noise_sigma=noise_sigma)
+            for seed in seeds
+        ]
+        for walkers in (0, 1, 2)
+    }
+    return kinds | {
+        world: [DriveSettings(seed=seed, world=world, noise_sigma=noise_sigma) for seed in seeds]
+        for world in plan_names()
+    }
+
+
+def _drives_table(seeds: Sequence[int]) -> str:
+    """Return a row for each kind of drive, and the mean."""
+    rows: list[list[object]] = []
+    scores: list[DriveScore] = []
+    for name, settings in tqdm(drives(seeds).items(), disable=None):
+        mine = [measure_drive(each) for each in settings]
+        rows.append([name, *_in_words(mine)])
+        scores += mine
+    head = ["drive", "frames", "lost", "wrong, not said", "drift, %", "deg/m"]
+    return table([*head, "drift without lost frames, %"], [*rows, ["all", *_in_words(scores)]])
+
+
+def _in_words(scores: Sequence[DriveScore]) -> list[object]:
+    drift = mean([score.path.drift_percent for score in scores])
+    turn = mean([score.path.drift_deg_per_m for score in scores])
+    known = mean([score.known.drift_percent for score in scores])
+    counts = [sum(getattr(each, name) for each in scores) for name in ("frames", "lost", "wrong")]
+    return [*counts, f"{drift:.2f}", f"{turn:.2f}", f"{known:.2f}"]
+
+
+def mean(values: Sequence[float]) -> float:
+    """Return the mean of the values that are known; NaN where none is."""
+    known = [value for value in values if not math.isnan(value)]
+    return sum(known) / len(known) if known else math.nan
 
 
 def _matrices(poses: Sequence[Pose]) -> NDArray[np.float64]:
@@ -154,8 +251,14 @@ def main(args: Sequence[str]) -> None:
     """Print a table, a row for each scene."""
     parser = argparse.ArgumentParser(prog="bench own_motion", description=__doc__)
     parser.add_argument("--scenes", nargs="+", choices=SCENES, default=list(SCENES))
+    parser.add_argument(
+        "--drives", nargs="*", type=int, metavar="SEED", help="drives of these seeds; none: 0"
+    )
     parser.add_argument("--picture", type=Path, help="PNG file for a frame of the last scene")
     given = parser.parse_args(args)
+    if given.drives is not None:
+        print(_drives_table(given.drives or [0]))
+        return
     rows = []
     for name in tqdm(given.scenes, disable=None):
         picture = given.picture if name == given.scenes[-1] else None
