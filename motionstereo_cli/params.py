@@ -7,7 +7,8 @@ fields are declared with :func:`param`.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping, Set
 from dataclasses import dataclass, field, fields
 from types import MappingProxyType
 from typing import Any
@@ -23,7 +24,7 @@ class Param:
         name: field name, as in the configuration file and run.json.
         kind: ``bool``, ``int``, ``float`` or ``str``.
         default: its default value.
-        help: one sentence for users.
+        help: one sentence for users; that on ``only_with`` is made from it.
         unit: unit of the number, empty for a plain number or a choice.
         low, high: inclusive range of a number, None = open.
         choices: allowed strings, empty = any.
@@ -33,7 +34,8 @@ class Param:
         words: words for values, such as ``auto`` for 0.
         begun: words that begin with one of these, such as ``onnx:``, are choices as well.
         more: finds further choices, which takes time, for a value that is none of the others.
-        only_with: names, such as of outputs or scenes, without all of which it has no effect.
+        only_with: options without which it has no effect, such as ``--poses and --save steering,
+            preview or bag``: of each group that ``and`` divides, one is needed.
     """
 
     name: str
@@ -50,7 +52,7 @@ class Param:
     words: Mapping[str, Any]
     begun: tuple[str, ...] = ()
     more: Callable[[], Iterable[str]] = tuple
-    only_with: tuple[str, ...] = ()
+    only_with: str = ""
 
     @property
     def flag(self) -> str:
@@ -60,6 +62,15 @@ class Param:
     def flag_for(self, value: object) -> str:
         """Return the option that sets this value; that of a switch that is off begins with no."""
         return self.flag if value is not False else f"--no-{self.flag.removeprefix('--')}"
+
+    def missing(self, present: Set[str]) -> str:
+        """Return the options of which one would be needed for an effect, as words; empty = none.
+
+        Args:
+            present: the options there are.
+        """
+        groups = self.only_with.split(" and ") if self.only_with else ()
+        return next((each for each in groups if present.isdisjoint(options_in(each))), "")
 
     @property
     def range(self) -> str:
@@ -124,7 +135,7 @@ def param(
     words: Mapping[str, Any] = MappingProxyType({}),
     begun: tuple[str, ...] = (),
     more: Callable[[], Iterable[str]] = tuple,
-    only_with: tuple[str, ...] = (),
+    only_with: str = "",
 ) -> Any:
     """Declare a dataclass field that :func:`params` describes and :func:`checked` verifies.
 
@@ -160,18 +171,38 @@ def checked(settings: Any) -> None:
         object.__setattr__(settings, item.name, item.parse(getattr(settings, item.name)))
 
 
-def idle(settings: Any, present: Iterable[str]) -> Iterator[Param]:
-    """Yield the parameters that are given, but have no effect.
+def options_of(settings: Any) -> Iterator[str]:
+    """Yield the options that set the values of a dataclass instance, as ``only_with`` names them.
+
+    They are ``--name`` for what is neither 0 nor empty, and ``--name value`` for text.
+    """
+    for item in params(type(settings)):
+        value = getattr(settings, item.name)
+        if value or value is False:
+            yield item.flag_for(value)
+        if isinstance(value, str):
+            yield f"{item.flag} {value}"
+
+
+def idle(settings: Any, present: Set[str]) -> Iterator[str]:
+    """Yield a sentence for each parameter that is given, but has no effect.
 
     Args:
         settings: a dataclass instance.
-        present: names of what there is, of those that ``only_with`` names.
+        present: the options there are, as ``only_with`` names them.
     """
-    there = set(present)
     for item in params(type(settings)):
-        given = getattr(settings, item.name) != item.default
-        if given and item.only_with and there.isdisjoint(item.only_with):
-            yield item
+        value = getattr(settings, item.name)
+        if value != item.default and (missing := item.missing(present)):
+            yield f"{item.flag_for(value)} has no effect without {missing}"
+
+
+def options_in(words: str) -> Iterator[str]:
+    """Yield the options in words such as ``--matcher trails or dense``."""
+    flag = ""
+    for word in re.split(", | or ", words):
+        flag = word.partition(" ")[0] if word.startswith("-") else flag
+        yield word if word.startswith("-") else f"{flag} {word}"
 
 
 def near_match(name: str, known: Iterable[str]) -> str:

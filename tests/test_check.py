@@ -318,6 +318,34 @@ def test_known_principal_points_excuse_negative_disparities(corridor: Views) -> 
     assert "negative-disparity" in [finding.name for finding in report.findings]
 
 
+def test_an_offset_that_leaves_nothing_is_the_cause_and_not_the_order_of_the_views(
+    corridor: Views,
+) -> None:
+    height, width = corridor[0][0].shape
+    rig = Rig(width, height, 200.0, 0.1, 100.0, 80.0)
+    for offset_px, names in ((-70.0, ["offset-too-low"]), (2.0, []), (0.0, [])):
+        frames = frames_of(corridor)
+        mended = rig.with_disparity_offset(offset_px)
+        report = check(
+            *(frames, MAX_DISPARITY),
+            expected_frames=SHORT,
+            rig=mended,
+            given_offset_px=offset_px,
+        )
+        found = [finding.name for finding in report.findings]
+        assert [name for name in found if name in ("swapped", "offset-too-low")] == names
+    text = (
+        check(
+            *(frames_of(corridor), MAX_DISPARITY),
+            rig=rig.with_disparity_offset(-70.0),
+            given_offset_px=-70.0,
+        )
+        .findings[0]
+        .text
+    )
+    assert text.startswith("--disparity-offset -70 puts 100% of the matches beyond infinity")
+
+
 def test_where_a_calibration_was_given_it_is_what_does_not_fit(corridor: Views) -> None:
     left, right = corridor
     height, width = left[0].shape

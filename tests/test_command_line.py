@@ -443,6 +443,16 @@ def test_overwrite_keeps_the_files_of_strangers_and_the_input(recording, tmp_pat
     assert before == {name: (out / name).read_bytes() for name in before}
 
 
+def test_an_interrupt_before_the_first_frame_says_what_to_do(run_args, monkeypatch, capsys):
+    def interrupted(*args: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("motionstereo_cli.runs.run.open_stereo", interrupted)
+    assert main(run_args) == 130
+    said = capsys.readouterr().err
+    assert said == "error: interrupted\nnote: no frame was reached: give the same command again\n"
+
+
 def test_an_unexpected_error_is_one_line_unless_debugging(run_args, monkeypatch, capsys):
     def broken(*args: object, **options: object) -> None:
         raise ZeroDivisionError("by nought")

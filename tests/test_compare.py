@@ -77,6 +77,20 @@ def sides(tmp_path):
     return written(tmp_path / "actual"), written(tmp_path / "golden")
 
 
+def test_other_files_that_were_read_are_named(sides):
+    actual, golden = sides
+    rig = {"path": "rig.yaml", "sha256": "aa"}
+    record(actual, files=[rig, {"path": "robot/poses.txt", "sha256": "bb"}])
+    record(golden, files=[{"path": "old.txt", "sha256": "cc"}, rig | {"path": "elsewhere.yaml"}])
+    report = compare(actual, golden)
+    assert not report.differs
+    notes = [note for note in report.notes if " read " in note]
+    assert [note.partition(",")[0] for note in notes] == [
+        "actual read 'robot/poses.txt'",
+        "golden read 'old.txt'",
+    ]
+
+
 def edited(name, old, new):
     def edit(folder):
         text = (folder / name).read_text()

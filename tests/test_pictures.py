@@ -259,6 +259,10 @@ def test_a_map_sheet_can_be_read_at_any_size(cells):
     assert 400 <= sheet.shape[1] <= 1000
     assert len(sheet) <= 1100
     assert (sheet == (20, 90, 200)).all(axis=2).sum() > 100
+    # Ring and dot are whole: neither touches the edge.
+    blue = (from_above(floor, path_m, 960)[0] == (20, 90, 200)).all(axis=2)
+    assert not blue[[0, -1]].any()
+    assert not blue[:, [0, -1]].any()
     picture, px_per_m = from_above(floor, path_m[:0], 960)
     dark = np.argwhere((picture == 0).all(axis=2))
     right_m = (dark[:, 1].max() + 1) / px_per_m

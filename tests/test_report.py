@@ -484,6 +484,20 @@ def test_a_damaged_way_or_map_is_left_out(copy, damage):
     assert "<image " not in page
 
 
+def test_the_page_names_strict_where_that_may_have_ended_the_run(run, tmp_path):
+    for strict in (False, True):
+        folder = tmp_path / f"{strict}"
+        shutil.copytree(run, folder)
+        said = json.loads((folder / "run.json").read_text())
+        said["input_settings"]["strict"] = strict
+        (folder / "run.json").unlink()
+        del said["counts"]
+        (folder / "run.json.part").write_text(json.dumps(said))
+        page = run_page(folder, folder / "page.html")
+        assert "<code>--resume</code>" in page
+        assert ("<code>--strict</code>" in page) == strict
+
+
 def test_what_moves_by_itself_is_said_of_each_object():
     rows = [
         {
@@ -510,7 +524,9 @@ def test_what_moves_by_itself_is_said_of_each_object():
     assert (track["own"], track["known"], track["frames"], track["speed"]) == (2, 3, 4, 1.4)
     assert track["shadow"] == 1
     assert track["confidence"] == pytest.approx(0.5)
-    assert track["spans"] == [pytest.approx([0, 0.2, 2, 0]), pytest.approx([0.2, 0.4, 2, 1])]
+    assert track["spans"] == [
+        pytest.approx(span) for span in ([0, 0.1, 2, 0], [0.1, 0.2, 2, 2], [0.2, 0.4, 2, 1])
+    ]
 
 
 @given(near=st.floats(0.01, 50), ratio=st.floats(2, 1e4), px_m=st.sampled_from([None, 40.0]))

@@ -33,6 +33,13 @@ def test_a_range_that_is_too_short_is_told():
     assert "nearer than --max-disparity 32 reaches: try 64" in reason(*views(50))
 
 
+@pytest.mark.parametrize("shape", [(13, 17), (24, 32)])
+def test_a_range_that_is_too_short_is_told_of_tiny_images(shape):
+    height, width = shape
+    cropped = (view[:height, :width] for view in views(3))
+    assert "nearer than --max-disparity 2 reaches: try 4" in reason(*cropped, reach=2)
+
+
 @pytest.mark.parametrize(("rows", "where"), [(-4, "4 px too high"), (8, "8 px too low")])
 def test_rows_that_are_off_are_told(rows, where):
     right, left = views(12)

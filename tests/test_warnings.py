@@ -112,7 +112,9 @@ FOUND = CheckReport(
     disparity_low_px=-9.0,
     disparity_high_px=90.0,
     advised_max_disparity=96,
+    given_offset_px=-9.0,
     behind=0.5,
+    put_behind=0.9,
     negative=0.3,
     beyond=0.3,
     grey_difference=20.0,
@@ -147,7 +149,7 @@ def test_each_code_has_a_recording_here_that_gives_it():
 
 @pytest.mark.parametrize("found", [FOUND, *FOUND_ELSE], ids=lambda found: found.findings[0].name)
 def test_each_finding_of_a_check_reaches_all_who_read(clips, tmp_path, monkeypatch, found):
-    def watched(frames, _, hear, rig):
+    def watched(frames, _, hear, **known):
         hear(found.findings)
         return frames
 

@@ -163,10 +163,10 @@ def test_the_plan_shows_what_hangs_so_low_that_it_is_kept_clear_of(tmp_path):
     ("options", "words"),
     [
         (["--world", "low-boxs"], "did you mean 'low-boxes'"),
-        (["--world", "low-boxes", "--walkers", "2"], "--walkers is for the corridor"),
-        (["--world", "low-boxes", "--laps", "2"], "--laps is for the corridor"),
-        (["--scene", "street", "--pan"], "--pan has no effect in the scene street: leave it out"),
-        (["--scene", "cards", "--corridor-width-m", "4"], "or give --scene corridor"),
+        (["--world", "low-boxes", "--walkers", "2"], "--walkers has no effect without"),
+        (["--world", "low-boxes", "--laps", "2"], "--laps has no effect without --world corridor"),
+        (["--scene", "street", "--pan"], "no effect without --scene cards or layers: leave it out"),
+        (["--scene", "cards", "--corridor-width-m", "4"], "without --scene corridor"),
     ],
 )
 def test_options_that_do_not_fit_are_refused(tmp_path, capsys, options, words):

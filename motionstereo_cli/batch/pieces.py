@@ -340,8 +340,11 @@ def _warn(job: Job, totals: Totals, *, damaged: bool) -> None:
     job.warned.begin()
     told: list[Sequence[Finding]] = []
     if plan.with_check:
-        reach, rig = plan.settings.max_disparity, job.context.rig
-        for _ in watched(job.frames, reach, told.append, rig=rig):
+        for _ in watched(
+            *(job.frames, plan.settings.max_disparity, told.append),
+            rig=job.context.rig,
+            given_offset_px=plan.input_settings.disparity_offset_px or 0.0,
+        ):
             if told:
                 break
     for findings in told:

@@ -60,8 +60,10 @@ class CheckReport:
         turned_deg: by how much the right view is turned against the left one, clockwise.
         disparity_low_px, disparity_high_px: 2nd and 98th percentile of their disparities.
         advised_max_disparity: a range that holds the latter, in px.
-        behind, negative, beyond: shares of the matches, 0..1, that lie beyond infinity, with a
-            disparity below 0, and with one above ``max_disparity``.
+        given_offset_px: what ``--disparity-offset`` adds.
+        behind, put_behind: shares of the matches, 0..1, that lie beyond infinity by themselves, and
+            with that offset.
+        negative, beyond: likewise with a disparity below 0, and with one above ``max_disparity``.
         grey_difference: median of left minus right grey level.
         brightest: grey level that a thousandth of the pixels exceed.
         alike: mean difference between the views, as a share of that to a view 1 px aside.
@@ -89,7 +91,9 @@ class CheckReport:
     disparity_low_px: float | None = None
     disparity_high_px: float | None = None
     advised_max_disparity: int | None = None
+    given_offset_px: float = 0.0
     behind: float | None = None
+    put_behind: float | None = None
     negative: float | None = None
     beyond: float | None = None
     grey_difference: float | None = None
@@ -419,6 +423,18 @@ RULES = (
             )
         ),
         ("negative", "disparity_low_px"),
+    ),
+    Rule(
+        "offset-too-low",
+        "share of matches that `--disparity-offset` puts beyond infinity",
+        f"over {RUINED_SHARE:.0%}; a warning over {NOTED_SHARE:.0%}",
+        lambda r: (r.put_behind or 0) - (r.behind or 0) > NOTED_SHARE,
+        lambda r: (r.put_behind or 0) - (r.behind or 0) > RUINED_SHARE,
+        lambda r: (
+            f"--disparity-offset {r.given_offset_px:g} puts {r.put_behind:.0%} of the matches "
+            "beyond infinity, and they have no depth: leave it out, or give --disparity-offset auto"
+        ),
+        ("put_behind", "behind", "given_offset_px"),
     ),
     Rule(
         "beyond-range",

@@ -88,6 +88,7 @@ def check(
     *,
     expected_frames: int | None = None,
     rig: Rig | None = None,
+    given_offset_px: float = 0.0,
     progress: Callable[[], object] = lambda: None,
 ) -> CheckReport:
     """Look at windows spread over a recording, and at the motion in all of it.
@@ -97,6 +98,7 @@ def check(
         max_disparity: range that the processing is to look in, in px.
         expected_frames: how many frames there are, None if unknown.
         rig: what a calibration says of the frames; None without one.
+        given_offset_px: what ``--disparity-offset`` has added to its ``doffs``.
         progress: called after each frame.
     """
     windows = starts(expected_frames)
@@ -111,7 +113,7 @@ def check(
         if finder is not None and any(0 <= number - start < WINDOW_FRAMES for start in windows):
             finder.see(frame)
         progress()
-    report = checker.report(max_disparity, rig)
+    report = checker.report(max_disparity, rig, given_offset_px)
     offset_px = None if finder is None else round(finder.offset_px, 3)
     return dataclasses.replace(report, disparity_offset_px=offset_px)
 
@@ -122,6 +124,7 @@ def watched(
     tell: Callable[[Sequence[Finding]], object],
     *,
     rig: Rig | None = None,
+    given_offset_px: float = 0.0,
 ) -> Iterator[StereoFrame]:
     """Yield the frames as they come, and tell once what is wrong, soon after the first window.
 
@@ -130,6 +133,7 @@ def watched(
     No frame is held back or read twice: the window is looked at in a thread while frames go on.
     """
     checker, left_to_see, in_the_dark = _new_watch(), WINDOW_FRAMES, False
+    known = max_disparity, rig, given_offset_px
     found: Future[list[Finding]] | None = None
     with ThreadPoolExecutor(1, "check") as thread:
         for frame in frames:
@@ -142,7 +146,7 @@ def watched(
                 if not left_to_see:
                     in_the_dark = _is_dark(frame)
                     if not in_the_dark:
-                        found = thread.submit(_opening, checker, max_disparity, rig)
+                        found = thread.submit(_opening, checker, *known)
                         checker = _new_watch()  # what it saw is no longer needed
             if found is not None and found.done():
                 tell(found.result())
@@ -151,7 +155,7 @@ def watched(
         if found is not None:
             tell(found.result())
     if left_to_see or in_the_dark:
-        tell(_opening(checker, max_disparity, rig))
+        tell(_opening(checker, *known))
 
 
 def advised_range(sample: Iterable[StereoFrame]) -> CheckReport:
@@ -160,7 +164,7 @@ def advised_range(sample: Iterable[StereoFrame]) -> CheckReport:
     checker = _Checker(windows, _MOMENTS)
     for frame in sample:
         checker.see(frame)
-    return checker.report(MAX_DISPARITY, None)
+    return checker.report(MAX_DISPARITY, None, 0.0)
 
 
 def step_of(frames: Iterable[StereoFrame], expected_frames: int | None) -> PairingStep | None:
@@ -184,8 +188,10 @@ def _is_dark(frame: StereoFrame) -> bool:
     return bool(np.percentile(frame.left[::4, ::4], 99.9) < DARK_GREY)
 
 
-def _opening(checker: _Checker, max_disparity: int, rig: Rig | None) -> list[Finding]:
-    found = checker.report(max_disparity, rig).findings
+def _opening(
+    checker: _Checker, max_disparity: int, rig: Rig | None, given_offset_px: float
+) -> list[Finding]:
+    found = checker.report(max_disparity, rig, given_offset_px).findings
     # So little seen is no reason to interrupt a run.
     return [finding for finding in found if finding.name != "few-matches"]
 
@@ -246,9 +252,12 @@ class _Checker:
         half: int = frame.left.shape[1] // 2
         return min(_FEATURE_WIDTH, max(_QUICK_WIDTH, half))
 
-    def report(self, max_disparity: int, rig: Rig | None) -> CheckReport:
+    def report(self, max_disparity: int, rig: Rig | None, given_offset_px: float) -> CheckReport:
         report = CheckReport(
-            max_disparity, self._frames, calibrated=rig is not None, **_motion(*self._moved)
+            *(max_disparity, self._frames),
+            calibrated=rig is not None,
+            given_offset_px=given_offset_px,
+            **_motion(*self._moved),
         )
         if not self._windows:
             return report
@@ -278,7 +287,10 @@ class _Checker:
             mounted=mounted(self._windows[:_MOUNTED_WINDOWS]),
             **_light(self._windows),
             **_alignment(rows, seen, self._windows[0].shape, self._scale),
-            **_disparities(agreed, self._scale, max_disparity, rig.doffs if rig else 0.0),
+            **_disparities(
+                *(agreed, self._scale, max_disparity),
+                *(rig.doffs if rig else 0.0, given_offset_px),
+            ),
         )
 
     def step(self) -> PairingStep | None:
@@ -378,7 +390,7 @@ def _alignment(
 
 
 def _disparities(
-    matches: Matches, scale: float, max_disparity: int, doffs: float
+    matches: Matches, scale: float, max_disparity: int, doffs: float, given_offset_px: float
 ) -> dict[str, Any]:
     """Return the range of disparities and grey of matches; nothing where there are none."""
     if not len(matches):
@@ -391,7 +403,8 @@ def _disparities(
         "disparity_low_px": low,
         "disparity_high_px": high,
         "advised_max_disparity": min(16 * math.ceil(max(nearest, 16) / 16), MAX_DISPARITY),
-        "behind": float(np.mean(disparity + doffs < -_ZERO_PX)),
+        "behind": float(np.mean(disparity + doffs - given_offset_px < -_ZERO_PX)),
+        "put_behind": float(np.mean(disparity + doffs < -_ZERO_PX)),
         "negative": float(np.mean(disparity < -_ZERO_PX)),
         "beyond": float(np.mean(disparity > max_disparity)),
         "grey_difference": float(np.median(matches.grey)),

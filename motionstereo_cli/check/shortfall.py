@@ -20,6 +20,9 @@ _MIN_CHARGED_SHARE = 0.01
 #: Rows by which the views may be off one another, in px of images of at most this width.
 _ROWS = (-8, -4, -2, 2, 4, 8)
 _WIDTH = 640
+#: Smaller images are enlarged to this shorter side in px; how they are reduced and enlarged.
+_MIN_SIDE = 64
+_SMOOTH = cv2.INTER_AREA, cv2.INTER_CUBIC
 
 #: cv2.StereoBM counts what is certain; a cause has to give this many times more of it, and this
 #: share of the image.
@@ -61,11 +64,14 @@ def shortfall(
     if advised:
         near = f"objects are nearer than --max-disparity {max_disparity} reaches"
         return f"{said}: {near}: try {advised}"
-    scale = min(1.0, _WIDTH / right.shape[1])
-    if scale < 1:
+    height, width = right.shape
+    # Blocks are of a fixed size: of a small image they would take most.
+    scale = min(_WIDTH / width, max(1.0, _MIN_SIDE / min(height, width)))
+    if scale != 1:
         right, left = (
             np.asarray(
-                cv2.resize(view, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), np.uint8
+                cv2.resize(view, None, fx=scale, fy=scale, interpolation=_SMOOTH[scale > 1]),
+                np.uint8,
             )
             for view in (right, left)
         )
@@ -171,5 +177,5 @@ def _sure(right: Grey, left: Grey, max_disparity: int) -> float:
     matcher.setDisp12MaxDiff(1)
     matcher.setSpeckleWindowSize(50)
     matcher.setSpeckleRange(1)
-    known = matcher.compute(left, right) > 0
-    return float(known.mean())
+    sixteenths = matcher.compute(left, right)
+    return float(np.mean((sixteenths > 0) & (sixteenths <= 16 * max_disparity)))

@@ -211,6 +211,7 @@ def batch(
         return _tried_out(plans(entries, out, plan_of), shard)
     with kept(out, scratch) as (place, address), _bar(len(entries)) as bar:
         found = plans(entries, place, plan_of)
+        _say_idle(found)
 
         def ended(status: Status) -> None:
             bar.update()
@@ -233,6 +234,17 @@ def batch(
         say("note", f"the scheduler has the work; --status shows it; see {out / 'batch.csv'}")
         return 0
     return _summarise(statuses, address or out, retried=retry_failed)
+
+
+def _say_idle(found: Mapping[str, RunPlan]) -> None:
+    """Say once of each option that has no effect, and for which recordings."""
+    idle: dict[str, list[str]] = {}
+    for name, plan in found.items():
+        for line in plan.idle():
+            idle.setdefault(line, []).append(name)
+    for line, names in idle.items():
+        of = f"{names[0]} and {len(names) - 1} others: " if len(names) > 1 else f"{names[0]}: "
+        say("note", line if len(names) == len(found) else of + line)
 
 
 def _tried_out(found: Mapping[str, RunPlan], shard: str | None) -> int:

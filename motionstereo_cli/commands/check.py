@@ -16,6 +16,7 @@ from motionstereo_cli.commands.options import (
     config_option,
     input_options,
     rig_options,
+    say_idle,
 )
 from motionstereo_cli.commands.progress import no_bar, quiet_option
 from motionstereo_cli.method.settings import MAX_DISPARITY, Settings
@@ -93,8 +94,10 @@ def check(
             max_disparity or MAX_DISPARITY,
             expected_frames=source.expected_frames,
             rig=adapted_rig(calibration.rig, input_settings) if calibration else None,
+            given_offset_px=input_settings.disparity_offset_px or 0.0,
             progress=bar.update,
         )
+    say_idle({"--rig"} if calibration else set(), input_settings, rig_settings)
     for line in calibration.notes if calibration else ():
         say("note", line)
     for line in (*source.warnings, *(calibration.warnings if calibration else ()), *source.damage):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -10,7 +11,7 @@ import click
 
 from motionstereo_cli.commands.grouped import GroupedCommand
 from motionstereo_cli.commands.messages import say
-from motionstereo_cli.commands.options import processing_options, world_options
+from motionstereo_cli.commands.options import processing_options, say_idle, world_options
 from motionstereo_cli.commands.progress import Bar, foretelling, progress_options
 from motionstereo_cli.method.settings import Settings
 from motionstereo_cli.simulate.settings import DriveSettings
@@ -18,6 +19,10 @@ from motionstereo_cli.simulate.settings import DriveSettings
 if TYPE_CHECKING:
     from motionstereo_cli.simulate.drive_world import RobotWorld
     from motionstereo_cli.types import Step
+
+
+#: What a drive has of the options of ``run``.
+_PRESENT = {"--rig", "--poses", "--save steering", "--save map", "-o FOLDER"}
 
 
 @click.command(
@@ -33,7 +38,7 @@ if TYPE_CHECKING:
 @click.option("--view", is_flag=True, help="Write drive.mp4: right image, memory, depth, plan.")
 @click.option("--overwrite", is_flag=True, help="Replace an earlier drive in OUT.")
 @world_options
-@processing_options
+@partial(processing_options, present=_PRESENT)
 def drive(
     out: Path, view: bool, overwrite: bool, world: dict[str, Any], settings: Settings
 ) -> None:
@@ -51,6 +56,7 @@ def drive(
     from motionstereo_cli.simulate.drive_world import GOAL_M, world_of
 
     started_s = time.perf_counter()
+    say_idle(settings.options | _PRESENT, settings)
     driven = world_of(world_settings, settings.goal_m)
     frames = driven.expected_frames
     with Bar(frames) as bar:

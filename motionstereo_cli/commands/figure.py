@@ -13,6 +13,7 @@ from motionstereo_cli.commands.options import (
     input_options,
     processing_options,
     rig_options,
+    say_idle,
 )
 from motionstereo_cli.commands.progress import quiet_option
 from motionstereo_cli.errors import DAMAGED_EXIT_CODE
@@ -80,6 +81,8 @@ def figure(
 
     with open_stereo(left, right, input_settings) as source:
         calibration = rectify_source(source, rig, rig_settings)
+        present = settings.options | ({"--rig"} if calibration else set())
+        say_idle(present, input_settings, rig_settings, settings)
         for line in calibration.warnings if calibration else ():
             say("warning", line)
         inputs = (*source.paths, *rig, *config_files())

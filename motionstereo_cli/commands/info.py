@@ -11,7 +11,7 @@ import click
 
 from motionstereo_cli.commands.grouped import GroupedCommand
 from motionstereo_cli.commands.messages import printable, say
-from motionstereo_cli.commands.options import config_option, input_options, rig_options
+from motionstereo_cli.commands.options import config_option, input_options, rig_options, say_idle
 from motionstereo_cli.commands.progress import quiet_option
 from motionstereo_cli.rig.settings import RigSettings
 from motionstereo_cli.sources.settings import InputSettings, adapted_rig
@@ -65,6 +65,7 @@ def info(
             if calibration is not None:
                 facts["rig"] = rig_values(adapted_rig(calibration.rig, input_settings))
             facts["rig_from"] = calibration and calibration.origin
+            say_idle({"--rig"} if calibration else set(), input_settings, rig_settings)
         warnings = (*source.warnings, *(calibration.warnings if calibration else ()))
     except LoneRecordingError as lone:
         facts, warnings = {"recording": lone.described}, (*lone.warnings, str(lone))

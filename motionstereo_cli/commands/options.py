@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Set
 from pathlib import Path
 from typing import Any
 
@@ -11,34 +11,48 @@ import click
 from click.shell_completion import CompletionItem
 
 from motionstereo_cli.commands.grouped import GROUPS, GroupedOption
+from motionstereo_cli.commands.messages import say
 from motionstereo_cli.errors import InputError, SettingsError
 from motionstereo_cli.files.reading import read_bytes
 from motionstereo_cli.method.settings import PRESETS, Settings
-from motionstereo_cli.params import Param, near_match, params
+from motionstereo_cli.params import Param, idle, near_match, params
 from motionstereo_cli.rig.settings import PoseSettings, RigSettings
 from motionstereo_cli.sinks.settings import OutputSettings
 from motionstereo_cli.sources.settings import InputSettings
 
 
+def say_idle(present: Set[str], *groups: Any) -> None:
+    """Say which parameters of dataclass instances are given, but have no effect.
+
+    Args:
+        present: the options there are, as :func:`~motionstereo_cli.params.idle` takes them.
+        groups: the instances.
+    """
+    for group in groups:
+        for line in idle(group, present):
+            say("note", line)
+
+
 def settings_options(
-    settings: type, group: str = GROUPS[0]
+    settings: type, group: str = GROUPS[0], present: Set[str] = frozenset()
 ) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
     """Give a command an option for each parameter of a dataclass, and ``--config``.
 
-    Their heading in the help is ``group``, unless a parameter has its own.
+    Their heading in the help is ``group``, unless a parameter has its own. Conditions of their
+    effect that ``present`` always fulfils are not stated.
 
     The command receives the values that were given, on the command line or in the configuration
     file, as one dict ``chosen``; what is not in it keeps the default of the dataclass or preset.
     """
 
     def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
-        return config_option(_declared(settings, "chosen", group)(command))
+        return config_option(_declared(settings, "chosen", group, present)(command))
 
     return decorate
 
 
 def _declared(
-    settings: type, name: str, group: str
+    settings: type, name: str, group: str, present: Set[str] = frozenset()
 ) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
     """Give a command the options of a dataclass; it receives what was given as a dict ``name``."""
     declared = list(params(settings))
@@ -54,7 +68,7 @@ def _declared(
 
         collected: Callable[..., Any] = functools.update_wrapper(collect, command)
         for item in reversed(declared):
-            collected = _option(item, group)(collected)
+            collected = _option(item, group, present)(collected)
             if item.old:
                 flag = "--" + item.old.replace("_", "-")
                 collected = click.option(flag, item.old, type=item.parse, hidden=True)(collected)
@@ -63,14 +77,19 @@ def _declared(
     return decorate
 
 
-def processing_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Give a command the options of the processing; it receives them as one ``settings``."""
+def processing_options(
+    command: Callable[..., Any], present: Set[str] = frozenset()
+) -> Callable[..., Any]:
+    """Give a command the options of the processing; it receives them as one ``settings``.
+
+    Conditions of their effect that ``present`` always fulfils are not stated.
+    """
 
     def collect(*, preset: str, chosen: dict[str, Any], **values: Any) -> Any:
         return command(settings=Settings.preset(preset, **chosen), **values)
 
     collected: Callable[..., Any] = functools.update_wrapper(collect, command)
-    return _preset_option(settings_options(Settings, "Method")(collected))
+    return _preset_option(settings_options(Settings, "Method", present)(collected))
 
 
 def world_options(command: Callable[..., Any]) -> Callable[..., Any]:
@@ -162,14 +181,19 @@ def rig_options(command: Callable[..., Any]) -> Callable[..., Any]:
     return files(calibration_options(command))
 
 
-def calibration_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Give a command the options of a calibration; it receives them as one ``rig_settings``."""
+def calibration_options(
+    command: Callable[..., Any], present: Set[str] = frozenset()
+) -> Callable[..., Any]:
+    """Give a command the options of a calibration; it receives them as one ``rig_settings``.
+
+    Conditions of their effect that ``present`` always fulfils are not stated.
+    """
 
     def collect(*, rig_chosen: dict[str, Any], **values: Any) -> Any:
         return command(rig_settings=RigSettings(**rig_chosen), **values)
 
     collected: Callable[..., Any] = functools.update_wrapper(collect, command)
-    return _declared(RigSettings, "rig_chosen", "Calibration")(collected)
+    return _declared(RigSettings, "rig_chosen", "Calibration", present)(collected)
 
 
 _preset_option = click.option(
@@ -191,14 +215,16 @@ class Count(click.IntRange):
         return f"{self.min:,} to {self.max:,}"
 
 
-def _option(item: Param, group: str) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+def _option(
+    item: Param, group: str, present: Set[str]
+) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
     # No default here, so that a preset can tell which values were given.
     option = functools.partial(
         click.option,
         cls=GroupedOption,
         group=item.group or group,
         common=item.common,
-        help=_help(item),
+        help=_help(item, present),
     )
     if item.kind is bool:
         return option(f"{item.flag}/--no-{item.flag.removeprefix('--')}", item.name, default=None)
@@ -222,14 +248,15 @@ def _many(item: Param) -> bool:
     return len("|".join(item.choices)) > 24
 
 
-def _help(item: Param) -> str:
+def _help(item: Param, present: Set[str]) -> str:
+    condition = f" Only with {item.only_with}." if item.missing(present) else ""
     default = "on" if item.default is True else "off" if item.default is False else item.default
     if isinstance(default, (int, float)):
         default = f"{default:,.10g}"
     default = f"default: {default}" if default != "" else ""
     facts = [item.unit, item.range if not item.choices or _many(item) else "", default]
     shown = "; ".join(fact for fact in facts if fact)
-    return f"{item.help}  [{shown}]" if shown else item.help
+    return f"{item.help}{condition}" + f"  [{shown}]" * bool(shown)
 
 
 #: Key in a context's ``meta`` for the file that was read.

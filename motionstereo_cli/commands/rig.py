@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import re
+from functools import partial
 from pathlib import Path
 
 import click
@@ -58,7 +59,7 @@ def _two_numbers(
     callback=_two_numbers,
     help="Numbers of KITTI's cameras.  [default: 0,1, or 2,3 if only these are there]",
 )
-@calibration_options
+@partial(calibration_options, present={"--rig"})
 @quiet_option
 def rig(
     *,

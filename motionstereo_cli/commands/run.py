@@ -145,7 +145,11 @@ def run(*, dry_run: bool, **given: Any) -> int:
         say("note", would_write(plan, frames, outputs))
         return 0
     with Bar(quiet=_shares_terminal(plan)) as bar:
-        report = library(plan, Watcher(bar.say, bar.begin, bar.update))
+        try:
+            report = library(plan, Watcher(bar.say, bar.begin, bar.update))
+        except KeyboardInterrupt as interrupt:
+            interrupt.add_note("no frame was reached: give the same command again")
+            raise
     return _summarise(plan, report)
 
 

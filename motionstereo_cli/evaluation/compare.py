@@ -11,7 +11,7 @@ import heapq
 import itertools
 import math
 import os
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -40,7 +40,7 @@ _IGNORED = frozenset(
     {"program", "outputs", "sums", "table", "options", "shares", "warnings", "damage", "timing"}
     | {"measured"}
 )
-_NOTED = frozenset({"versions", "inputs", "files"})
+_NOTED = frozenset({"versions", "inputs"})
 _ENDS = frozenset(f"output_settings.{name}" for name in ENDS)
 
 #: Rounding allowance at exactly the tolerance: in a table's decimals, in float32 m.
@@ -328,6 +328,7 @@ class _Comparison:
         except InputError as error:
             output.differ("files", str(error))
             return output
+        self._files(*(said.pop("files", ()) for said in both))
         actual, golden = (dict(_leaves(said)) for said in both)
         measured = set.intersection(*(set(said.get("measured", ())) for said in both))
         for name, theirs in golden.items():
@@ -357,6 +358,18 @@ class _Comparison:
             if there and section not in _IGNORED | _NOTED:
                 output.differ(option_of(name), f"{_given(actual[name])}, not in golden")
         return output
+
+    def _files(self, actual: Sequence[dict[str, str]], golden: Sequence[dict[str, str]]) -> None:
+        """Note which files the runs read besides the recordings, if these differ."""
+        mine, theirs = (
+            {each["sha256"]: each["path"] for each in side} for side in (actual, golden)
+        )
+        for these, others, whose in ((mine, theirs, "actual"), (theirs, mine, "golden")):
+            self._notes += [
+                f"{whose} read {_shown(path)}, the other did not, or with other content"
+                for content, path in these.items()
+                if content not in others
+            ]
 
     def _presence(self, name: str, files: list[Path]) -> Compared:
         output = Compared(name, "files", len(files))

@@ -39,6 +39,7 @@ from motionstereo_cli.method.settings import (
     GIVEN,
     MATCHERS,
     ONNX,
+    OWN_MATCHERS,
     Matcher,
     Settings,
     installed_matchers,
@@ -306,9 +307,6 @@ MATCH: dict[str, Callable[[Memory, Memory, Settings], Found]] = {
     "consensus": _of_opencv(consensus),
 }
 
-#: The matchers of the package itself, which cannot be replaced.
-_OWN = frozenset(MATCH) | {GIVEN}
-
 
 def register_matcher(
     name: str, function: Callable[[Memory, Memory, Settings], ArrayLike], what: str = ""
@@ -330,7 +328,7 @@ def register_matcher(
     Raises:
         SettingsError: the package has a matcher of that name, or the function is not callable.
     """
-    if name in _OWN or not name or not callable(function):
+    if name in OWN_MATCHERS or not name or not callable(function):
         raise SettingsError(f"matcher {name!r}: give another name, and a function")
 
     def match(right: Memory, left: Memory, settings: Settings) -> Found:

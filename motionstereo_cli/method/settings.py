@@ -12,7 +12,7 @@ from functools import cache
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from motionstereo_cli.errors import SettingsError
-from motionstereo_cli.params import checked, param
+from motionstereo_cli.params import checked, options_of, param
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
@@ -73,6 +73,12 @@ MATCHERS = {
     GIVEN: Matcher("what --disparity has", **_OF_IMAGES),
 }
 
+#: Those of the package itself, which cannot be replaced.
+OWN_MATCHERS = frozenset(MATCHERS)
+
+#: What some parameters have no effect without.
+_TRAILS, _STEERING = "--matcher trails or dense", "--save steering, preview or bag"
+
 #: Meanings of the codes of ``--save occlusion``.
 OCCLUSION = {
     0: "known",
@@ -118,10 +124,11 @@ class Settings:
     contrast_floor: float = param(
         12.0,
         "Standard deviation of grey below which contrast is weak; 8 times the noise if that is "
-        "more. Only with --contrast-px.",
+        "more.",
         unit="grey levels",
         low=0.1,
         high=255,
+        only_with="--contrast-px",
     )
     bands: int = param(8, "Number n of grey-level bands.", low=2, high=256)
     grey_min: int = param(0, "Grey level where the first band begins.", low=0, high=254)
@@ -147,7 +154,7 @@ class Settings:
         0, "Charge at rest, Chmin. Pixels at rest never match.", low=0, high=254
     )
     charge_gain: int = param(
-        255, "Charge C added by motion. Only with --charge-mode general.", low=1, high=255
+        255, "Charge C added by motion.", low=1, high=255, only_with="--charge-mode general"
     )
     charge_leak: int = param(
         16, "Charge D lost in each frame without motion.", unit="charge per frame", low=1, high=255
@@ -165,12 +172,13 @@ class Settings:
     check_both: bool = param(
         False,
         "Run a model on the mirrored views, too. A disparity on which both runs agree within 1 px "
-        f"has a confidence, others are unknown. Only with --matcher {ONNX}MODEL.",
+        f"has a confidence, others are unknown. Needs --matcher {ONNX}MODEL.",
     )
     match_on: str = param(
         "charge-band",
         "What two pixels must have in common to match: the charge, or the charge and the band.",
         choices=("charge", "charge-band"),
+        only_with="--matcher trails, dense or regions",
     )
     max_disparity: int = param(
         64,
@@ -199,16 +207,27 @@ class Settings:
 
     # Disparity by trails.
     vote_rows: int = param(
-        8, "Height of the blocks in which trails vote together.", unit="px", low=1, high=256
+        8,
+        "Height of the blocks in which trails vote together.",
+        unit="px",
+        low=1,
+        high=256,
+        only_with=_TRAILS,
     )
     vote_columns: int = param(
-        8, "Width of the blocks in which trails vote together.", unit="px", low=1, high=256
+        8,
+        "Width of the blocks in which trails vote together.",
+        unit="px",
+        low=1,
+        high=256,
+        only_with=_TRAILS,
     )
     max_ratio: float = param(
         0.9,
         "Maximum support of a trail's second best partner, as a share of that of the best.",
         low=0,
         high=1,
+        only_with=_TRAILS,
     )
     min_votes: int = param(
         16,
@@ -216,6 +235,7 @@ class Settings:
         low=1,
         high=100_000,
         old="least_votes",
+        only_with=_TRAILS,
     )
     max_residual: float = param(
         8.0,
@@ -224,6 +244,7 @@ class Settings:
         unit="grey levels",
         low=0,
         high=255,
+        only_with="--matcher trails or --disparity",
     )
     speckle_px: int = param(
         100,
@@ -231,6 +252,7 @@ class Settings:
         unit="px",
         low=0,
         high=1_000_000,
+        only_with=_TRAILS,
     )
     gap_px: int = param(
         16,
@@ -238,14 +260,16 @@ class Settings:
         unit="px",
         low=0,
         high=1024,
+        only_with=_TRAILS,
     )
     average_frames: int = param(
         8,
         "Maximum number of frames whose disparity is averaged where nothing moves, so that it does "
-        "not flicker (1 = none is). Only with --matcher dense.",
+        "not flicker (1 = none is).",
         unit="frames",
         low=1,
         high=16,
+        only_with="--matcher dense",
     )
     # Which of the disparities to give.
     max_age: int = param(
@@ -273,6 +297,7 @@ class Settings:
         low=1,
         high=256,
         group="Guidance",
+        only_with="--save steering, objects, preview or bag",
     )
     steer_gain: float = param(
         0.3,
@@ -280,39 +305,43 @@ class Settings:
         low=0.01,
         high=1,
         group="Guidance",
+        only_with=_STEERING,
     )
     # Guidance of a robot whose own motion is known.
     goal: str = param(
         "",
         "Place to steer to, X,Y in m in the world of the poses (empty = along the longest free "
-        "way). Only with --poses.",
+        "way). Needs --poses.",
         group="Guidance",
+        only_with=_STEERING,
     )
     robot_radius_m: float = param(
         0.25,
-        "Radius of the robot that is steered. Only with --poses.",
+        "Radius of the robot that is steered.",
         unit="m",
         low=0.05,
         high=5,
         group="Guidance",
+        only_with=f"--poses and {_STEERING}",
     )
     robot_below_m: float = param(
         1.1,
         "How far below the cameras an object is in the robot's way; less than the height of the "
-        "cameras over the floor. Only with --poses and in the map.",
+        "cameras over the floor.",
         unit="m",
         low=0,
         high=10,
         group="Guidance",
+        only_with="--poses or --save map",
     )
     robot_above_m: float = param(
         0.6,
-        "How far above the cameras an object is in the robot's way. Only with --poses and in the "
-        "map.",
+        "How far above the cameras an object is in the robot's way.",
         unit="m",
         low=0,
         high=10,
         group="Guidance",
+        only_with="--poses or --save map",
     )
 
     @property
@@ -327,6 +356,16 @@ class Settings:
         if not (math.isfinite(x_m) and math.isfinite(y_m)):
             raise SettingsError(f"--goal cannot be {self.goal!r}: give X,Y in m, such as 4.5,-1")
         return x_m, y_m
+
+    @property
+    def options(self) -> set[str]:
+        """The options that these values are, as conditions of other parameters name them."""
+        matchers = {self.matcher}
+        if self.matcher.startswith(ONNX):
+            matchers = {f"{ONNX}MODEL"}
+        elif self.matcher not in OWN_MATCHERS:  # one of another package, which may use any value
+            matchers |= OWN_MATCHERS
+        return {*options_of(self), *(f"--matcher {name}" for name in matchers)}
 
     def __post_init__(self) -> None:
         checked(self)

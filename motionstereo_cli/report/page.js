@@ -254,12 +254,20 @@
       objects.shown.forEach((track, row) => {
         const middle = u.valToPos(rows - row - 0.5, "y", true);
         let right = 0;
-        for (const [begin, end, level, own] of track.spans) {
-          const high = own ? tall : Math.max(tall / 3, 2 * ratio);
+        for (const [begin, end, level, kind] of track.spans) {  // kind 1: by itself, 2: shadow
+          const high = kind ? tall : Math.max(tall / 3, 2 * ratio);
           const left = u.valToPos(begin, "x", true);
           right = u.valToPos(end, "x", true);
+          const bar = [left, middle - high / 2, Math.max(right - left, ratio), high];
           ctx.fillStyle = colour(names[level]);
-          ctx.fillRect(left, middle - high / 2, Math.max(right - left, ratio), high);
+          ctx.globalAlpha = kind === 2 ? 0.3 : 1;
+          ctx.fillRect(...bar);
+          ctx.globalAlpha = 1;
+          if (kind === 2) {
+            ctx.strokeStyle = colour(names[level]);
+            ctx.lineWidth = ratio;
+            ctx.strokeRect(...bar);
+          }
         }
         if (track.contact === null) return;
         const text = `${track.contact.toFixed(1)} s`;

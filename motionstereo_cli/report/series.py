@@ -26,7 +26,7 @@ SOON_S, LATER_S = 2.0, 5.0
 MAX_OBJECTS = 24
 
 #: An object with fewer rows was seen for too short a time to know how it moves: not on the page.
-_MIN_ROWS = 4
+MIN_ROWS = 4
 
 #: Times that objects are there, from a frame to another, that a page counts at most.
 MAX_SPANS = 500_000
@@ -115,8 +115,9 @@ def tracks(
     Returns:
         For each object, in the order of their first frames: ``id``; its first ``frame``; ``spans``,
         each with its begin, its end, its urgency (0 contact soon, 1 later, 2 hardly or unknown) and
-        whether it moved by itself then (1 or 0); the least ``contact`` in s, ``nearest`` in m, each
-        with its ``contact_frame`` or ``nearest_frame``, and most ``closing`` in m/s; in how many
+        what it was then (0 not moving by itself or unknown, 1 moving by itself, 2 a shadow); the
+        least ``contact`` in s, ``nearest`` in m, each with its ``contact_frame`` or
+        ``nearest_frame``, and most ``closing`` in m/s; in how many
         ``frames`` it was, in how many of these it is ``known`` whether it moved by itself, in how
         many it did (``own``), and in how many it was marked as a ``shadow``; its mean
         ``confidence``, and its greatest ``speed`` over ground in m/s with its ``sigma``, and its
@@ -137,7 +138,7 @@ def tracks(
         )
         level = 2 if contact is None or contact > LATER_S else 1 if contact > SOON_S else 0
         is_shadow = row.get("shadow") == "1"
-        kind = level, int(row.get("by_itself") == "1" and not is_shadow)
+        kind = level, 2 if is_shadow else int(row.get("by_itself") == "1")
         begin, end = x_of[frame], x_of[frame] + frame_x
         track = found.setdefault(
             number,
@@ -163,7 +164,7 @@ def tracks(
         track["closing"] = _most(track["closing"], closing)
         track["frames"] += 1
         track["known"] += bool(row.get("by_itself"))
-        track["own"] += kind[1]
+        track["own"] += kind[1] == 1
         track["shadow"] += is_shadow
         speed = _number(row, "over_ground_mps")
         if speed is not None and (track["speed"] is None or speed > track["speed"]):
@@ -172,7 +173,7 @@ def tracks(
         if (sure := _number(row, "confidence")) is not None:
             mean = track["confidence"] or 0.0
             track["confidence"] = mean + (sure - mean) / track["frames"]
-    lasting = [track for track in found.values() if track["frames"] >= _MIN_ROWS]
+    lasting = [track for track in found.values() if track["frames"] >= MIN_ROWS]
     shown = sorted(lasting, key=_urgency)[:MAX_OBJECTS]
     shown = sorted(shown, key=lambda track: (track["spans"][0][0], track["id"]))
     return PlottedTracks(shown, len(lasting), len(found) - len(lasting))

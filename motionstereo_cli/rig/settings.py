@@ -34,6 +34,7 @@ class RigSettings:
         "Unit of length in the calibration: m, cm, mm, or the side of a square of the board, such "
         "as 25mm, where it was calibrated with squares of size 1. auto: that of the format, or "
         "guessed with a warning.",
+        only_with="--rig",
     )
     fov: float = param(
         0.0,
@@ -44,6 +45,7 @@ class RigSettings:
         low=0.0,
         high=150.0,
         words={"auto": 0.0},
+        only_with="--rig",
     )
 
     def __post_init__(self) -> None:
@@ -84,7 +86,7 @@ class PoseSettings:
         "z down, and the world likewise (TartanAir, AirSim). auto: optical for KITTI's form, body "
         "for EuRoC's, ned for TartanAir's, otherwise robot.",
         choices=("auto", "robot", "optical", "optical-z-up", "body", "ned"),
-        only_with=("FILE",),
+        only_with="--poses FILE",
     )
     pose_time_unit: str = param(
         "auto",
@@ -92,7 +94,7 @@ class PoseSettings:
         "ns for EuRoC's form, frames for those without times, otherwise s, or what a time since "
         "1970 shows.",
         choices=("auto", "s", "ms", "us", "ns", "frames"),
-        only_with=("FILE",),
+        only_with="--poses FILE",
     )
     pose_time_offset: float = param(
         0.0,
@@ -100,7 +102,7 @@ class PoseSettings:
         unit="s",
         low=-1e10,
         high=1e10,
-        only_with=("FILE",),
+        only_with="--poses FILE",
     )
 
     def __post_init__(self) -> None:

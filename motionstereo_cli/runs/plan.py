@@ -12,9 +12,9 @@ from typing import Any
 from motionstereo_cli.errors import SettingsError
 from motionstereo_cli.files.targets import is_stream
 from motionstereo_cli.method.settings import GIVEN, ONNX, Settings
-from motionstereo_cli.params import near_match
+from motionstereo_cli.params import idle, near_match
 from motionstereo_cli.rig.settings import NO_RIG, PoseSettings, RigSettings
-from motionstereo_cli.sinks.outputs import DEFAULT_OUTPUTS, OUTPUTS
+from motionstereo_cli.sinks.outputs import DEFAULT_OUTPUTS, OUTPUTS, available
 from motionstereo_cli.sinks.settings import OutputSettings
 from motionstereo_cli.sources.settings import InputSettings
 
@@ -166,6 +166,25 @@ class RunPlan:
         """The outputs to write into the folder."""
         return () if self.folder is None else self.save or DEFAULT_OUTPUTS
 
+    def idle(self, *, rig: bool = True) -> list[str]:
+        """Return a sentence for each option that is given, but has no effect.
+
+        Args:
+            rig: whether the rig is known.
+        """
+        conditions = {
+            "--rig": rig,
+            "--poses": self.poses,
+            "--poses FILE": self.poses_file,
+            "--disparity": self.disparity,
+            "-o FOLDER": self.folder,
+            "--save steering": self.to_stdout or self.table,
+        }
+        present = {f"--save {name}" for name in available(self.outputs, rig=rig)}
+        present |= {option for option, there in conditions.items() if there}
+        groups = tuple(getattr(self, name) for name in _PARAMETERS)
+        return _idle(self.settings, groups, frozenset(present))
+
     @property
     def to_stdout(self) -> bool:
         """Whether the steering table goes to standard output."""
@@ -204,5 +223,10 @@ def _plain(value: Any) -> Any:
 
 
 @functools.lru_cache(64)  # most recordings of a batch have the same
+def _idle(settings: Settings, groups: tuple[Any, ...], present: frozenset[str]) -> list[str]:
+    return [line for group in groups for line in idle(group, settings.options | present)]
+
+
+@functools.lru_cache(64)
 def _values_of(group: Any) -> dict[str, Any]:
     return dataclasses.asdict(group)

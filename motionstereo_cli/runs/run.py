@@ -33,7 +33,7 @@ from motionstereo_cli.files.folders import remove
 from motionstereo_cli.files.reading import real
 from motionstereo_cli.files.targets import check_target, is_stream, open_stream
 from motionstereo_cli.method.settings import FOREVER, GIVEN
-from motionstereo_cli.params import idle, near_match
+from motionstereo_cli.params import near_match
 from motionstereo_cli.pipeline import State, steps
 from motionstereo_cli.report import PAGE, is_report
 from motionstereo_cli.rig.calibration import Calibration, rectify_source
@@ -287,14 +287,8 @@ def _tell_of_options(job: Job, note: Callable[[str], object]) -> None:
         note(f"{', '.join(asking)}: the rig's own motion is found, {how}")
     if "objects" in job.save and job.source.begin_s is None:
         note("objects: the recordings have no times, and speeds are empty: give --frame-rate")
-    brought = {each for name in plan.outputs for each in (name, *OUTPUTS[name].brings)}
-    for settings, present, without in (
-        (plan.output_settings, brought, "--save"),
-        (plan.pose_settings, ["FILE"] if plan.poses_file else [], "--poses"),
-    ):
-        for item in idle(settings, present):
-            flag = item.flag_for(getattr(settings, item.name))
-            note(f"{flag} has no effect without {without} {' or '.join(item.only_with)}")
+    for line in plan.idle(rig=job.context.rig is not None):
+        note(line)
     if plan.settings.goal and plan.poses is None:
         raise SettingsError("--goal needs --poses: without it nothing is known of the world")
 
@@ -554,6 +548,7 @@ def _steps(job: Job, sinks: Sinks, watcher: Watcher) -> Iterator[_Step]:
             plan.settings.max_disparity,
             job.warn_of,
             rig=job.context.rig,
+            given_offset_px=plan.input_settings.disparity_offset_px or 0.0,
         )
     frames = iter(frames)
     for _ in itertools.islice(frames, sinks.totals.frames):

@@ -7,7 +7,7 @@ import re
 from dataclasses import dataclass
 
 from motionstereo_cli.errors import SettingsError
-from motionstereo_cli.params import checked, idle, param
+from motionstereo_cli.params import checked, idle, options_of, param
 from motionstereo_cli.types import Rig
 
 #: Shares of one side's path that are straight and turn: the paper's 100 and 25 frames of 125.
@@ -69,44 +69,42 @@ class SimulateSettings:
     )
     corridor_width_m: float = param(
         3.0,
-        "Distance from inner to outer wall. Only in the corridor.",
+        "Distance from inner to outer wall.",
         unit="m",
         low=0.5,
         high=20,
-        only_with=(CORRIDOR,),
+        only_with=f"--scene {CORRIDOR}",
     )
     corridor_length_m: float = param(
         20.0,
-        "Length of one side and its turn, 125 frames. Only in the corridor.",
+        "Length of one side and its turn, 125 frames.",
         unit="m",
         low=5,
         high=100,
-        only_with=(CORRIDOR,),
+        only_with=f"--scene {CORRIDOR}",
     )
     street_speed_m_s: float = param(
         8.0,
-        "Speed of the car. Only in the street.",
+        "Speed of the car.",
         unit="m/s",
         low=0.1,
         high=50,
-        only_with=("street",),
+        only_with="--scene street",
     )
     street_winding_deg: float = param(
         0.0,
-        "Maximum angle of the street to its first direction. Only in the street.",
+        "Maximum angle of the street to its first direction.",
         unit="degrees",
         low=0,
         high=60,
-        only_with=("street",),
+        only_with="--scene street",
     )
     pan: bool = param(
         False,
-        "Swing the camera from side to side. Only with cards and layers.",
-        only_with=("cards", "layers"),
+        "Swing the camera from side to side.",
+        only_with="--scene cards or layers",
     )
-    shadows: bool = param(
-        False, "The cards cast shadows on the wall. Only with cards.", only_with=("cards",)
-    )
+    shadows: bool = param(False, "The cards cast shadows on the wall.", only_with="--scene cards")
     noise_sigma: float = param(
         0.0,
         "Standard deviation of the sensor noise.",
@@ -135,17 +133,20 @@ class SimulateSettings:
     jpeg_quality: int = param(
         0, "Compress each image as JPEG before it is written (0 = not).", low=0, high=100
     )
-    crf: int = param(18, "H.264 constant rate factor: 0 is best, 35 is poor.", low=0, high=51)
+    crf: int = param(
+        18,
+        "H.264 constant rate factor: 0 is best, 35 is poor.",
+        low=0,
+        high=51,
+        only_with="--no-lossless",
+    )
     seed: int = param(0, "Seed of the texture and of the noise.", low=0, common=True)
     lossless: bool = param(False, "Write FFV1 in Matroska (.mkv) instead of H.264 (.mp4).")
 
     def __post_init__(self) -> None:
         checked(self)
-        for item in idle(self, [self.scene]):
-            raise SettingsError(
-                f"{item.flag} has no effect in the scene {self.scene}: leave it out, or give "
-                f"--scene {' or '.join(item.only_with)}"
-            )
+        for line in idle(self, {*options_of(self)}):
+            raise SettingsError(f"{line}: leave it out")
         frame_rate, baseline_m = _SCENE_DEFAULTS[self.scene == "street"]
         object.__setattr__(self, "frame_rate", self.frame_rate or frame_rate)
         object.__setattr__(self, "baseline_m", self.baseline_m or baseline_m)
@@ -219,7 +220,7 @@ class DriveSettings:
         low=0.01,
         high=1000,
         common=True,
-        only_with=(CORRIDOR,),
+        only_with=f"--world {CORRIDOR}",
     )
     max_frames: int = param(
         0,
@@ -233,7 +234,7 @@ class DriveSettings:
         low=0,
         high=20,
         common=True,
-        only_with=(CORRIDOR,),
+        only_with=f"--world {CORRIDOR}",
     )
     width: int = param(320, "Width of the images.", unit="px", low=64, high=4096)
     height: int = param(240, "Height of the images.", unit="px", low=48, high=4096)
@@ -246,7 +247,7 @@ class DriveSettings:
         unit="m",
         low=0,
         high=20,
-        only_with=(CORRIDOR,),
+        only_with=f"--world {CORRIDOR}",
     )
     corridor_length_m: float = param(
         0.0,
@@ -254,7 +255,7 @@ class DriveSettings:
         unit="m",
         low=0,
         high=100,
-        only_with=(CORRIDOR,),
+        only_with=f"--world {CORRIDOR}",
     )
     seed: int = param(
         0,
@@ -266,10 +267,8 @@ class DriveSettings:
 
     def __post_init__(self) -> None:
         checked(self)
-        for item in idle(self, [self.world]):
-            raise SettingsError(
-                f"{item.flag} is for the corridor: leave it out with --world {self.world}"
-            )
+        for line in idle(self, {*options_of(self)}):
+            raise SettingsError(f"{line}: leave it out")
         min_m = 2 * ROBOT_RADIUS_M + _MIN_DRIVE_ROOM_M
         if self.corridor_width_m and self.corridor_width_m < min_m:
             raise SettingsError(

@@ -31,8 +31,8 @@ _UNKNOWN = 205
 _SHEET_PX, _MIN_SHEET_PX = 960, 420
 _TITLE = "The map from above: x to the right, y upward"
 _MEANINGS = {_OCCUPIED: "occupied", _FREE: "free", _UNKNOWN: "unknown"}
-#: Colour of the path, RGB.
-_PATH = (20, 90, 200)
+#: Colour of the path, RGB; its width is this part of the picture, and at least so many px.
+_PATH, _PATH_PART, _PATH_PX = (20, 90, 200), 240, 2
 
 
 def map_png(floor: Floor) -> NDArray[np.uint8]:
@@ -48,7 +48,7 @@ def map_png(floor: Floor) -> NDArray[np.uint8]:
 def from_above(
     floor: Floor, path_m: NDArray[np.float64], size_px: int
 ) -> tuple[NDArray[np.uint8], float]:
-    """Return the floor plane, RGB, with the path to a dot where the rig is, and its px per m.
+    """Return the floor plane, RGB, with the path from ring to dot, and its px per m.
 
     Args:
         floor: the floor plane.
@@ -57,9 +57,11 @@ def from_above(
             whole number of cells; it then shows what is occupied in any of them.
     """
     cell_m = floor.cell_m
-    # The path may leave what is known.
+    # The path may leave what is known; its ring and dot have room, too.
     places = (path_m - (floor.x_m, floor.y_m)) / cell_m
-    ends = np.vstack([places, np.zeros(2), np.subtract(floor.occupied.shape, 1)])
+    known = np.vstack([places, np.zeros(2), np.subtract(floor.occupied.shape, 1)])
+    room = 1 + 4 * np.ptp(known, axis=0).max() * max(1 / _PATH_PART, _PATH_PX / size_px)
+    ends = np.vstack([places - room, places + room, known])
     low, high = (np.floor(each).astype(int) for each in (ends.min(0), ends.max(0)))
     longer = int(max(high - low)) + 1
     cells, times = -(-longer // size_px), max(size_px // longer, 1)
@@ -76,9 +78,12 @@ def from_above(
         scale = times / cells
         x, y = (places - low).T * scale
         line = np.stack([x, len(picture) - y], axis=1).round().astype(np.int32)
-        thick = max(2, round(max(picture.shape) / 240))
+        thick = max(_PATH_PX, round(max(picture.shape) / _PATH_PART))
         cv2.polylines(picture, [line], False, _PATH, thick, cv2.LINE_AA)
-        cv2.circle(picture, line[-1].tolist(), 2 * thick, _PATH, -1, cv2.LINE_AA)
+        begin, end = line[0].tolist(), line[-1].tolist()
+        cv2.circle(picture, begin, 2 * thick, (255, 255, 255), -1, cv2.LINE_AA)
+        cv2.circle(picture, begin, 2 * thick, _PATH, thick, cv2.LINE_AA)
+        cv2.circle(picture, end, 2 * thick, _PATH, -1, cv2.LINE_AA)
     return picture, times / cells / cell_m
 
 
@@ -89,7 +94,7 @@ def map_sheet(floor: Floor, path_m: NDArray[np.float64]) -> NDArray[np.uint8]:
     sides = ((0, 0), (spare // 2, spare - spare // 2), (0, 0))
     picture = np.pad(picture, sides, constant_values=_UNKNOWN)
     entries = [((grey,) * 3, text) for grey, text in _MEANINGS.items()]
-    entries += [(_PATH, "path of the rig, to the dot")] if len(path_m) else []
+    entries += [(_PATH, "path of the rig, from ring to dot")] if len(path_m) else []
     width = picture.shape[1]
     return np.concatenate(
         [

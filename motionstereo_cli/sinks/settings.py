@@ -8,7 +8,7 @@ from motionstereo_cli.errors import SettingsError
 from motionstereo_cli.params import checked, param
 
 #: Outputs that show depth in colours.
-_IN_COLOUR = ("depth-video", "preview", "report")
+_IN_COLOUR = "--save depth-video, preview or report"
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,12 +25,13 @@ class OutputSettings:
         unit="per m",
         low=1,
         high=65535,
-        only_with=("depth", "depth-mkv", "bag"),
+        only_with="--rig and --save depth or depth-mkv",
     )
     steering_format: str = param(
         "csv",
         "Format of the steering table. jsonl: JSON lines, one object for each frame.",
         choices=("csv", "jsonl"),
+        only_with="--save steering",
     )
     colours: str = param(
         "plasma",
@@ -78,7 +79,7 @@ class OutputSettings:
     legend: bool = param(
         True,
         "Add a strip below the images of depth-video: the scale of depth, and the time.",
-        only_with=_IN_COLOUR,
+        only_with="--save depth-video or report",
     )
     map_cell_m: float = param(
         0.05,
@@ -86,7 +87,7 @@ class OutputSettings:
         unit="m",
         low=0.005,
         high=10,
-        only_with=("map",),
+        only_with="--save map",
     )
     map_top_m: float = param(
         1000.0,
@@ -94,7 +95,7 @@ class OutputSettings:
         unit="m",
         low=-100,
         high=1000,
-        only_with=("map",),
+        only_with="--save map",
     )
     checkpoint_frames: int = param(
         250,
@@ -104,6 +105,7 @@ class OutputSettings:
         low=1,
         high=1_000_000,
         group="Robustness",
+        only_with="-o FOLDER",
     )
 
     def __post_init__(self) -> None:

@@ -143,14 +143,17 @@ class InputSettings:
     disparity_offset: str = param(
         "0",
         "Constant that is added to disparity for depth, as a small turn between the cameras takes "
-        "it away. auto: measured before the run from how things move while the rig moves.",
+        f"it away: -{_MAX_OFFSET_PX} to {_MAX_OFFSET_PX}, or auto: measured before the run from "
+        "how things move while the rig moves.",
         unit="px",
+        only_with="--rig",
         group="Calibration",
     )
     disparity_view: str = param(
         "auto",
         "Camera whose view the maps of --disparity are in. auto: found from the images.",
         choices=("auto", "left", "right"),
+        only_with="--disparity",
     )
     disparity_scale: float = param(
         0.0,
@@ -158,6 +161,7 @@ class InputSettings:
         "numbers, -1 where signs are exchanged (0 = found from the images).",
         low=-65_536,
         high=65_536,
+        only_with="--disparity",
     )
     white: int = param(
         0,
