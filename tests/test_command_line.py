@@ -582,16 +582,16 @@ class Switches:
         (["--wet", "--speed", "0"], {"wet": True, "speed": 0.0}),
     ],
 )
-def test_settings_options_pass_on_what_was_given_alone(args, expected):
-    received = {}
+def test_settings_are_made_of_what_was_given_alone(args, expected):
+    received = []
 
     @click.command()
     @settings_options(Switches)
-    def command(chosen: dict[str, object]) -> None:
-        received.update(chosen)
+    def command(settings: Switches) -> None:
+        received.append(settings)
 
     command.main(args, standalone_mode=False)
-    assert received == expected
+    assert received == [Switches(**expected)]
     texts = [option.help for option in command.params if isinstance(option, click.Option)]
     assert texts[1:] == [
         "Rain.  [default: on]",
@@ -618,16 +618,16 @@ class Renamed:
     ],
 )
 def test_a_former_name_is_understood_and_not_shown(args, config, expected, tmp_path):
-    received = {}
+    received = []
     (tmp_path / "config.toml").write_text(config)
 
     @click.command()
     @settings_options(Renamed)
-    def command(chosen: dict[str, object]) -> None:
-        received.update(chosen)
+    def command(settings: Renamed) -> None:
+        received.append(settings)
 
     command.main([*args, "--config", str(tmp_path / "config.toml")], standalone_mode=False)
-    assert received == expected
+    assert received == [Renamed(**expected)]
     assert "least" not in command.get_help(click.Context(command))
 
 

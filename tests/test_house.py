@@ -50,7 +50,7 @@ PURE = [
 GROUND = {"errors", "types", "compiled", "params", "method"}
 MAY_IMPORT = {
     "files": {"compiled", "errors", "types"},
-    "sources": {"errors", "types", "params", "files"},
+    "sources": {"compiled", "errors", "types", "params", "files"},
     "rig": {"errors", "types", "params", "files", "sources"},
     "sinks": GROUND | {"files", "rig", "robot", "sources"},
 }

@@ -35,7 +35,7 @@ from motionstereo_cli.robot.odometry import (
 from motionstereo_cli.simulate.scenes import render_scene
 from motionstereo_cli.simulate.settings import SimulateSettings
 from motionstereo_cli.simulate.write import simulate
-from motionstereo_cli.sinks.poses_table import TumFile
+from motionstereo_cli.sinks.outputs import OUTPUTS
 from motionstereo_cli.sources.settings import InputSettings
 from motionstereo_cli.types import Fix, FrameTime, Pose, Steering, Step, StereoFrame
 
@@ -379,7 +379,7 @@ class TestRun:
         pose, fix = Pose(1, 2, 3, 0, 0, 0, 1), Fix(False, 0.1, 0.01, 0.0, 0.9)
         steering = Steering("blind", None, None, None, None)
         for timed, words in ((True, "# time_s 0.000000 0.200000"), (False, "# frame 7 9")):
-            sink = TumFile(tmp_path / "poses.txt")
+            sink = OUTPUTS["poses"].open(tmp_path, None)
             for index, lost in enumerate([False, True, False]):
                 time = FrameTime(index, index, index / 10 if timed else None, 7 + index)
                 each = replace(fix, lost=lost)

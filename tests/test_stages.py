@@ -7,7 +7,6 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from motionstereo_cli.compiled import pictures
-from motionstereo_cli.files.levels import full_range
 from motionstereo_cli.method.bands import band_table, bands, blur
 from motionstereo_cli.method.charge import accumulate, age, permanency
 from motionstereo_cli.method.confidence import confidence
@@ -16,6 +15,7 @@ from motionstereo_cli.method.motion import motion
 from motionstereo_cli.method.residual import residual
 from motionstereo_cli.pipeline import depth_of
 from motionstereo_cli.robot.free_space import StripValues, strip_borders
+from motionstereo_cli.sources.luma import full_range
 from motionstereo_cli.types import Rig
 
 NAN = float("nan")

@@ -153,6 +153,14 @@ class FrameWindow:
         return self._features[side, t]
 
 
+def shrunk(image: Grey, width: int) -> Grey:
+    """Return an image at most so many px wide, uint8; a wider one is scaled down by averages."""
+    if image.shape[1] <= width:
+        return image
+    size = width, max(1, round(image.shape[0] * width / image.shape[1]))
+    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
+
+
 def keypoints(image: Grey) -> Keypoints:
     """Return the SIFT keypoints of an image."""
     sift = cv2.SIFT.create(_FEATURES, contrastThreshold=_MIN_CONTRAST)

@@ -34,7 +34,7 @@ _SHIFTS = 4
 _LEAST_GREY = 0.2
 
 #: Fewer images tell nothing.
-_MIN_OVERLAP = 24
+MIN_OVERLAP = 24
 
 #: Lags next to the best agree nearly as well; others must do so clearly worse, and the best well.
 _NEXT = 2
@@ -86,7 +86,7 @@ def lag_of(
     left: NDArray[np.float32],
     right: NDArray[np.float32],
     reach: int,
-    min_overlap: int = _MIN_OVERLAP,
+    min_overlap: int = MIN_OVERLAP,
 ) -> Lag | None:
     """Return the lag at which two recordings agree best, None where too little tells it.
 
@@ -99,7 +99,7 @@ def lags_of(
     left: NDArray[np.float32],
     right: NDArray[np.float32],
     reach: int,
-    min_overlap: int = _MIN_OVERLAP,
+    min_overlap: int = MIN_OVERLAP,
     most: int = 1,
 ) -> list[Lag]:
     """Return the lags at which two recordings agree best, none where too little tells them.

@@ -23,6 +23,7 @@ from motionstereo_cli.check.features import (
     FrameWindow,
     Matches,
     joined,
+    shrunk,
     without_repetitions,
 )
 from motionstereo_cli.check.findings import DARK_GREY, CheckReport, Finding
@@ -241,7 +242,7 @@ class _Checker:
         if number in self._starts:
             self._windows.append(FrameWindow(number, self._moments))
         if self._windows and number < self._windows[-1].start + WINDOW_FRAMES:
-            left, right = (_shrunk(side, self._feature_width(frame)) for side in sides)
+            left, right = (shrunk(side, self._feature_width(frame)) for side in sides)
             self._scale = frame.left.shape[1] / left.shape[1]
             self._windows[-1].left.append(left)
             self._windows[-1].right.append(right)
@@ -320,20 +321,13 @@ def _light(windows: Sequence[FrameWindow]) -> dict[str, Any]:
     return {"brightest": brightest, "alike": alike}
 
 
-def _shrunk(grey: Grey, width: int) -> Grey:
-    if grey.shape[1] <= width:
-        return grey
-    size = (width, max(1, round(grey.shape[0] * width / grey.shape[1])))
-    return np.asarray(cv2.resize(grey, size, interpolation=cv2.INTER_AREA), np.uint8)
-
-
 #: Share that moves where an image is not the last one, but hardly differs.
 _HARDLY = 1e-9
 
 
 def _for_motion(grey: Grey) -> Grey:
     # Small and blurred: a sensor's noise and a codec's are gone, objects that move are not.
-    return np.asarray(cv2.blur(_shrunk(grey, _MOTION_WIDTH), (3, 3)), np.uint8)
+    return np.asarray(cv2.blur(shrunk(grey, _MOTION_WIDTH), (3, 3)), np.uint8)
 
 
 def _moved_share(image: Grey, small: Grey, last: Grey, last_small: Grey) -> float:

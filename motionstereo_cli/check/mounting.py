@@ -5,10 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
-import cv2
 import numpy as np
 
-from motionstereo_cli.check.features import FrameWindow, Keypoints, keypoints, mutual_matches
+from motionstereo_cli.check.features import (
+    FrameWindow,
+    Keypoints,
+    keypoints,
+    mutual_matches,
+    shrunk,
+)
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -68,7 +73,7 @@ def mounted(windows: Sequence[FrameWindow]) -> Mounting | None:
     pairs, found = [], []
     for window in windows:
         t = len(window.left) // 2
-        pair = _small(window.left[t]), _small(window.right[t])
+        pair = shrunk(window.left[t], _WIDTH), shrunk(window.right[t], _WIDTH)
         small = window.shape[1] > _WIDTH
         pairs.append(pair)
         found.append(_rows_and_columns(*(map(keypoints, pair) if small else window.middle())))
@@ -138,10 +143,3 @@ def _rows_and_columns(one: Keypoints, other: Keypoints) -> _Matches:
     """Return by how much matches lie further right and lower in the right image, (n, 2) px."""
     mutual = mutual_matches(one, other)
     return (other.points[mutual[:, 1]] - one.points[mutual[:, 0]]).astype(np.float64)
-
-
-def _small(image: Grey) -> Grey:
-    if image.shape[1] <= _WIDTH:
-        return image
-    size = (_WIDTH, max(1, round(image.shape[0] * _WIDTH / image.shape[1])))
-    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from motionstereo_cli.check.lag import BANDS, lag_of, lags_of, profile, profiles, small
+from motionstereo_cli.check.lag import BANDS, MIN_OVERLAP, lag_of, lags_of, profile, profiles, small
 from motionstereo_cli.check.measure import step_of
 from motionstereo_cli.check.sound import LISTENED_S, sound_shift_s
 from motionstereo_cli.errors import InputError, SettingsError
@@ -33,8 +33,8 @@ _STAGES = (360, 2400)
 #: Images at the end that tell whether the step is still the same, and how far they may be off.
 _END_FRAMES, _END_REACH = 240, 60
 
-#: Overlap that a lag needs: at least so many images, and one of this many parts of all.
-_MIN_OVERLAP, _LEAST_PART = 24, 4
+#: A lag needs an overlap of one of this many parts of all.
+_LEAST_PART = 4
 
 #: Lags by motion that are looked at closely, and how often one is followed to the next.
 _CANDIDATES, _ROUNDS = 3, 3
@@ -105,7 +105,7 @@ def _by_sound(recordings: _Recordings, settings: InputSettings, say: Say) -> Inp
     with open_stereo(recordings.left, recordings.right, settings) as source:
         if not source.rereadable:
             raise SettingsError("--sync-offset auto reads the recordings twice: give files")
-        files, length_s = source.first_files, source.length_s
+        files, length_s = source.recorded, source.length_s
         timed = source.time_base is not None
     if len(files) != 2 or not timed:
         return None
@@ -134,7 +134,7 @@ def _by_motion(recordings: _Recordings, settings: InputSettings, say: Say) -> In
             with recordings.opened(settings) as source:
                 sides.append(_seen(source, view, most))
         lengths = [len(side.profiles) for side in sides]
-        overlap = max(_MIN_OVERLAP, min(lengths) // _LEAST_PART)
+        overlap = max(MIN_OVERLAP, min(lengths) // _LEAST_PART)
         found = lags_of(
             sides[0].profiles, sides[1].profiles, max(lengths), overlap, most=_CANDIDATES
         )

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Any
 
 import click
 
@@ -79,7 +78,7 @@ def compare(
     picture: Path | None,
     json_path: Path | None,
     junit: Path | None,
-    chosen: dict[str, Any],
+    settings: CompareSettings,
 ) -> int:
     """Compare a run with an earlier one; exit code 4 if they differ.
 
@@ -87,8 +86,6 @@ def compare(
     run.json and every tenth depth image; only its files are compared. Tables, depth and disparity
     images, and the settings and counts in run.json are compared; other files only have to exist.
     """
-    settings = CompareSettings(**chosen)
-
     from tqdm import tqdm
 
     from motionstereo_cli.evaluation import compare_report

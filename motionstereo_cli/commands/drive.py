@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
@@ -39,9 +39,7 @@ _PRESENT = {"--rig", "--poses", "--save steering", "--save map", "-o FOLDER"}
 @click.option("--overwrite", is_flag=True, help="Replace an earlier drive in OUT.")
 @world_options
 @partial(processing_options, present=_PRESENT)
-def drive(
-    out: Path, view: bool, overwrite: bool, world: dict[str, Any], settings: Settings
-) -> None:
+def drive(out: Path, view: bool, overwrite: bool, world: DriveSettings, settings: Settings) -> None:
     """Drive a simulated robot by its own depth.
 
     It drives round a square corridor, or in the floor plan of --world. OUT then holds left.mkv and
@@ -50,14 +48,12 @@ def drive(
     map.ply, map.png, map.yaml and map-sheet.png, equal to those of run --save map; drive.json with
     laps, distance, collisions, nearest pass and the reason for the end.
     """
-    world_settings = DriveSettings(**world)
-
     from motionstereo_cli.simulate.drive import drive as library
     from motionstereo_cli.simulate.drive_world import GOAL_M, world_of
 
     started_s = time.perf_counter()
     say_idle(settings.options | _PRESENT, settings)
-    driven = world_of(world_settings, settings.goal_m)
+    driven = world_of(world, settings.goal_m)
     frames = driven.expected_frames
     with Bar(frames) as bar:
         advance = foretelling(frames, bar)

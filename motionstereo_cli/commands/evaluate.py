@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
@@ -87,7 +87,7 @@ def evaluate(
     json_path: Path | None,
     picture: int | None,
     picture_path: Path,
-    chosen: dict[str, Any],
+    settings: EvaluateSettings,
 ) -> None:
     """Compare the disparity or depth of a run with ground truth.
 
@@ -105,7 +105,6 @@ def evaluate(
     """
     if csv_path == json_path == STDOUT:
         raise click.UsageError("--csv - and --json - cannot both go to standard output")
-    settings = EvaluateSettings(**chosen)
     if result.is_file():
         _evaluate_files(result, truth, csv_path, json_path, settings)
         return

@@ -41,20 +41,27 @@ def settings_options(
     Their heading in the help is ``group``, unless a parameter has its own. Conditions of their
     effect that ``present`` always fulfils are not stated.
 
-    The command receives the values that were given, on the command line or in the configuration
-    file, as one dict ``chosen``; what is not in it keeps the default of the dataclass or preset.
+    The command receives one ``settings``, made of the values that were given on the command line
+    or in the configuration file.
     """
 
     def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
-        return config_option(_declared(settings, "chosen", group, present)(command))
+        return config_option(_declared(settings, "settings", group, present)(command))
 
     return decorate
 
 
 def _declared(
-    settings: type, name: str, group: str, present: Set[str] = frozenset()
+    settings: type,
+    name: str,
+    group: str,
+    present: Set[str] = frozenset(),
+    make: Callable[..., Any] | None = None,
 ) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """Give a command the options of a dataclass; it receives what was given as a dict ``name``."""
+    """Give a command the options of a dataclass; it receives that as ``name``.
+
+    It is made by ``make``, the dataclass itself if None, of the values that were given.
+    """
     declared = list(params(settings))
 
     def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
@@ -64,7 +71,7 @@ def _declared(
                 former = values.pop(item.old)
                 given[item.name] = former if given[item.name] is None else given[item.name]
             chosen = {key: value for key, value in given.items() if value is not None}
-            return command(**{name: chosen}, **values)
+            return command(**{name: (make or settings)(**chosen)}, **values)
 
         collected: Callable[..., Any] = functools.update_wrapper(collect, command)
         for item in reversed(declared):
@@ -89,11 +96,12 @@ def processing_options(
         return command(settings=Settings.preset(preset, **chosen), **values)
 
     collected: Callable[..., Any] = functools.update_wrapper(collect, command)
-    return _preset_option(settings_options(Settings, "Method", present)(collected))
+    collected = _declared(Settings, "chosen", "Method", present, make=dict)(collected)
+    return _preset_option(config_option(collected))
 
 
 def world_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Give a command the options of a driven world; it receives what was given as ``world``."""
+    """Give a command the options of a driven world; it receives them as one ``world``."""
     from motionstereo_cli.simulate.settings import DriveSettings
 
     return _declared(DriveSettings, "world", "Scene")(command)
@@ -104,12 +112,7 @@ def input_options(command: Callable[..., Any]) -> Callable[..., Any]:
 
     It receives them as ``left`` and ``right``, None if not given, and one ``input_settings``.
     """
-
-    def collect(*, input_chosen: dict[str, Any], **values: Any) -> Any:
-        return command(input_settings=InputSettings(**input_chosen), **values)
-
-    collected: Callable[..., Any] = functools.update_wrapper(collect, command)
-    collected = _declared(InputSettings, "input_chosen", "Input")(collected)
+    collected = _declared(InputSettings, "input_settings", "Input")(command)
     # Hidden; it takes the file names that a shell makes of patterns without quotes.
     collected = click.argument(
         "more", nargs=-1, metavar="", expose_value=False, callback=_none_more
@@ -134,12 +137,7 @@ def _none_more(ctx: click.Context, _: click.Parameter, more: tuple[str, ...]) ->
 
 def output_options(command: Callable[..., Any]) -> Callable[..., Any]:
     """Give a command the options of the output; it receives them as one ``output_settings``."""
-
-    def collect(*, output_chosen: dict[str, Any], **values: Any) -> Any:
-        return command(output_settings=OutputSettings(**output_chosen), **values)
-
-    collected: Callable[..., Any] = functools.update_wrapper(collect, command)
-    return _declared(OutputSettings, "output_chosen", "Output")(collected)
+    return _declared(OutputSettings, "output_settings", "Output")(command)
 
 
 def pose_options(command: Callable[..., Any]) -> Callable[..., Any]:
@@ -147,12 +145,7 @@ def pose_options(command: Callable[..., Any]) -> Callable[..., Any]:
 
     It receives them as ``poses``, None if not given, and one ``pose_settings``.
     """
-
-    def collect(*, pose_chosen: dict[str, Any], **values: Any) -> Any:
-        return command(pose_settings=PoseSettings(**pose_chosen), **values)
-
-    collected: Callable[..., Any] = functools.update_wrapper(collect, command)
-    collected = _declared(PoseSettings, "pose_chosen", "Calibration")(collected)
+    collected = _declared(PoseSettings, "pose_settings", "Calibration")(command)
     return click.option(
         "--poses",
         type=click.Path(path_type=Path),
@@ -188,12 +181,7 @@ def calibration_options(
 
     Conditions of their effect that ``present`` always fulfils are not stated.
     """
-
-    def collect(*, rig_chosen: dict[str, Any], **values: Any) -> Any:
-        return command(rig_settings=RigSettings(**rig_chosen), **values)
-
-    collected: Callable[..., Any] = functools.update_wrapper(collect, command)
-    return _declared(RigSettings, "rig_chosen", "Calibration", present)(collected)
+    return _declared(RigSettings, "rig_settings", "Calibration", present)(command)
 
 
 _preset_option = click.option(

@@ -22,8 +22,6 @@ from motionstereo_cli.errors import DAMAGED_EXIT_CODE, INTERRUPTED_EXIT_CODE, Ou
 from motionstereo_cli.files.targets import is_stream, open_replacing, open_stream
 
 if TYPE_CHECKING:
-    from types import TracebackType
-
     from tqdm import tqdm
 
 #: Minimum time between two progress lines, in s.
@@ -130,12 +128,7 @@ class Bar:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         if self._bar is not None:
             self._bar.close()
 

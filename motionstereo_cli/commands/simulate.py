@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 @click.argument("out", type=click.Path(path_type=Path))
 @click.option("--overwrite", is_flag=True, help="Replace an earlier simulation in OUT.")
 @settings_options(SimulateSettings, "Scene")
-def simulate(out: Path, overwrite: bool, chosen: dict[str, Any]) -> None:
+def simulate(out: Path, overwrite: bool, settings: SimulateSettings) -> None:
     """Render a stereo recording with exact truth into the folder OUT.
 
     It writes left.mp4, right.mp4, rig.yaml, disparity/ (KITTI format: 16-bit PNG, 1/256 px; right
@@ -36,8 +36,6 @@ def simulate(out: Path, overwrite: bool, chosen: dict[str, Any]) -> None:
     also what moves by itself: movers/ (8-bit PNG, its number in each pixel of the right view, 0 =
     none) and objects.csv, as run --save objects has it.
     """
-    settings = SimulateSettings(**chosen)
-
     from motionstereo_cli.simulate.write import simulate as write
 
     frames = len(settings.frame_range)

@@ -23,7 +23,7 @@ from motionstereo_cli.evaluation.settings import COLUMN_TOLERANCE, CompareSettin
 from motionstereo_cli.files.reading import check_regular, real
 from motionstereo_cli.files.records import read_json, typed
 from motionstereo_cli.sinks.outputs import OUTPUTS, RECORD
-from motionstereo_cli.sinks.read_back import Maps, Table, read_record, shortened
+from motionstereo_cli.sinks.read_back import Maps, Table, read_record, shortened, size_of
 from motionstereo_cli.sinks.records import GROUPS, RunRecord, option_of
 from motionstereo_cli.sinks.scale import ENDS
 
@@ -295,7 +295,7 @@ class _Comparison:
                 output.differ("files", str(error), frame)
                 continue
             if mine.shape != theirs.shape:
-                found = f"{_size(mine)}, golden {_size(theirs)}"
+                found = f"{size_of(mine)}, golden {size_of(theirs)}"
                 output.differ("size", found, frame)
                 continue
             output.compared += 1
@@ -462,7 +462,3 @@ def _given(value: object) -> str:
     if isinstance(value, str):
         return "not given" if value == "" else _shown(value)
     return shortened(value)
-
-
-def _size(image: Real) -> str:
-    return f"{image.shape[1]}x{image.shape[0]}"

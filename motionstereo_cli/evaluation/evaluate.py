@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from motionstereo_cli.errors import InputError
+from motionstereo_cli.evaluation.numbers import ratio
 from motionstereo_cli.files.maps import numbered_files
 from motionstereo_cli.sinks.read_back import Maps, read_mask, size_of
 from motionstereo_cli.types import Rig
@@ -159,9 +160,9 @@ class Tally:
 
     def score(self, frame: int | None = None) -> Score:
         """Return the measures of the pixels counted."""
-        bad_0_5, bad_1, bad_2, bad_3 = (_ratio(int(count), self.both) for count in self.bad)
+        bad_0_5, bad_1, bad_2, bad_3 = (ratio(int(count), self.both) for count in self.bad)
         near_0, near_1, near_3, near_10 = (
-            _ratio(float(total), int(count))
+            ratio(float(total), int(count))
             for total, count in zip(self.bias_px, self.biased, strict=True)
         )
         still = int(self.changes.sum())
@@ -169,26 +170,26 @@ class Tally:
             frame=frame,
             truth_pixels=self.truth,
             both_pixels=self.both,
-            coverage=_ratio(self.both, self.truth),
+            coverage=ratio(self.both, self.truth),
             bad_0_5=bad_0_5,
             bad_1=bad_1,
             bad_2=bad_2,
             bad_3=bad_3,
-            d1=_ratio(self.outliers, self.both),
-            mean_px=_ratio(self.error_px, self.both),
+            d1=ratio(self.outliers, self.both),
+            mean_px=ratio(self.error_px, self.both),
             median_px=_median(self.histogram),
-            rms_px=math.sqrt(_ratio(self.error_px2, self.both)),
-            abs_rel=_ratio(self.error_rel, self.depths),
-            rmse_m=math.sqrt(_ratio(self.error_m2, self.depths)),
-            coverage_seen=_ratio(self.seen_both, self.seen),
+            rms_px=math.sqrt(ratio(self.error_px2, self.both)),
+            abs_rel=ratio(self.error_rel, self.depths),
+            rmse_m=math.sqrt(ratio(self.error_m2, self.depths)),
+            coverage_seen=ratio(self.seen_both, self.seen),
             bias_0_1_px=near_0,
             bias_1_3_px=near_1,
             bias_3_10_px=near_3,
             bias_10_px=near_10,
-            tepe_px=_ratio(self.pairs_px, self.pairs),
-            tepe_1=_ratio(self.pairs_over, self.pairs),
+            tepe_px=ratio(self.pairs_px, self.pairs),
+            tepe_1=ratio(self.pairs_over, self.pairs),
             flicker_px=_median(self.changes),
-            flicker_1=_ratio(int(self.changes[_BINS_PER_PX + 1 :].sum()), still),
+            flicker_1=ratio(int(self.changes[_BINS_PER_PX + 1 :].sum()), still),
         )
 
 
@@ -441,10 +442,6 @@ def _both_kinds(values: Real, kind: str, rig: Rig | None) -> tuple[Real | None, 
         return rig.disparity_px(values), values
     finite = rig.nearness_px(values) > 0  # only depths that are finite and positive
     return values, rig.depth_m(np.where(finite, values, np.float32(np.nan)))
-
-
-def _ratio(part: float, whole: int) -> float:
-    return part / whole if whole else math.nan
 
 
 def _span(maps: Maps) -> str:

@@ -8,6 +8,11 @@ import math
 from typing import Any
 
 
+def ratio(part: float, whole: int) -> float:
+    """Return a part of a whole, NaN where that is 0."""
+    return part / whole if whole else math.nan
+
+
 def format_table(report: Any) -> str:
     """Return a dataclass of numbers for people: a line for each."""
     values = dataclasses.asdict(report).items()

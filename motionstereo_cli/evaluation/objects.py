@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from motionstereo_cli.errors import InputError
+from motionstereo_cli.evaluation.numbers import ratio
 from motionstereo_cli.evaluation.settings import EvaluateSettings
 from motionstereo_cli.files.reading import MAX_RESULT_BYTES, open_regular, read_text
 from motionstereo_cli.robot.assignment import assignment
@@ -302,11 +303,11 @@ def compare(
     return ObjectReport(
         frames=frames,
         true_boxes=sums.true,
-        found=_ratio(len(sums.pairs), sums.true),
+        found=ratio(len(sums.pairs), sums.true),
         false_rows=sums.false,
         false_rows_a_frame=sums.false / frames,
         switches=sums.switches,
-        mota=1 - _ratio(missed + sums.false + sums.switches, sums.true),
+        mota=1 - ratio(missed + sums.false + sums.switches, sums.true),
         motp=float(np.mean(sums.overlaps)) if sums.overlaps else math.nan,
         depth_error=_median(np.abs(depth - true_depth) / true_depth),
         closing_error_mps=_median(np.abs(closing - true_closing)),
@@ -370,10 +371,6 @@ def _both(pairs: Sequence[tuple[ObjectBox, ObjectBox]], name: str) -> tuple[Real
     values = values.reshape(-1, 2)
     one, other = values[np.isfinite(values).all(axis=1)].T
     return one, other
-
-
-def _ratio(part: int, whole: int) -> float:
-    return part / whole if whole else math.nan
 
 
 def _median(values: Reals) -> float:

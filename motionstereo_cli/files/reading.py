@@ -6,7 +6,7 @@ import errno
 import hashlib
 import os
 import stat
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from io import BufferedReader
 from pathlib import Path
 
@@ -179,6 +179,18 @@ def sha256_of(path: Path) -> str:
     """
     with open_regular(path) as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def sha256_of_all(sums: Iterable[tuple[str, str]]) -> str:
+    """Return the SHA-256 of several files, that of the text which ``sha256sum`` prints of them.
+
+    Args:
+        sums: the SHA-256 of each, in hexadecimal digits, and its name without folders.
+    """
+    whole = hashlib.sha256()
+    for digest, name in sums:
+        whole.update(digest.encode() + b"  " + os.fsencode(name) + b"\n")
+    return whole.hexdigest()
 
 
 class HeldFile:

@@ -7,7 +7,6 @@ import os
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
-from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
 from msgspec import structs
@@ -114,17 +113,12 @@ class RunFolder(Sinks):
             self._lock = held.pop_all()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         with self._lock:
             self._thread.shutdown()
             if self.finished is None:
                 self._keep = self._keep and self._kind.keeps
-                super().__exit__(kind, error, traceback)
+                super().__exit__()
                 if not self._complete:
                     self._tidy()
 

@@ -14,7 +14,12 @@ from typing import Any
 from motionstereo_cli.errors import InputError
 from motionstereo_cli.files.atomic import is_left_over, is_segment, part_of
 from motionstereo_cli.files.folders import remove_empty
-from motionstereo_cli.files.reading import MAX_RECORD_BYTES, open_regular, read_bytes
+from motionstereo_cli.files.reading import (
+    MAX_RECORD_BYTES,
+    open_regular,
+    read_bytes,
+    sha256_of_all,
+)
 from motionstereo_cli.files.records import encode, parse_json, typed
 from motionstereo_cli.report import PAGE, is_report
 from motionstereo_cli.runs.checkpoint import frames_of
@@ -172,20 +177,17 @@ def remove_empty_folders(out: Path, kind: FolderKind) -> None:
 
 
 def sums_of(out: Path, paths: Sequence[str], frames: int) -> SumRecord:
-    """Return size and SHA-256 of an output.
-
-    The hash of several files is that of the text which ``sha256sum`` prints for their bare names.
+    """Return size and SHA-256 of an output; for several files see :func:`sha256_of_all`.
 
     Raises:
         OSError: a file cannot be read.
     """
-    size, lines, digest = 0, hashlib.sha256(), ""
+    size, sums = 0, list[tuple[str, str]]()
     for path in paths:
         for number in range(frames if "{" in path else 1):
             file = out / path.format(number)
             with open_regular(file) as content:
-                digest = hashlib.file_digest(content, "sha256").hexdigest()
+                sums.append((hashlib.file_digest(content, "sha256").hexdigest(), file.name))
                 size += content.tell()
-            lines.update(f"{digest}  {file.name}\n".encode())
     alone = len(paths) == 1 and "{" not in paths[0]
-    return SumRecord(size, digest if alone else lines.hexdigest())
+    return SumRecord(size, sums[0][0] if alone else sha256_of_all(sums))

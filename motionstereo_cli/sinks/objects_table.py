@@ -41,11 +41,9 @@ def object_row(frame: int, item: MovingObject) -> str:
 class ObjectsFile(TableFile):
     """The table of moving objects as a file: a row for each object of each frame."""
 
+    def __init__(self, path: Path, _: RunContext, since: TableMark | None = None) -> None:
+        super().__init__(path, HEADER, since)
+
     def write(self, step: Step) -> None:
         """Append the rows of a frame."""
         self.add(object_row(step.time.index, item) for item in step.objects)
-
-
-def objects_file(path: Path, _: RunContext, since: TableMark | None = None) -> ObjectsFile:
-    """Return a sink for the table of moving objects."""
-    return ObjectsFile(path, HEADER, since)

@@ -32,7 +32,8 @@ class Output:
     Attributes:
         path: its path under the output folder; ``{:06d}`` is the number of the frame.
         what: what it holds, with units.
-        sink: module and function that make the sink from its path, the stream and a checkpoint.
+        sink: module and class (or function) of the sink, made from its path, the run's context
+            and a checkpoint.
         takes: what its sink takes of each frame: its ``images``, which depend on single frames, or
             its ``step``, which is sequential; None: it has no sink.
         shows_images: the steps that it takes include images.
@@ -141,14 +142,14 @@ OUTPUTS = {
         "one row for each frame; time_s in s, steer -1..1 and steer_rad in rad with positive = "
         "left, depth_m and nearest_m in m, charged and matched as shares of the image, "
         "risk_s in s until contact in the way steered; empty = unknown",
-        "steering_table.steering_file",
+        "steering_table.SteeringFile",
         kind="table",
         takes="step",
     ),
     "steering-jsonl": Output(
         "steering.jsonl",
         "the same as JSON lines, one object for each frame; null = unknown",
-        "steering_table.steering_file",
+        "steering_table.SteeringFile",
         takes="step",
     ),
     "objects": Output(
@@ -158,7 +159,7 @@ OUTPUTS = {
         "0..1; over_ground_mps and sigma_mps in m/s, direction_rad in the world, by_itself 0 or 1, "
         "shadow 0 or 1 = as deep as what lies beside it; "
         "empty = unknown",
-        "objects_table.objects_file",
+        "objects_table.ObjectsFile",
         kind="table",
         takes="step",
         needs_objects=True,
@@ -358,7 +359,7 @@ OUTPUTS = {
         "the cameras, x forward, y left, z up, in the world of --poses or, where they are found "
         "from the recording, of the first frame; frames where the rig was lost are left out; "
         "place of the image in the recording, from 0, in place of the time where it has none",
-        "poses_table.tum_file",
+        "poses_table.TumFile",
         takes="step",
         needs_rig=True,
         needs_poses=True,
@@ -370,7 +371,7 @@ OUTPUTS = {
         "right, y down, z forward, to those in its first frame; where the rig was lost, the "
         "likeliest motion is taken, or else its last one goes on; NaN for images that are not "
         "used, and where given poses have a gap",
-        "poses_table.kitti_file",
+        "poses_table.KittiFile",
         takes="step",
         needs_rig=True,
         needs_poses=True,
@@ -381,7 +382,7 @@ OUTPUTS = {
         "lost 0 or 1; sigma_m in m and sigma_rad in rad, standard deviations of place and turn "
         "by errors that frames do not share; disparity_offset_px, by which disparities "
         "are too small; agreeing, the share of points whose grey agrees; empty = poses were given",
-        "poses_table.odometry_file",
+        "poses_table.OdometryFile",
         kind="table",
         takes="step",
         needs_rig=True,

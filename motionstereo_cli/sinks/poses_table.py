@@ -48,7 +48,7 @@ class TumFile(TableFile):
         since: continue from this checkpoint of an earlier table.
     """
 
-    def __init__(self, path: Path, since: TableMark | None = None) -> None:
+    def __init__(self, path: Path, _: RunContext, since: TableMark | None = None) -> None:
         super().__init__(path, "", since)
         self._has_head = since is not None
 
@@ -74,13 +74,14 @@ class KittiFile(TableFile):
 
     Args:
         path: final name.
-        baseline_m: distance between the cameras.
+        stream: the run's context; it has a rig.
         since: continue from this checkpoint of an earlier table.
     """
 
-    def __init__(self, path: Path, baseline_m: float, since: KittiMark | None = None) -> None:
+    def __init__(self, path: Path, stream: RunContext, since: KittiMark | None = None) -> None:
+        assert stream.rig is not None
         super().__init__(path, "", None if since is None else since[0])
-        self._to_left_m = baseline_m / 2
+        self._to_left_m = stream.rig.baseline_m / 2
         self._lines = 0 if since is None else since[1]
         self._first = np.reshape(since[2], (4, 4)) if since is not None and since[2] else None
 
@@ -107,6 +108,9 @@ class KittiFile(TableFile):
 class OdometryFile(TableFile):
     """The quality of poses that were found from the recording."""
 
+    def __init__(self, path: Path, _: RunContext, since: TableMark | None = None) -> None:
+        super().__init__(path, ODOMETRY_HEADER, since)
+
     def write(self, step: Step) -> None:
         """Append the row of a frame."""
         fix, time = step.fix, step.time
@@ -120,19 +124,3 @@ class OdometryFile(TableFile):
                 cell(fix.agreeing, 2),
             )
         self.add([",".join((str(time.index), cell(time.time_s, 6), *told))])
-
-
-def tum_file(path: Path, _: RunContext, since: TableMark | None = None) -> TumFile:
-    """Return a sink for poses in the format of TUM."""
-    return TumFile(path, since)
-
-
-def kitti_file(path: Path, context: RunContext, since: KittiMark | None = None) -> KittiFile:
-    """Return a sink for poses in the format of KITTI."""
-    assert context.rig is not None
-    return KittiFile(path, context.rig.baseline_m, since)
-
-
-def odometry_file(path: Path, _: RunContext, since: TableMark | None = None) -> OdometryFile:
-    """Return a sink for the table on own motion."""
-    return OdometryFile(path, ODOMETRY_HEADER, since)

@@ -96,19 +96,23 @@ class SteeringFile(TableFile):
     """The steering table as a file: a row for each frame.
 
     Args:
-        path: final name.
-        table_format: see :class:`SteeringStream`.
+        path: final name; its suffix is the format, see :class:`SteeringStream`.
         since: continue from this checkpoint.
+        table_format: the format, where the name has no suffix.
 
     Raises:
         OutputError: the file cannot be written, or is not what the checkpoint says.
     """
 
     def __init__(
-        self, path: Path, table_format: str = "csv", since: TableMark | None = None
+        self,
+        path: Path,
+        _: RunContext | None = None,
+        since: TableMark | None = None,
+        table_format: str = "",
     ) -> None:
-        super().__init__(path, _header(table_format), since)
-        self._format = table_format
+        self._format = table_format or path.suffix.removeprefix(".")
+        super().__init__(path, _header(self._format), since)
 
     def write(self, step: Step) -> None:
         """Append the row of a frame."""
@@ -130,18 +134,13 @@ class SteeringCopy(SteeringFile):
     """
 
     def __init__(
-        self, path: Path, target: Path, table_format: str = "csv", since: TableMark | None = None
+        self, path: Path, target: Path, table_format: str, since: TableMark | None = None
     ) -> None:
         check_place(target)
-        super().__init__(path, table_format, since)
+        super().__init__(path, None, since, table_format)
         self._target = target
 
     def close(self) -> None:
         """Copy the table to its place."""
         self.end()
         copy_new(part_of(self._path), self._target)
-
-
-def steering_file(path: Path, _: RunContext, since: TableMark | None = None) -> SteeringFile:
-    """Return a sink for the steering table, in the format of the name's suffix."""
-    return SteeringFile(path, path.suffix.removeprefix("."), since)

@@ -154,6 +154,7 @@ class BagRecording(Recording):
             if topic not in found:
                 raise InputError(f"{name_of(self._files)} has no images on {topic}")
             self._about = found[topic]
+            self._pixel_format = self._about.encoding
             self.frame_id = self._about.frame_id
             self.expected_images = self._about.messages
             rate = self._about.rate
@@ -195,20 +196,9 @@ class BagRecording(Recording):
 
     def describe(self) -> dict[str, Any]:
         """Describe the topic, as JSON-able values."""
-        return {
-            "path": name_of(self._files),
-            "topic": self._topic,
-            "kind": "bag",
-            "codec": self._about.kind.rpartition("/")[2],
-            "pixel_format": self._about.encoding,
-            "range": "full",
-            "rotation_deg": 0,
-            "width": self.width,
-            "height": self.height,
-            "frame_rate": str(self.frame_rate) if self.frame_rate else None,
-            "images": self.expected_images,
-            "camera_info": self.camera_info is not None,
-        }
+        codec = self._about.kind.rpartition("/")[2]
+        said = self._described(name_of(self._files), "bag", codec, topic=self._topic)
+        return said | {"camera_info": self.camera_info is not None}
 
     def fingerprint(self) -> dict[str, Any]:
         """Return the total size of the bag's files in bytes, and a SHA-256 of all of them."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import operator
-import os
 import statistics
 from collections.abc import Iterable, Iterator, Sequence
 from fractions import Fraction
@@ -12,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from motionstereo_cli.errors import InputError
-from motionstereo_cli.files.reading import MAX_PIXELS, open_regular
+from motionstereo_cli.files.reading import MAX_PIXELS, open_regular, sha256_of_all
 from motionstereo_cli.files.stills import (
     SUFFIXES,
     DamagedImageError,
@@ -131,7 +130,7 @@ class FolderRecording(StillsRecording):
     def describe(self) -> dict[str, Any]:
         """Describe the images, as JSON-able values."""
         codecs = sorted({file.suffix.lower()[1:] for file in self._files})
-        return self._described("images", ", ".join(codecs))
+        return self._described(self._path, "images", ", ".join(codecs))
 
     @property
     def files(self) -> tuple[Path, ...]:
@@ -141,19 +140,18 @@ class FolderRecording(StillsRecording):
     def fingerprint(self) -> dict[str, Any]:
         """Return the size of all images in bytes, and a SHA-256; reads those not yet decoded.
 
-        It is the hash of the text that ``sha256sum`` prints for the images' bare names, in their
-        order; of decoded images the decoded bytes count. The hash of a table of times is
-        ``times_sha256``.
+        It is that of :func:`sha256_of_all`; of decoded images the decoded bytes count. The hash of
+        a table of times is ``times_sha256``.
         """
-        sums, size = hashlib.sha256(), 0
+        sums, size = list[tuple[str, str]](), 0
         for index, path in enumerate(self._files):
             if self._sums[index] is None:
                 self._sums[index] = _sums_of(path)
             if (known := self._sums[index]) is not None:
-                sums.update(f"{known[1].hex()}  ".encode() + os.fsencode(path.name) + b"\n")
+                sums.append((known[1].hex(), path.name))
                 size += known[0]
         times = {"times_sha256": self._table.sha256} if self._table.table else {}
-        return {"bytes": size, "sha256": sums.hexdigest(), **times}
+        return {"bytes": size, "sha256": sha256_of_all(sums), **times}
 
     def outline(self) -> Sequence[tuple[int, int]]:
         """Return numbers and time stamps of all images."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import hashlib
+import contextlib
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,7 +12,7 @@ import numpy as np
 
 from motionstereo_cli.errors import InputError, SettingsError
 from motionstereo_cli.files.maps import SUFFIXES, MapFile, numbered_files, read_map
-from motionstereo_cli.files.reading import sha256_of
+from motionstereo_cli.files.reading import sha256_of, sha256_of_all
 from motionstereo_cli.files.stills import DamagedImageError
 from motionstereo_cli.sources.recording import Recording, images
 from motionstereo_cli.sources.settings import Box
@@ -119,15 +119,12 @@ class GivenDisparity:
         return lines
 
     def sha256(self) -> str:
-        """Return the hash of the text which ``sha256sum`` prints for the maps by bare name."""
-        sums = hashlib.sha256()
+        """Return the SHA-256 of all maps that can be read, see :func:`sha256_of_all`."""
         for path in self._files.values():
-            try:
-                known = self._sums.setdefault(path, bytes.fromhex(sha256_of(path)))
-            except OSError:
-                continue
-            sums.update(f"{known.hex()}  {path.name}\n".encode("utf-8", "surrogateescape"))
-        return sums.hexdigest()
+            with contextlib.suppress(OSError):
+                self._sums.setdefault(path, bytes.fromhex(sha256_of(path)))
+        known = (path for path in self._files.values() if path in self._sums)
+        return sha256_of_all((self._sums[path].hex(), path.name) for path in known)
 
     def of(self, number: int) -> Real:
         """Return the disparity of a frame in px, (height, width) float32, NaN = unknown.

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import bisect
-import hashlib
-import os
 import re
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
@@ -14,7 +12,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from motionstereo_cli.errors import InputError
-from motionstereo_cli.files.reading import sha256_of
+from motionstereo_cli.files.reading import sha256_of, sha256_of_all
 from motionstereo_cli.sources.names import file_numbers, gaps, natural_key
 from motionstereo_cli.sources.recording import Image, Recording
 from motionstereo_cli.sources.video import VideoRecording
@@ -169,7 +167,7 @@ class JoinedRecording(Recording):
         self.said, self.stated, self.unread = first.said, first.stated, first.unread
         self.multiview, self.sphere = first.multiview, first.sphere
         self.likely_white, self.warnings = first.likely_white, first.warnings
-        self._described = first.describe()
+        self._first_said = first.describe()
 
     def _append(self, file: Path, recording: VideoRecording) -> None:
         """Append a file, and note what is missing before it."""
@@ -226,20 +224,13 @@ class JoinedRecording(Recording):
     def describe(self) -> dict[str, Any]:
         """Describe the recording, as JSON-able values: its first file, and the number of files."""
         more = {"path": self.name, "files": len(self._given), "images": self.expected_images}
-        return self._described | more
+        return self._first_said | more
 
     def fingerprint(self) -> dict[str, Any]:
-        """Return the size of all files in bytes, and a SHA-256.
-
-        That is the hash of the text which ``sha256sum`` prints for the files by bare name, in
-        their order.
-        """
-        sums = hashlib.sha256()
-        for file in self._given:
-            sums.update(f"{sha256_of(file)}  ".encode() + os.fsencode(file.name) + b"\n")
+        """Return the size of all files in bytes, and their SHA-256, see :func:`sha256_of_all`."""
         return {
             "bytes": sum(file.stat().st_size for file in self._given),
-            "sha256": sums.hexdigest(),
+            "sha256": sha256_of_all((sha256_of(file), file.name) for file in self._given),
         }
 
     def count(self) -> int | None:

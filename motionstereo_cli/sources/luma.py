@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from av.video.reformatter import ColorRange
 
-from motionstereo_cli.files.levels import full_range
+from motionstereo_cli.compiled import pictures as loops
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -70,6 +70,18 @@ def grey_levels(frame: av.VideoFrame, white: int = 0) -> Grey:
     if full:
         return np.ascontiguousarray(luma[:, : frame.width])
     return full_range(luma, frame.width)
+
+
+def full_range(luma: Grey, width: int) -> Grey:
+    """Return grey levels 0..255, 255 / 219 (luma - 16), rounded and limited.
+
+    Args:
+        luma: rows of at least that width, uint8; 16..235 is black to white.
+        width: of the result in px.
+    """
+    grey = np.empty((len(luma), width), np.uint8)
+    loops.full_range(luma, grey)
+    return grey
 
 
 def colours(frame: av.VideoFrame) -> NDArray[np.uint8]:

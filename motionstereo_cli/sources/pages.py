@@ -66,7 +66,7 @@ class PagesRecording(StillsRecording):
 
     def describe(self) -> dict[str, Any]:
         """Describe the images, as JSON-able values."""
-        return self._described("pages", self._path.suffix.lower()[1:])
+        return self._described(self._path, "pages", self._path.suffix.lower()[1:])
 
     @property
     def files(self) -> tuple[Path, ...]:

@@ -97,6 +97,7 @@ class Recording(ABC):
     sphere: Sphere | None = None
     rereadable: bool = True
     _images: Iterator[Image]
+    _pixel_format: str
     warnings: tuple[str, ...] = ()
     camera_info: str | None = None
     calibration_note: str = ""
@@ -158,6 +159,31 @@ class Recording(ABC):
     def describe(self) -> dict[str, Any]:
         """Describe the recording, as JSON-able values."""
 
+    def _described(
+        self,
+        path: object,
+        kind: str,
+        codec: str,
+        *,
+        levels: str = "full",
+        rotation_deg: int = 0,
+        **more: Any,
+    ) -> dict[str, Any]:
+        """Return what :meth:`describe` says of every recording; ``more`` follows the path."""
+        return {
+            "path": str(path),
+            **more,
+            "kind": kind,
+            "codec": codec,
+            "pixel_format": self._pixel_format,
+            "range": levels,
+            "rotation_deg": rotation_deg,
+            "width": self.width,
+            "height": self.height,
+            "frame_rate": str(self.frame_rate) if self.frame_rate else None,
+            "images": self.expected_images,
+        }
+
     @abstractmethod
     def fingerprint(self) -> dict[str, Any]:
         """Return the recording's size in ``bytes`` and its ``sha256``; reads all of it.
@@ -213,7 +239,6 @@ class StillsRecording(Recording):
 
     _path: Path
     _white: int
-    _pixel_format: str
 
     def close(self) -> None:
         """Do nothing: no file stays open."""
@@ -223,21 +248,6 @@ class StillsRecording(Recording):
         self._pixel_format = pixel_format(pixels)
         if pixels.dtype == np.uint16 and not self._white:
             self._judge_depth(self._path, int(pixels.max()), 16)
-
-    def _described(self, kind: str, codec: str) -> dict[str, Any]:
-        """Return what :meth:`describe` says."""
-        return {
-            "path": str(self._path),
-            "kind": kind,
-            "codec": codec,
-            "pixel_format": self._pixel_format,
-            "range": "full",
-            "rotation_deg": 0,
-            "width": self.width,
-            "height": self.height,
-            "frame_rate": str(self.frame_rate) if self.frame_rate else None,
-            "images": self.expected_images,
-        }
 
 
 def images(count: int) -> str:

@@ -8,7 +8,6 @@ from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import ExitStack, closing
 from fractions import Fraction
 from pathlib import Path
-from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -142,12 +141,7 @@ class StereoSource:
     def __enter__(self) -> StereoSource:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def close(self) -> None:
@@ -340,11 +334,6 @@ class StereoSource:
         for stream in self._streams:
             stream.expected_images = stream.count()
         self.expected_frames = self._expected()
-
-    @property
-    def first_files(self) -> list[Path]:
-        """The first file of the left and of the right recording; fewer if one has none."""
-        return [stream.files[0] for stream in self._streams if stream.files]
 
     @property
     def length_s(self) -> float | None:

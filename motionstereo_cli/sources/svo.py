@@ -116,19 +116,8 @@ class SvoRecording(Recording):
 
     def describe(self) -> dict[str, Any]:
         """Describe the recording, as JSON-able values."""
-        return {
-            "path": str(self._path),
-            "kind": "svo2",
-            "codec": self._codec,
-            "pixel_format": self._pixel_format,
-            "range": "limited",
-            "rotation_deg": 0,
-            "width": self.width,
-            "height": self.height,
-            "frame_rate": str(self.frame_rate) if self.frame_rate else None,
-            "images": self.expected_images,
-            "serial_number": self._serial,
-        }
+        said = self._described(self._path, "svo2", self._codec, levels="limited")
+        return said | {"serial_number": self._serial}
 
     @property
     def files(self) -> tuple[Path, ...]:

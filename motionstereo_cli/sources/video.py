@@ -254,19 +254,12 @@ class VideoRecording(Recording):
             more["view"] = self.said.eye or "base"
         if self.sphere is not None:
             more["projection"] = str(self.sphere)
-        return {
-            "path": str(self._path),
-            **more,
-            "kind": "video",
-            "codec": self._stream.codec_context.name,
-            "pixel_format": self._pixel_format,
-            "range": "full" if self._full_range else "limited",
-            "rotation_deg": 90 * self._quarters,  # counter-clockwise
-            "width": self.width,
-            "height": self.height,
-            "frame_rate": str(self.frame_rate) if self.frame_rate else None,
-            "images": self._listed or self.expected_images,
-        }
+        codec, levels = self._stream.codec_context.name, "full" if self._full_range else "limited"
+        turn = 90 * self._quarters  # counter-clockwise
+        said = self._described(
+            *(self._path, "video", codec), levels=levels, rotation_deg=turn, **more
+        )
+        return said | {"images": self._listed or self.expected_images}
 
     def fingerprint(self) -> dict[str, Any]:
         """Return size in bytes and SHA-256 of the file, or of the pipe's data."""
