@@ -221,7 +221,9 @@ def process(
         pose_of: returns the pose of the rig, None where it is lost; called once per frame, in
             order. With it and a rig, the guidance keeps a map of its surroundings. ``auto``: poses
             are found from the frames, in the robot frame of the first one.
-        with_objects: find moving objects; with poses, the guidance keeps clear of them.
+        with_objects: find moving objects; with poses, the guidance keeps clear of them. With poses
+            and a rig they are what moves by itself, as of ``run --save objects``: the rig's own
+            motion is found besides given poses to tell that.
         extras: which of :data:`EXTRAS` the results have; the others are None, and take no time.
         jobs: frames matched at a time; with more than one, up to so many are read before a result
             is given.
@@ -239,14 +241,17 @@ def process(
         raise SettingsError(f"there are no extras {unknown}: choose from {sorted(EXTRAS)}")
     if jobs < 1:
         raise SettingsError(f"jobs is {jobs}: give at least 1")
+    with_own_motion = pose_of == "auto" or (
+        pose_of is not None and with_objects and rig is not None
+    )
     context = StreamContext.of(
         settings,
         rig,
         with_poses=pose_of is not None,
         with_objects=with_objects,
         poses_are_given=callable(pose_of),
-        with_own_motion=pose_of == "auto",
-        with_movers=pose_of == "auto",
+        with_own_motion=with_own_motion,
+        with_movers=with_own_motion,
         extras=extras,
     )
     given = None if pose_of == "auto" else pose_of

@@ -1,5 +1,6 @@
 """What moves by itself, seen from a moving camera, against a slow oracle and exact masks."""
 
+import dataclasses
 import math
 
 import cv2
@@ -244,6 +245,18 @@ def test_movers_heed_the_constant_error_of_disparity_that_own_motion_has():
     assert len(found[0]) == len(found[1])
     for one, other in zip(*found, strict=True):
         assert other == pytest.approx(one, abs=0.1)
+
+
+def test_with_given_poses_the_same_moves_by_itself():
+    rig, _, frames = frames_of(scene="street", frames="14:28", seed=8)
+    settings = Settings(max_disparity=48)
+    auto = list(process(frames, settings, rig, "auto", extras=()))
+    poses = {result.frame.index: result.pose for result in auto}
+    given = list(process(frames, settings, rig, lambda frame: poses[frame.index], extras=()))
+    rows = [[dataclasses.astuple(each) for each in result.objects] for result in given]
+    assert rows == [[dataclasses.astuple(each) for each in result.objects] for result in auto]
+    assert any(each.by_itself for result in given for each in result.objects)
+    assert all(np.array_equal(a.own_charge, b.own_charge) for a, b in zip(auto, given, strict=True))
 
 
 def test_in_a_corridor_where_nothing_moves_nothing_is_listed():
