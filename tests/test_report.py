@@ -475,6 +475,16 @@ def test_the_way_is_drawn_from_above_with_the_map_and_what_moved(copy):
     assert [float(each) for each in floor.groups()] == pytest.approx([-2, -1, 4, 2])
 
 
+def test_an_empty_map_is_said_to_be_empty(copy):
+    with_way(copy)
+    (copy / "poses.txt").unlink()
+    assert "Map from above" in page_of(copy)
+    cv2.imwrite(str(copy / "map.png"), np.full((3, 4), 205, np.uint8))
+    page = page_of(copy)
+    assert "The map is empty" in page
+    assert "occupied</span>" not in page
+
+
 @pytest.mark.parametrize("damage", ["poses.txt", "map.yaml", "map.png"])
 def test_a_damaged_way_or_map_is_left_out(copy, damage):
     with_way(copy)

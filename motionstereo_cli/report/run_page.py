@@ -37,6 +37,9 @@ from motionstereo_cli.sinks.settings import OutputSettings
 #: Widths of pictures within the page in px.
 _POSTER_PX, _MAP_PX = 640, 1000
 
+#: Cells of map.png that are neither occupied nor free.
+_UNKNOWN = 205
+
 #: Clocks with less than a year in s do not count from 1970.
 _A_YEAR_S = 366 * 86_400
 
@@ -305,7 +308,7 @@ def _histogram(run: Results, scale: DepthScale) -> dict[str, Any] | None:
 
 
 def _map(run: Results) -> dict[str, Any] | None:
-    """Return the map from above, None without one."""
+    """Return the map from above; None without one, empty if nothing is known in it."""
     path = run.path / "map.png"
     if not (run.has("map") and path.is_file()):
         return None
@@ -315,6 +318,8 @@ def _map(run: Results) -> dict[str, Any] | None:
         image = grey_of(read_still(path, within=run.path).pixels, path)
     except (DamagedImageError, InputError):
         return None
+    if (image == _UNKNOWN).all():
+        return {}
     picture: Picture = encoded(image, _MAP_PX, ".png")
     width_m, height_m = image.shape[1] * cell_m, image.shape[0] * cell_m
     bar_m = 10 ** math.floor(math.log10(width_m / 3))

@@ -38,19 +38,20 @@ _HANGING = (205, 190, 235)
 def plan_sheet(picture: NDArray[np.uint8], world: RobotWorld) -> NDArray[np.uint8]:
     """Return a plan of a world with title, legend and scale bar, RGB."""
     width = picture.shape[1]
-    hangs = any(kind == "hangs" for _, kind in world.outlines())
-    entries = (
-        (_SEEN, "what the map holds as occupied"),
-        (_WALL, "wall"),
-        (_DOOR, "door"),
-        (_WINDOW, "window"),
-        *([(_HANGING, "hangs over the way")] if hangs else []),
-        (_PATH, "path of the robot, and its heading"),
-        (_WALKER, "walker"),
-        (_WALKED, "where walkers were"),
-        *([(_GOAL, "goal")] if world.goal is not None else []),
-        (_TOUCH, "touch"),
+    kinds = {kind for _, kind in world.outlines()} | {kind for kind, _ in world.openings()}
+    meanings = (
+        (_SEEN, "what the map holds as occupied", True),
+        (_WALL, "wall or object", True),
+        (_DOOR, "door", "door" in kinds),
+        (_WINDOW, "window", "window" in kinds),
+        (_HANGING, "hangs over the way", "hangs" in kinds),
+        (_PATH, "path of the robot, and its heading", True),
+        (_WALKER, "walker", world.walkers),
+        (_WALKED, "where walkers were", world.walkers),
+        (_GOAL, "goal", world.goal is not None),
+        (_TOUCH, "touch", _touched(world)),
     )
+    entries = [(colour, text) for colour, text, there in meanings if there]
     return np.concatenate(
         [
             titled([picture], ["The drive from above"], LIGHT),
@@ -58,6 +59,10 @@ def plan_sheet(picture: NDArray[np.uint8], world: RobotWorld) -> NDArray[np.uint
             length_bar(width, _PX_PER_M, LIGHT),
         ]
     )
+
+
+def _touched(world: RobotWorld) -> bool:
+    return bool(world.ended and world.ended.startswith("touched"))
 
 
 class Plan:
@@ -114,7 +119,7 @@ class Plan:
         self._disc(picture, robot.x_m, robot.y_m, ROBOT_RADIUS_M, _PATH)
         nose = robot.x_m + 0.5 * robot.forward[0], robot.y_m + 0.5 * robot.forward[1]
         cv2.line(picture, self._px(robot.x_m, robot.y_m), self._px(*nose), _PATH, 2, cv2.LINE_AA)
-        if world.ended and world.ended.startswith("touched"):
+        if _touched(world):
             middle = self._px(robot.x_m, robot.y_m)
             cv2.drawMarker(picture, middle, _TOUCH, cv2.MARKER_TILTED_CROSS, 40, 4, cv2.LINE_AA)
         return picture
