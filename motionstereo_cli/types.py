@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -16,6 +17,10 @@ if TYPE_CHECKING:
 
     #: A number, or an array of them.
     T = TypeVar("T", float, Real, NDArray[np.float64])
+
+
+#: Called with a kind, ``note`` or ``warning``, and a line for people.
+Say = Callable[[str, str], object]
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,7 +10,7 @@ import json
 import logging
 import sys
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,6 +20,7 @@ from motionstereo_cli.errors import InputError, words_of
 from motionstereo_cli.files.reading import read_bytes
 from motionstereo_cli.runs.cores import usable_cores
 from motionstereo_cli.runs.interrupts import deaf_children
+from motionstereo_cli.types import Say
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -96,9 +97,7 @@ def threads_of(client: Client) -> int:
 
 
 @contextlib.contextmanager
-def client_of(
-    cluster: Cluster, tasks: int, say: Callable[[str, str], object]
-) -> Iterator[tuple[Client, dict[str, str]]]:
+def client_of(cluster: Cluster, tasks: int, say: Say) -> Iterator[tuple[Client, dict[str, str]]]:
     """Yield a client of a cluster, and the builds that this process and all workers have.
 
     Args:
@@ -134,7 +133,7 @@ def _words_of(client: Client, *, local: bool) -> str:
 
 
 @contextlib.contextmanager
-def _started(cluster: Cluster, tasks: int, say: Callable[[str, str], object]) -> Iterator[Client]:
+def _started(cluster: Cluster, tasks: int, say: Say) -> Iterator[Client]:
     """Yield a client of processes on this machine."""
     from distributed import Client, LocalCluster
     from distributed.utils import get_mp_context

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from distributed import Client, Future
 
     from motionstereo_cli.batch.pieces import Piece
-    from motionstereo_cli.runs.disparity_range import Say
+    from motionstereo_cli.types import Say
 
 #: Topic of the workers' progress.
 _PROGRESS = "motionstereo-frames"

@@ -28,6 +28,7 @@ from motionstereo_cli.files.folders import make_folder
 from motionstereo_cli.runs.plan import RunPlan
 from motionstereo_cli.sinks.outputs import RECORD
 from motionstereo_cli.sinks.records import Status
+from motionstereo_cli.types import Say
 
 #: Minimum time between two writes of the table, in s, and its maximum share of the time.
 _RENEW_S, _RENEW_SHARE = 1.0, 0.02
@@ -43,7 +44,7 @@ class BatchWatcher:
         ended: called with the status of each recording that has ended.
     """
 
-    say: Callable[[str, str], object]
+    say: Say
     frames: Callable[[int], object]
     ended: Callable[[Status], object]
 

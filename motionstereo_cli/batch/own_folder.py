@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TextIO
 
@@ -18,6 +18,7 @@ from motionstereo_cli.files.reading import MAX_LINE_BYTES, read_head, real
 from motionstereo_cli.files.records import Record, encode, read_json, typed
 from motionstereo_cli.files.targets import check_targets
 from motionstereo_cli.sinks.records import Status
+from motionstereo_cli.types import Say
 
 #: The table of all recordings.
 TABLE = "batch.csv"
@@ -75,7 +76,7 @@ def write_status(out: Path, status: Status) -> None:
     write_whole(path, encode(status))
 
 
-def read_status(out: Path, name: str, say: Callable[[str, str], object] | None = None) -> Status:
+def read_status(out: Path, name: str, say: Say | None = None) -> Status:
     """Return the status of a recording; one that is missing or damaged counts as waiting.
 
     Args:

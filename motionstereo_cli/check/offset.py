@@ -17,6 +17,7 @@ from motionstereo_cli.check.sound import LISTENED_S, sound_shift_s
 from motionstereo_cli.errors import InputError, SettingsError
 from motionstereo_cli.sources import StereoSource, open_stereo
 from motionstereo_cli.sources.settings import InputSettings
+from motionstereo_cli.types import Say
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -24,7 +25,6 @@ if TYPE_CHECKING:
     from motionstereo_cli.check.synchrony import PairingStep
 
 
-Say = Callable[[str, str], object]
 Prepare = Callable[[StereoSource], object]
 
 #: Images of each side that are looked at: a few, and more where these do not tell.

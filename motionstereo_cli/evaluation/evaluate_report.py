@@ -5,12 +5,12 @@ from __future__ import annotations
 import json
 import math
 from dataclasses import asdict, fields
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from motionstereo_cli.evaluation.evaluate import BAD_PX, FramePair, Report, Score
+from motionstereo_cli.evaluation.numbers import cell, known
 from motionstereo_cli.files.lettering import LIGHT, colour_key
 
 
@@ -19,17 +19,12 @@ def format_csv(report: Report) -> str:
     rows = [",".join(item.name for item in fields(Score))]
     for score in (*report.frames, report.overall):
         frame, *values = asdict(score).values()
-        cells = ["" if _is_nan(value) else f"{value:.7g}" for value in values]
-        rows.append(",".join(["overall" if frame is None else str(frame), *cells]))
+        rows.append(",".join(["overall" if frame is None else str(frame), *map(cell, values)]))
     return "\n".join(rows) + "\n"
 
 
 def format_json(report: Report) -> str:
     """Return the report as JSON; null = none."""
-
-    def known(score: Score) -> dict[str, Any]:
-        return {key: None if _is_nan(value) else value for key, value in asdict(score).items()}
-
     content = {
         "overall": known(report.overall),
         "frames": [known(score) for score in report.frames],
@@ -90,11 +85,7 @@ def draw_errors(pair: FramePair) -> NDArray[np.uint8]:
     return np.vstack([widened, key[..., ::-1]])
 
 
-def _is_nan(value: object) -> bool:
-    return isinstance(value, float) and math.isnan(value)
-
-
 def _shown(value: float) -> str:
-    if _is_nan(value):
+    if math.isnan(value):
         return "-"
     return str(value) if isinstance(value, int) else f"{value:.4f}"

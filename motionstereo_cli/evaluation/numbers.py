@@ -20,15 +20,27 @@ def format_table(report: Any) -> str:
     return "".join(f"{name:24}{value:>12}\n" for name, value in shown)
 
 
+def cell(value: float) -> str:
+    """Return a number as a cell of CSV; empty = NaN, unknown."""
+    return "" if math.isnan(value) else f"{value:.7g}"
+
+
+def known(report: Any) -> dict[str, Any]:
+    """Return a dataclass as JSON-able values, with None in the place of NaN, unknown."""
+    values = dataclasses.asdict(report).items()
+    return {name: None if _is_nan(value) else value for name, value in values}
+
+
 def format_csv(report: Any) -> str:
-    """Return a dataclass of numbers as CSV: a header and a row; empty = NaN, unknown."""
+    """Return a dataclass of numbers as CSV: a header and a row."""
     values = dataclasses.asdict(report)
-    row = ("" if math.isnan(value) else f"{value:.7g}" for value in values.values())
-    return ",".join(values) + "\n" + ",".join(row) + "\n"
+    return ",".join(values) + "\n" + ",".join(map(cell, values.values())) + "\n"
 
 
 def format_json(report: Any) -> str:
     """Return a dataclass of numbers as JSON; null = NaN, unknown."""
-    values = dataclasses.asdict(report)
-    known = {name: None if math.isnan(value) else value for name, value in values.items()}
-    return json.dumps(known, indent=2) + "\n"
+    return json.dumps(known(report), indent=2) + "\n"
+
+
+def _is_nan(value: object) -> bool:
+    return isinstance(value, float) and math.isnan(value)

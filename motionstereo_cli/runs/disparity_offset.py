@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 
 from motionstereo_cli.check.findings import MAX_OFFSET_PX, offset_warning
 from motionstereo_cli.check.measure import WINDOW_FRAMES
 from motionstereo_cli.runs.disparity_range import sample_of
 from motionstereo_cli.runs.record import Job
-from motionstereo_cli.types import StereoFrame
-
-Say = Callable[[str, str], object]
+from motionstereo_cli.types import Say, StereoFrame
 
 
 def with_measured_offset(job: Job, say: Say) -> Job:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
 from motionstereo_cli.check.measure import WINDOW_FRAMES, advised_range, starts
 from motionstereo_cli.errors import InputError
@@ -14,7 +14,7 @@ from motionstereo_cli.runs.folder_files import RUN, read_record
 from motionstereo_cli.runs.plan import RunPlan
 from motionstereo_cli.sinks.records import RunRecord
 from motionstereo_cli.sources import StereoSource, open_stereo
-from motionstereo_cli.types import StereoFrame
+from motionstereo_cli.types import Say, StereoFrame
 
 #: Frames that are decoded of a recording that cannot be read from the middle.
 _MAX_DECODED_FRAMES = 1000
@@ -24,8 +24,6 @@ _NEAR = 250
 
 #: Code of the warning that the range could not be measured.
 RANGE = "range"
-
-Say = Callable[[str, str], object]
 
 
 def with_range(plan: RunPlan, say: Say) -> RunPlan:

@@ -10,7 +10,7 @@ import os
 import platform
 import re
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -45,7 +45,7 @@ from motionstereo_cli.sinks.records import (
 )
 from motionstereo_cli.sinks.sink import RunContext
 from motionstereo_cli.sources import StereoSource
-from motionstereo_cli.types import FrameTime, Pose, StereoFrame
+from motionstereo_cli.types import FrameTime, Pose, Say, StereoFrame
 
 if TYPE_CHECKING:
     from motionstereo_cli.rig.poses import Trajectory
@@ -98,7 +98,7 @@ class Warned:
         say: called with a kind, ``note`` or ``warning``, and a line.
     """
 
-    def __init__(self, say: Callable[[str, str], object]) -> None:
+    def __init__(self, say: Say) -> None:
         self._say = say
         self._found: list[WarningRecord] = []
         self._opening: list[WarningRecord] = []

@@ -67,7 +67,7 @@ from motionstereo_cli.sinks.sink import DEFAULT_TIME_BASE, OPTICAL_FRAME, RunCon
 from motionstereo_cli.sinks.steering_table import SteeringCopy, SteeringStream
 from motionstereo_cli.sources import StereoSource, open_stereo
 from motionstereo_cli.sources.settings import adapted_rig
-from motionstereo_cli.types import Rig, Step, StereoFrame
+from motionstereo_cli.types import Rig, Say, Step, StereoFrame
 
 if TYPE_CHECKING:
     from motionstereo_cli.rig.poses import Trajectory
@@ -100,7 +100,7 @@ class Watcher:
         progress: called after each frame.
     """
 
-    say: Callable[[str, str], object] = _log
+    say: Say = _log
     begin: Callable[[int | None], object] = _nothing
     progress: Callable[[], object] = _nothing
 
@@ -309,7 +309,7 @@ def _log_job(job: Job) -> None:
     LOG.debug("frames matched at a time: %d", job.plan.jobs or default_jobs(source))
 
 
-def settled(plan: RunPlan, say: Callable[[str, str], object]) -> RunPlan:
+def settled(plan: RunPlan, say: Say) -> RunPlan:
     """Return a plan in which what is measured before the first frame is a number.
 
     Args:
