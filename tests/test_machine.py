@@ -5,7 +5,6 @@ import os
 import pytest
 
 from motionstereo_cli.runs import cores as machine
-from motionstereo_cli.runs.run import default_jobs
 
 
 @pytest.fixture
@@ -53,10 +52,4 @@ def test_without_affinity_all_cores_count(quota, monkeypatch):
 )
 def test_large_frames_are_fewer_at_a_time(quota, width, height, jobs):
     quota("max 100000")
-
-    class Source:
-        pass
-
-    source = Source()
-    source.width, source.height = width, height
-    assert default_jobs(source) == jobs
+    assert machine.frames_at_once(width, height) == jobs

@@ -22,7 +22,7 @@ from spatial import SERIAL, stamp_ns, svo2, vr180, with_boxes
 
 from motionstereo_cli.errors import InputError, SettingsError
 from motionstereo_cli.rig.calibration import rectify_source
-from motionstereo_cli.runs.run import check_size
+from motionstereo_cli.runs.opening import check_size
 from motionstereo_cli.sinks.records import InputRecord
 from motionstereo_cli.sources import open_stereo
 from motionstereo_cli.sources.multiview import eyes_in

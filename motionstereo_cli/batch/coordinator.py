@@ -136,7 +136,7 @@ def _items(name: str, plan: RunPlan, count: int, say: Say, *, asked: bool) -> li
     """Return the tasks of a recording that can start at once."""
     if count > 1:
         from motionstereo_cli.batch.pieces import pieces_of
-        from motionstereo_cli.runs.run import settled
+        from motionstereo_cli.runs.opening import settled
 
         try:
             pieces = tuple(pieces_of(plan, count))

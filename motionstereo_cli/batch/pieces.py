@@ -55,12 +55,12 @@ from motionstereo_cli.robot.movers import RUN_IN_FRAMES as MOVERS_FRAMES
 from motionstereo_cli.robot.odometry import BLOCK_FRAMES
 from motionstereo_cli.runs.folder import RunFolder, discard, record_of
 from motionstereo_cli.runs.folder_files import FolderKind
+from motionstereo_cli.runs.job import Job, Warned
 from motionstereo_cli.runs.open_outputs import Totals
+from motionstereo_cli.runs.opening import inputs_of, job_of
 from motionstereo_cli.runs.plan import RunPlan
 from motionstereo_cli.runs.record import (
-    Job,
     RunReport,
-    Warned,
     identity_of,
     outcome,
     report_of,
@@ -69,8 +69,6 @@ from motionstereo_cli.runs.record import (
 from motionstereo_cli.runs.run import (
     Watcher,
     add_table,
-    inputs_of,
-    job_of,
     opened,
     table_of,
     warn_of_what_is_missing,

@@ -16,7 +16,7 @@ from motionstereo_cli.errors import InputError, SettingsError
 from motionstereo_cli.method.matching import match
 from motionstereo_cli.method.memory import checked_views, see
 from motionstereo_cli.runs.disparity_range import begun_with, sample_of
-from motionstereo_cli.runs.record import Job
+from motionstereo_cli.runs.job import Job
 from motionstereo_cli.sinks.outputs import OUTPUTS
 from motionstereo_cli.sinks.scale import ENDS, measured_ends
 

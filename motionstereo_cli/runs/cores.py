@@ -27,6 +27,9 @@ _MALLOC = {-3: 1 << 24, -1: 1 << 26, -8: 2}
 
 #: What threads and their stacks, the encoders, and the arrays of a small frame need.
 _LEAST_BYTES = 160_000_000
+#: Memory of all frames in flight by default, and of a pixel of each: memories of both views,
+#: disparity, depth, and the workspace of a thread.
+_IN_FLIGHT_BYTES, _BYTES_PER_PX = 1 << 30, 110
 
 
 def usable_cores() -> int:
@@ -43,6 +46,11 @@ def usable_cores() -> int:
             if quota > 0:
                 return max(1, min(cores, math.ceil(quota / period)))
     return cores
+
+
+def frames_at_once(width: int, height: int) -> int:
+    """Return how many frames of a size in px are matched at the same time, limited by memory."""
+    return max(1, min(usable_cores(), _IN_FLIGHT_BYTES // (_BYTES_PER_PX * width * height)))
 
 
 def check_memory() -> None:

@@ -9,7 +9,7 @@ from collections.abc import Iterable
 from motionstereo_cli.check.findings import MAX_OFFSET_PX, offset_warning
 from motionstereo_cli.check.measure import WINDOW_FRAMES
 from motionstereo_cli.runs.disparity_range import sample_of
-from motionstereo_cli.runs.record import Job
+from motionstereo_cli.runs.job import Job
 from motionstereo_cli.types import Say, StereoFrame
 
 

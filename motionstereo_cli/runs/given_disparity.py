@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 from motionstereo_cli.check.convention import convention, scales_of
 from motionstereo_cli.errors import SettingsError
 from motionstereo_cli.rig.calibration import rectify_source
+from motionstereo_cli.runs.job import Warned
 from motionstereo_cli.runs.plan import RunPlan
-from motionstereo_cli.runs.record import Warned
 from motionstereo_cli.sources import StereoSource, open_stereo
 
 if TYPE_CHECKING:
