@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from motionstereo_cli.check.convention import convention, scales_of
+from motionstereo_cli.check.convention import Convention, convention, scales_of
 from motionstereo_cli.errors import SettingsError
 from motionstereo_cli.rig.calibration import rectify_source
 from motionstereo_cli.runs.job import Warned
@@ -15,6 +15,7 @@ from motionstereo_cli.runs.plan import RunPlan
 from motionstereo_cli.sources import StereoSource, open_stereo
 
 if TYPE_CHECKING:
+    from motionstereo_cli.sources.given import GivenDisparity
     from motionstereo_cli.types import Grey, Real
 
 #: Where in a recording its images are compared with the maps.
@@ -42,31 +43,19 @@ def take_disparity(plan: RunPlan, source: StereoSource, warned: Warned) -> None:
     if folder is None:
         return
     view, scale = s.disparity_view, s.disparity_scale
-    if not source.rereadable and (view == "auto" or not scale):
-        raise SettingsError(
-            "--disparity with a pipe needs --disparity-view and --disparity-scale: the images "
-            "cannot be looked at before"
-        )
-    first = source.bring_disparity(folder, _VIEWS[0] if view == "auto" else view, 0.0, camera)
     if not source.rereadable:
+        if view == "auto" or not scale:
+            raise SettingsError(
+                "--disparity with a pipe needs --disparity-view and --disparity-scale: the images "
+                "cannot be looked at before"
+            )
         source.bring_disparity(folder, view, scale, camera)
         return
     views = _VIEWS if view == "auto" else (view,)
-    looks: list[tuple[str, Real, Grey, Grey]] = []
-    known: tuple[float, ...] = (256.0 if first.whole_numbers else 1.0,)
-    best = None
-    for look in _looks(plan, folder, views):
-        if not looks:
-            known = scales_of(look[1], first.width, whole_numbers=first.whole_numbers)
-        looks.append(look)
-        if len(looks) % len(views) == 0:
-            best = convention(looks, known)
-            if best is not None and best.sure:
-                break
-    said = convention(looks, (scale,)) if scale else best
+    first = source.bring_disparity(folder, views[0], 0.0, camera)
+    best, said, likeliest = _compared(plan, folder, first, views, scale)
     if best is None or said is None:
-        view = _VIEWS[0] if view == "auto" else view
-        scale = scale or known[0]
+        view, scale = views[0], scale or likeliest
         warned.warn(
             "disparity",
             f"the images do not tell of which view {folder} is: {view} and a scale of {scale:g} "
@@ -95,6 +84,36 @@ def take_disparity(plan: RunPlan, source: StereoSource, warned: Warned) -> None:
                 f"{said.differs:.1f} grey levels",
             )
     source.bring_disparity(folder, view, scale, camera)
+
+
+def _compared(
+    plan: RunPlan, folder: Path, first: GivenDisparity, views: tuple[str, ...], scale: float
+) -> tuple[Convention | None, Convention | None, float]:
+    """Compare maps with images, until these tell how the maps are to be taken.
+
+    Args:
+        plan: the run.
+        folder: the maps.
+        first: the same, opened.
+        views: the views that they may be in.
+        scale: what they have for 1 px; 0: unknown.
+
+    Returns:
+        The best of all conventions, None where the images do not tell it; the best with the given
+        scale; and the likeliest scale.
+    """
+    looks: list[tuple[str, Real, Grey, Grey]] = []
+    known: tuple[float, ...] = (256.0 if first.whole_numbers else 1.0,)
+    best = None
+    for look in _looks(plan, folder, views):
+        if not looks:
+            known = scales_of(look[1], first.width, whole_numbers=first.whole_numbers)
+        looks.append(look)
+        if len(looks) % len(views) == 0:
+            best = convention(looks, known)
+            if best is not None and best.sure:
+                break
+    return best, convention(looks, (scale,)) if scale else best, known[0]
 
 
 def _looks(

@@ -99,23 +99,11 @@ class StereoSource:
         self.warnings = list(dict.fromkeys(lines))  # a table of both sides is named once
 
         self._pinholes = [self._pinhole(side) for side in self._sides]
-        right = self._sides[1]
-        sizes = [
-            self._view_size(side, degrees)
-            for side, (degrees, _) in zip(self._sides, s.turns, strict=True)
-        ]
-        if sizes[0] != sizes[-1]:
-            one, other = (f"{width}x{height}" for width, height in sizes)
-            raise InputError(
-                f"the left view, {self._sides[0].stream.name}, is {one} but the right one, "
-                f"{right.stream.name}, is {other}: give two recordings of the same size"
-                + (", or turn one with --rotate-right 90" if sizes[0] == sizes[1][::-1] else "")
-            )
-        self.view_width, self.view_height = sizes[0]
-        self.width, self.height = s.delivered(*sizes[0])
+        self.view_width, self.view_height = whole = self._common_size()
+        self.width, self.height = s.delivered(*whole)
         self.ahead = max(1, min(_AHEAD, _AHEAD_BYTES // (self.width * self.height)))
-        self._box = s.box(*sizes[0])
-        for width, height in (sizes[0], (self.width, self.height)):
+        self._box = s.box(*whole)
+        for width, height in (whole, (self.width, self.height)):
             if width * height > s.max_pixels:
                 raise InputError(
                     f"views of {width}x{height} px are more than --max-pixels {s.max_pixels}: "
@@ -123,18 +111,18 @@ class StereoSource:
                 )
         if s.strict and (holes := [stream.holes for stream in self._streams if stream.holes]):
             raise self._stopped(holes[0])
-        self.time_base = right.stream.time_base
-        rate = right.stream.frame_rate
+        left, right = (side.stream for side in self._sides)
+        self.time_base, rate = right.time_base, right.frame_rate
         self.frame_rate = rate / s.every if rate else None
         if rate and not _LIKELY_RATES[0] <= rate <= _LIKELY_RATES[1]:
             self.warnings.append(
-                f"{right.stream.name} has {float(rate):.4g} images per second by its times: see "
+                f"{right.name} has {float(rate):.4g} images per second by its times: see "
                 "that they are in the unit that belongs to its format"
             )
         for flag, place in (("--start", s.first), ("--end", s.stop)):
             if isinstance(place, Fraction):
-                need_time(flag, right.stream)
-        self._pairing = pairing(self._sides[0].stream, right.stream, s)
+                need_time(flag, right)
+        self._pairing = pairing(left, right, s)
         self.warnings += [self._pairing.warning] if self._pairing.warning else []
         self.expected_frames = self._expected()
 
@@ -526,6 +514,25 @@ class StereoSource:
         if self._rectify is not None:
             whole = self._rectify[view](np.ascontiguousarray(whole))
         return layout.cut(whole, self._box, self.width, self.height)
+
+    def _common_size(self) -> tuple[int, int]:
+        """Return width and height in px of both whole views.
+
+        Raises:
+            InputError: they differ.
+        """
+        left, right = (
+            self._view_size(side, degrees)
+            for side, (degrees, _) in zip(self._sides, self.settings.turns, strict=True)
+        )
+        if left != right:
+            one, other = (f"{width}x{height}" for width, height in (left, right))
+            raise InputError(
+                f"the left view, {self._sides[0].stream.name}, is {one} but the right one, "
+                f"{self._sides[1].stream.name}, is {other}: give two recordings of the same size"
+                + (", or turn one with --rotate-right 90" if left == right[::-1] else "")
+            )
+        return left
 
     def _view_size(self, side: Side, degrees: int) -> tuple[int, int]:
         each = side.stream
