@@ -35,7 +35,8 @@ class Param:
         begun: words that begin with one of these, such as ``onnx:``, are choices as well.
         more: finds further choices, which takes time, for a value that is none of the others.
         only_with: options without which it has no effect, such as ``--poses and --save steering,
-            preview or bag``: of each group that ``and`` divides, one is needed.
+            preview or bag``: of each group that ``and`` divides, one is needed; for what is no
+            option, words such as ``files of objects``.
     """
 
     name: str
@@ -202,7 +203,7 @@ def options_in(words: str) -> Iterator[str]:
     flag = ""
     for word in re.split(", | or ", words):
         flag = word.partition(" ")[0] if word.startswith("-") else flag
-        yield word if word.startswith("-") else f"{flag} {word}"
+        yield word if not flag or word.startswith("-") else f"{flag} {word}"
 
 
 def near_match(name: str, known: Iterable[str]) -> str:

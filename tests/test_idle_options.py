@@ -10,6 +10,7 @@ import pytest
 from motionstereo_cli.__main__ import cli, main
 from motionstereo_cli.commands.batch import plan_of
 from motionstereo_cli.errors import SettingsError
+from motionstereo_cli.evaluation.settings import EvaluateSettings
 from motionstereo_cli.method.settings import MATCHERS, Settings
 from motionstereo_cli.params import Param, idle, options_in, param, params
 from motionstereo_cli.pipeline import process
@@ -81,7 +82,8 @@ def test_the_note_appears_without_the_condition_and_not_with_it(item):
 
 @pytest.mark.parametrize("name", sorted(cli.commands))
 def test_the_help_says_each_condition_and_no_other(name):
-    groups = {"simulate": [SimulateSettings], "drive": [Settings, DriveSettings]}.get(name, GROUPS)
+    own = {"simulate": [SimulateSettings], "drive": [Settings, DriveSettings]}
+    groups = {**own, "evaluate": [EvaluateSettings]}.get(name, GROUPS)
     stated = {item.name: item.only_with for item in conditional(*groups)}
     for option in cli.commands[name].params:
         if isinstance(option, click.Option) and not option.hidden:
@@ -201,6 +203,25 @@ class TestSaid:
         said = capsys.readouterr().err
         assert self.NOTE in said
         assert said.count("has no effect") == 1
+
+    def test_by_evaluate(self, recording, tmp_path, capsys):
+        truth = str(recording)
+        main(["evaluate", truth, truth, "--min-overlap", "0.5", "-o", str(tmp_path / "p.png")])
+        said = capsys.readouterr().err
+        assert "note: --min-overlap has no effect without files of objects\n" in said
+        assert "note: --picture-out has no effect without --picture\n" in said
+        assert not (tmp_path / "p.png").exists()
+        poses = str(recording / "poses.txt")
+        main(
+            ["evaluate", poses, poses, "--truth-scale", "256", "--mask", truth, "--label-rate", "9"]
+        )
+        said = capsys.readouterr().err
+        for flag, needed in (
+            ("--truth-scale", "folders of images"),
+            ("--mask", "folders of images"),
+            ("--label-rate", "files of objects"),
+        ):
+            assert f"note: {flag} has no effect without {needed}\n" in said
 
     def test_by_batch_once(self, recording, tmp_path, capsys):
         pytest.importorskip("distributed")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,7 +13,7 @@ import click
 from motionstereo_cli.commands.forms import STDOUT, print_form, write_files
 from motionstereo_cli.commands.grouped import GroupedCommand
 from motionstereo_cli.commands.messages import say
-from motionstereo_cli.commands.options import config_files, settings_options
+from motionstereo_cli.commands.options import config_files, say_idle, settings_options
 from motionstereo_cli.commands.progress import no_bar, quiet_option
 from motionstereo_cli.evaluation.settings import EvaluateSettings
 
@@ -25,6 +26,9 @@ _KIND = click.Choice(["disparity", "depth"])
 #: Depths this many times too large or too small are of another unit or rig.
 _MAX_TIMES = 1.5
 _TABLE = click.Path(dir_okay=False, allow_dash=True, path_type=Path)
+_PICTURE = "errors.png"
+#: What OUT and TRUTH may be, as conditions of parameters name it.
+_IMAGES, _OBJECTS = "folders of images", "files of objects"
 
 
 @click.command(
@@ -69,9 +73,7 @@ _TABLE = click.Path(dir_okay=False, allow_dash=True, path_type=Path)
     "--picture-out",
     "picture_path",
     type=click.Path(dir_okay=False, path_type=Path),
-    default="errors.png",
-    show_default=True,
-    help="PNG file for --picture; replaces an older one.",
+    help=f"PNG file for --picture; replaces an older one.  [default: {_PICTURE}]",
 )
 @settings_options(EvaluateSettings)
 @quiet_option
@@ -86,7 +88,7 @@ def evaluate(
     csv_path: Path | None,
     json_path: Path | None,
     picture: int | None,
-    picture_path: Path,
+    picture_path: Path | None,
     settings: EvaluateSettings,
 ) -> None:
     """Compare the disparity or depth of a run with ground truth.
@@ -105,9 +107,12 @@ def evaluate(
     """
     if csv_path == json_path == STDOUT:
         raise click.UsageError("--csv - and --json - cannot both go to standard output")
+    of_images = {"--rig": rig, "--out-kind": out_kind, "--truth-kind": truth_kind, "--mask": mask}
+    _say_without_effect(result, of_images | {"--picture": picture}, picture_path, settings)
     if result.is_file():
         _evaluate_files(result, truth, csv_path, json_path, settings)
         return
+    picture_path = picture_path or Path(_PICTURE)
 
     from tqdm import tqdm
 
@@ -142,6 +147,22 @@ def evaluate(
         say("note", f"errors of frame {picture} in {picture_path}")
 
 
+def _say_without_effect(
+    result: Path,
+    of_images: Mapping[str, object],
+    picture_path: Path | None,
+    settings: EvaluateSettings,
+) -> None:
+    if of_images["--picture"] is None and picture_path is not None:
+        say("note", "--picture-out has no effect without --picture")
+    if result.is_dir():
+        say_idle({_IMAGES}, settings)
+        return
+    for flag, value in of_images.items():
+        if value is not None:
+            say("note", f"{flag} has no effect without {_IMAGES}")
+
+
 def _evaluate_files(
     result: Path,
     truth: Path,
@@ -156,7 +177,9 @@ def _evaluate_files(
     inputs = (result, truth, *config_files())
     check_targets((csv_path, json_path), inputs)
     report: PoseReport | ObjectReport
-    if objects.is_objects(result) or (truth.is_file() and objects.is_objects(truth)):
+    of_objects = objects.is_objects(result) or (truth.is_file() and objects.is_objects(truth))
+    say_idle({_OBJECTS} if of_objects else set(), settings)
+    if of_objects:
         report = objects.evaluate_objects(result, truth, settings)
     else:
         report = poses.evaluate_poses(result, truth)

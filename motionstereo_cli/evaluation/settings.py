@@ -48,6 +48,7 @@ class EvaluateSettings:
         "Minimum overlap of the boxes of an object and its truth (intersection over union).",
         low=0.01,
         high=1,
+        only_with="files of objects",
     )
     min_box_px: float = param(
         0.0,
@@ -55,6 +56,7 @@ class EvaluateSettings:
         "match them, do not count.",
         unit="px",
         low=0,
+        only_with="files of objects",
     )
     label_rate: float = param(
         10.0,
@@ -62,6 +64,7 @@ class EvaluateSettings:
         unit="fps",
         low=0.01,
         high=1000,
+        only_with="files of objects",
     )
 
     truth_scale: int = param(
@@ -71,6 +74,7 @@ class EvaluateSettings:
         unit="per m",
         low=0,
         high=65535,
+        only_with="folders of images",
     )
 
     def __post_init__(self) -> None:

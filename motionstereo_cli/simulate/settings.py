@@ -259,8 +259,8 @@ class DriveSettings:
     )
     seed: int = param(
         0,
-        "Seed of the world: the corridor's size, doors, windows and light, the sense of the round, "
-        "the walkers and the noise.",
+        "Seed of the world: the corridor's size, doors, windows and light, the direction of the "
+        "round, the walkers and the noise.",
         low=0,
         common=True,
     )
