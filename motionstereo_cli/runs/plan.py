@@ -23,15 +23,6 @@ _STANDARD = "-"
 #: Value for poses that are found from the recording itself. A file of that name is ``./auto``.
 AUTO_POSES = "auto"
 
-_PATHS = ("out", "poses", "table", "disparity")
-_PARAMETERS = {
-    "settings": Settings,
-    "input_settings": InputSettings,
-    "output_settings": OutputSettings,
-    "rig_settings": RigSettings,
-    "pose_settings": PoseSettings,
-}
-
 
 @dataclass(frozen=True, slots=True)
 class RunPlan:
@@ -124,9 +115,10 @@ class RunPlan:
 
     def as_json(self) -> dict[str, Any]:
         """Return the plan as JSON-able values, for another process."""
-        values = {each.name: getattr(self, each.name) for each in dataclasses.fields(self)}
-        groups = {name: dict(_values_of(values[name])) for name in _PARAMETERS}
-        return {key: _plain(value) for key, value in values.items()} | groups
+        import msgspec  # which takes time, and only a batch asks
+
+        values: dict[str, Any] = msgspec.to_builtins(self, enc_hook=str)
+        return values
 
     @classmethod
     def of_json(cls, values: Mapping[str, Any]) -> RunPlan:
@@ -135,11 +127,9 @@ class RunPlan:
         Raises:
             SettingsError: a value is out of range, or two contradict each other.
         """
-        paths = {key: None if values[key] is None else Path(values[key]) for key in _PATHS}
-        lists = {key: tuple(values[key]) for key in ("rig", "save", "reads", "measured")}
-        parameters = {key: kind(**values[key]) for key, kind in _PARAMETERS.items()}
-        rig, reads = (tuple(map(Path, lists[key])) for key in ("rig", "reads"))
-        return cls(**{**values, **paths, **lists, **parameters, "rig": rig, "reads": reads})
+        import msgspec
+
+        return msgspec.convert(values, cls, dec_hook=lambda path, text: path(text))
 
     def with_measured(self, group: str, values: Mapping[str, Any]) -> RunPlan:
         """Return the plan with measured values of the parameters of a group."""
@@ -182,8 +172,8 @@ class RunPlan:
         }
         present = {f"--save {name}" for name in available(self.outputs, rig=rig)}
         present |= {option for option, there in conditions.items() if there}
-        groups = tuple(getattr(self, name) for name in _PARAMETERS)
-        return _idle(self.settings, groups, frozenset(present))
+        groups = self.settings, self.input_settings, self.output_settings, self.rig_settings
+        return _idle(self.settings, (*groups, self.pose_settings), frozenset(present))
 
     @property
     def to_stdout(self) -> bool:
@@ -216,17 +206,6 @@ class RunPlan:
         return words
 
 
-def _plain(value: Any) -> Any:
-    if isinstance(value, Path):
-        return str(value)
-    return [_plain(each) for each in value] if isinstance(value, tuple) else value
-
-
 @functools.lru_cache(64)  # most recordings of a batch have the same
 def _idle(settings: Settings, groups: tuple[Any, ...], present: frozenset[str]) -> list[str]:
     return [line for group in groups for line in idle(group, settings.options | present)]
-
-
-@functools.lru_cache(64)
-def _values_of(group: Any) -> dict[str, Any]:
-    return dataclasses.asdict(group)

@@ -5,9 +5,10 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import re
+from collections.abc import Callable
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 from motionstereo_cli.errors import SettingsError
 from motionstereo_cli.files.reading import MAX_PIXELS, PILLOW_MAX_PIXELS
@@ -16,6 +17,7 @@ from motionstereo_cli.types import Rig
 
 #: A place in the stream: an int is the number of a frame, a Fraction a time in s.
 Place = int | Fraction
+T = TypeVar("T", int, float)
 
 #: One image in a quarter of an hour, in frames per second.
 _MIN_RATE = 0.001
@@ -219,14 +221,8 @@ class InputSettings:
         """What is added to disparity for depth; None where that is to be measured."""
         if self.disparity_offset == MEASURED:
             return None
-        with contextlib.suppress(ValueError):
-            offset_px = float(self.disparity_offset)
-            if abs(offset_px) <= _MAX_OFFSET_PX:
-                return offset_px
-        raise SettingsError(
-            f"--disparity-offset cannot be {self.disparity_offset!r}: give {MEASURED}, or "
-            f"-{_MAX_OFFSET_PX} to {_MAX_OFFSET_PX} px"
-        )
+        advice = f"{MEASURED}, or -{_MAX_OFFSET_PX} to {_MAX_OFFSET_PX} px"
+        return _number("--disparity-offset", self.disparity_offset, float, _MAX_OFFSET_PX, advice)
 
     @property
     def measures_offset(self) -> bool:
@@ -238,25 +234,16 @@ class InputSettings:
         """What is added to a left image's number; None where none is given, or not yet known."""
         if not self.sync_offset or self.measures_offset:
             return None
-        with contextlib.suppress(ValueError):
-            offset = int(self.sync_offset)
-            if abs(offset) <= _MAX_IMAGES:
-                return offset
-        raise SettingsError(
-            f"--sync-offset cannot be {self.sync_offset!r}: give {MEASURED}, or a whole number of "
-            "images"
-        )
+        advice = f"{MEASURED}, or a whole number of images"
+        return _number("--sync-offset", self.sync_offset, int, _MAX_IMAGES, advice)
 
     @property
     def shift_s(self) -> Fraction | None:
         """By how much the right clock is later, None where that is not given."""
         if not self.sync_shift:
             return None
-        with contextlib.suppress(ValueError):
-            shift_s = float(self.sync_shift)
-            if abs(shift_s) <= _MAX_SHIFT_S:
-                return Fraction(str(shift_s))
-        raise SettingsError(f"--sync-shift cannot be {self.sync_shift!r}: give a number of s")
+        shift_s = _number("--sync-shift", self.sync_shift, float, _MAX_SHIFT_S, "a number of s")
+        return Fraction(str(shift_s))
 
     @property
     def rate(self) -> Fraction | None:
@@ -354,6 +341,15 @@ def adapted_rig(rig: Rig, settings: InputSettings) -> Rig:
         focal_y_px=None if rig.focal_y_px is None else rig.focal_y_px * down,
     )
     return adapted.with_disparity_offset(settings.disparity_offset_px or 0.0)
+
+
+def _number(flag: str, text: str, kind: Callable[[str], T], most: float, advice: str) -> T:
+    """Return the number that an option is, at most so large either way."""
+    with contextlib.suppress(ValueError):
+        number = kind(text)
+        if abs(number) <= most:
+            return number
+    raise SettingsError(f"{flag} cannot be {text!r}: give {advice}")
 
 
 def _place(flag: str, text: str) -> Place:
