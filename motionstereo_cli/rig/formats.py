@@ -28,7 +28,6 @@ from motionstereo_cli.rig.maps import MAX_MAPS_BYTES, begins_maps, maps_in, pars
 from motionstereo_cli.rig.opencv import has_numbered_cameras, read_opencv
 from motionstereo_cli.rig.rig_file import parse_rig
 from motionstereo_cli.rig.ros_and_orbslam import (
-    read_euroc,
     read_kalibr,
     read_orb_slam,
     read_ros,
@@ -337,7 +336,7 @@ FORMATS: tuple[Format, ...] = (
         lambda _, values: "projectionmatrix" in values or values.keys() >= {"d", "k", "r", "p"},
         lambda g: read_ros(g.files),
     ),
-    Format("EuRoC sensor.yaml", (2,), _has("tbs"), lambda g: read_euroc(g.files)),
+    Format("EuRoC sensor.yaml", (2,), _has("tbs"), lambda g: placed.read_euroc(g.files)),
     Format("kalibr camchain", (1,), _is_kalibr, lambda g: read_kalibr(*g.files[0])),
     Format("OKVIS", (1,), _has_cameras("tsc"), lambda g: placed.read_okvis(*g.files[0], g.pair)),
     Format(

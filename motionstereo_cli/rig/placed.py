@@ -28,6 +28,8 @@ if TYPE_CHECKING:
     Files = Sequence[tuple[Path, Values]]
     Numbers = tuple[int, int] | None
 
+#: Names of distortion coefficients in ROS and related programs.
+DISTORTION = ("distortioncoefficients", "distortioncoeffs", "d")
 #: Names of lens parameters in files with one name per number.
 _FOCAL = ("fx", "fy", "cx", "cy")
 _FOCAL_OF_MEI = ("gamma1", "gamma2", "u0", "v0")
@@ -51,9 +53,7 @@ class Placed:
     notes: tuple[str, ...] = ()
 
 
-def pair_of(
-    name: object, kind: str, cameras: Sequence[Placed], numbers: Numbers = None, unit: str = "m"
-) -> Pair:
+def pair_of(name: object, kind: str, cameras: Sequence[Placed], numbers: Numbers = None) -> Pair:
     """Return the pair of two of the cameras; the first two if no numbers are given.
 
     Raises:
@@ -66,26 +66,57 @@ def pair_of(
     if numbers is not None and max(numbers) >= len(cameras):
         raise InputError(f"{name} has {len(cameras)} cameras, from 0: give two of their numbers")
     left, right = (cameras[number] for number in numbers or (0, 1))
-    sizes = {each.size for each in (left, right) if each.size is not None}
-    if len(sizes) > 1:
-        (w1, h1), (w2, h2) = sizes
-        raise InputError(
-            f"{name} has cameras of {w1}x{h1} and {w2}x{h2} px: give the calibration of one rig"
-        )
     notes = left.notes + right.notes
     if len(cameras) > 2 and numbers is None:
         notes += (f"{name} has {len(cameras)} cameras: the first two are taken",)
-    right_from_left = inverse(right.body_from_camera) @ left.body_from_camera
-    return Pair(
-        kind,
-        (left.camera, right.camera),
-        right_from_left[:3, :3],
-        right_from_left[:3, 3],
-        size=next(iter(sizes), None),
-        unit=unit,
+    return by_transform(
+        *(kind, (left.camera, right.camera)),
+        inverse(right.body_from_camera) @ left.body_from_camera,
+        size=common_size(name, (left.size, right.size)),
         notes=notes,
         body_from_left=left.body_from_camera,
     )
+
+
+def by_transform(
+    kind: str,
+    cameras: tuple[Camera, Camera],
+    right_from_left: Matrix,
+    *,
+    size: tuple[int, int] | None,
+    notes: tuple[str, ...],
+    body_from_left: Matrix | None = None,
+) -> Pair:
+    """Return the pair of cameras, with the transform (4, 4) from the left to the right one in m."""
+    turn, shift = right_from_left[:3, :3], right_from_left[:3, 3]
+    return Pair(
+        *(kind, cameras, turn, shift),
+        size=size,
+        unit="m",
+        notes=notes,
+        body_from_left=body_from_left,
+    )
+
+
+def common_size(name: object, sizes: Sequence[tuple[int, int] | None]) -> tuple[int, int] | None:
+    """Return the size of both cameras' images, as far as it is known.
+
+    Raises:
+        InputError: they differ.
+    """
+    known = [size for size in sizes if size is not None]
+    if len(set(known)) > 1:
+        (w1, h1), (w2, h2) = known
+        raise InputError(
+            f"{name}: the cameras are of {w1}x{h1} and {w2}x{h2} px: give the calibration of one "
+            "rig"
+        )
+    return next(iter(known), None)
+
+
+def names_of(files: Files) -> str:
+    """Return what messages call several files."""
+    return " and ".join(str(path) for path, _ in files)
 
 
 def inverse(transform: Matrix) -> Matrix:
@@ -116,6 +147,17 @@ def _lists(values: Values, name: str) -> list[Any]:
     return [each for each in found if isinstance(each, Mapping)] if isinstance(found, list) else []
 
 
+def read_euroc(files: Files) -> Pair:
+    """Return the pair of two EuRoC sensor.yaml, with ``T_BS``."""
+    placed = []
+    for path, values in files:
+        source = Source(path, values)
+        lens, notes = source.camera_of_list(("intrinsics",), DISTORTION, "distortion_coefficients")
+        pose = source.transform(("tbs",), "T_BS")
+        placed.append(Placed(lens, pose, source.size("resolution"), notes))
+    return pair_of(names_of(files), "EuRoC", placed)
+
+
 def read_okvis(path: Path, values: Values, numbers: Numbers) -> Pair:
     """Return the pair of OKVIS' and OKVIS2's ``cameras``, with ``T_SC``."""
     placed = []
@@ -142,9 +184,9 @@ def read_ncamera(path: Path, values: Values, numbers: Numbers) -> Pair:
         source = Source(f"{path}: camera {number}", flat)
         models = ("type", "distortiontype")
         lens, notes = source.camera_of_list(
-            ("intrinsics", "intrinsicsdata"), "intrinsics", ("distortionparameters",),
-            "distortion parameters", models,
-        )  # fmt: skip
+            *(("intrinsics", "intrinsicsdata"), ("distortionparameters",)),
+            *("distortion parameters", models),
+        )
         pose = (
             source.transform(("tbc",), "T_B_C")
             if source.find(("tbc",))
@@ -223,7 +265,7 @@ def read_vins(files: Files, numbers: Numbers) -> Pair:
     """
     configs = [each for each in files if "bodytcam0" in each[1]]
     lenses = [each for each in files if is_camodocal(each[1])]
-    name = " and ".join(str(path) for path, _ in files)
+    name = names_of(files)
     if len(configs) != 1 or not 1 <= len(lenses) <= 2:
         raise InputError(
             f"{name}: VINS-Fusion keeps the cameras and where they sit in several files: give its "
@@ -302,7 +344,7 @@ def read_mrcal(files: Files) -> Pair:
         camera_from_body[:3, 3] = rt[3:]
         size = source.size("imagersize")
         placed.append(Placed(lens, inverse(camera_from_body), size, notes))
-    return pair_of(" and ".join(str(path) for path, _ in files), "mrcal", placed)
+    return pair_of(names_of(files), "mrcal", placed)
 
 
 def _by_parts(

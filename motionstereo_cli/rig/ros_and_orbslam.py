@@ -12,7 +12,14 @@ import numpy as np
 
 from motionstereo_cli.errors import InputError
 from motionstereo_cli.rig.cameras import Pair, checked_intrinsics, intrinsic_matrix, rectified_pair
-from motionstereo_cli.rig.placed import inverse, joined
+from motionstereo_cli.rig.placed import (
+    DISTORTION,
+    by_transform,
+    common_size,
+    inverse,
+    joined,
+    names_of,
+)
 from motionstereo_cli.rig.values import Source, coefficients, flattened
 
 if TYPE_CHECKING:
@@ -21,8 +28,6 @@ if TYPE_CHECKING:
 
     Files = Sequence[tuple[Path, Values]]
 
-#: Names of distortion coefficients in ROS and related programs.
-_D = ("distortioncoefficients", "distortioncoeffs", "d")
 
 #: Share of the baseline and angle by which a transform may differ from the same one stated twice.
 _MAX_APART_SHARE, _MAX_APART_DEG = 0.1, 1.0
@@ -35,14 +40,14 @@ def read_ros(files: Files) -> Pair:
     for path, values in files:
         source = Source(path, values)
         matrix = source.intrinsics(("cameramatrix", "k"), "camera_matrix")
-        camera, assumed = source.camera(matrix, _D, "distortion_coefficients")
+        camera, assumed = source.camera(matrix, DISTORTION, "distortion_coefficients")
         cameras.append(camera)
         notes += assumed
         rotation = source.rotation(("rectificationmatrix", "r"), "rectification_matrix")
         projection = source.matrix(("projectionmatrix", "p"), "projection_matrix", (3, 4))
         rectified.append((rotation, projection))
         sizes.append(source.size("imagewidth", "imageheight") or source.size("width", "height"))
-    size = _common_size(files, sizes)
+    size = common_size(names_of(files), sizes)
     (_, first), (_, second) = rectified
     if first[0, 3] and not second[0, 3]:
         raise InputError(
@@ -59,39 +64,13 @@ def read_ros(files: Files) -> Pair:
     )
 
 
-def read_euroc(files: Files) -> Pair:
-    """Return the pair of two EuRoC sensor.yaml; T_BS takes points to the body's frame."""
-    cameras, poses, sizes = [], [], []
-    notes: list[str] = []
-    for path, values in files:
-        source = Source(path, values)
-        camera, assumed = source.camera_of_list(
-            ("intrinsics",), "intrinsics", _D, "distortion_coefficients"
-        )
-        cameras.append(camera)
-        notes += assumed
-        poses.append(source.transform(("tbs",), "T_BS"))
-        sizes.append(source.size("resolution"))
-    right_from_left = inverse(poses[1]) @ poses[0]
-    return _by_transform(
-        "EuRoC",
-        (cameras[0], cameras[1]),
-        right_from_left,
-        size=_common_size(files, sizes),
-        notes=tuple(notes),
-        body_from_left=poses[0],
-    )
-
-
 def read_kalibr(path: Path, values: Values) -> Pair:
     """Return the pair of kalibr's camchain: cam0 and cam1, whose T_cn_cnm1 leads from cam0."""
     cameras, sizes = [], []
     notes: list[str] = []
     parts = [Source(f"{path}: {name}", values[name]) for name in ("cam0", "cam1")]
     for source in parts:
-        camera, assumed = source.camera_of_list(
-            ("intrinsics",), "intrinsics", _D, "distortion_coeffs"
-        )
+        camera, assumed = source.camera_of_list(("intrinsics",), DISTORTION, "distortion_coeffs")
         cameras.append(camera)
         notes += assumed
         sizes.append(source.size("resolution"))
@@ -115,11 +94,11 @@ def read_kalibr(path: Path, values: Values) -> Pair:
             _check_agree(path, right_from_left, placed)
     else:
         right_from_left = placed
-    return _by_transform(
+    return by_transform(
         "kalibr camchain",
         (cameras[0], cameras[1]),
         right_from_left,
-        size=_common_size([(path, values)] * 2, sizes),
+        size=common_size(path, sizes),
         notes=tuple(notes),
         body_from_left=None if left_from_body is None else inverse(left_from_body),
     )
@@ -226,7 +205,7 @@ def read_orb_slam(path: Path, values: Values) -> Pair:
     left_from_right = source.transform((in_left,), "Stereo.T_c1_c2 (or Tlr)")
     right_from_left = inverse(left_from_right)
     notes += more
-    return _by_transform("ORB-SLAM", (first, second), right_from_left, size=size, notes=notes)
+    return by_transform("ORB-SLAM", (first, second), right_from_left, size=size, notes=notes)
 
 
 def _orb_slam_camera(source: Source, prefix: str) -> tuple[Camera, tuple[str, ...]]:
@@ -259,34 +238,3 @@ def _orb_slam_maps(source: Source, size: tuple[int, int] | None) -> Pair:
         unit="m",
         notes=tuple(notes),
     )
-
-
-def _by_transform(
-    kind: str,
-    cameras: tuple[Camera, Camera],
-    right_from_left: Matrix,
-    *,
-    size: tuple[int, int] | None,
-    notes: tuple[str, ...],
-    body_from_left: Matrix | None = None,
-) -> Pair:
-    return Pair(
-        kind,
-        cameras,
-        right_from_left[:3, :3],
-        right_from_left[:3, 3],
-        size=size,
-        unit="m",
-        notes=notes,
-        body_from_left=body_from_left,
-    )
-
-
-def _common_size(files: Files, sizes: Sequence[tuple[int, int] | None]) -> tuple[int, int] | None:
-    left, right = sizes
-    if left is not None and right is not None and left != right:
-        raise InputError(
-            f"{files[0][0]} is for {left[0]}x{left[1]} but {files[1][0]} is for "
-            f"{right[0]}x{right[1]}: give the calibration of one rig"
-        )
-    return left or right

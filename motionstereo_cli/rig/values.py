@@ -160,7 +160,6 @@ class Source:
     def camera_of_list(
         self,
         names: Sequence[str],
-        label: str,
         of_distortion: Sequence[str],
         distortion_label: str,
         models: Sequence[str] = _MODELS,
@@ -170,7 +169,7 @@ class Source:
         The list is fx fy cx cy after the other parameters of the lens model: xi, or xi and alpha,
         or alpha and beta. A matrix (3, 3) is accepted as well.
         """
-        said = self.lenses(models)
+        said, label = self.lenses(models), "intrinsics"
         model = lens_model(self.name, said)
         wanted = SHAPES.get(model, ())
         numbers = self.array(names, label).ravel()
