@@ -162,7 +162,7 @@ def shrunk(image: Grey, width: int) -> Grey:
 
 
 def keypoints(image: Grey) -> Keypoints:
-    """Return the SIFT keypoints of an image."""
+    """Return the SIFT keypoints of an image, (height, width) uint8."""
     sift = cv2.SIFT.create(_FEATURES, contrastThreshold=_MIN_CONTRAST)
     keys, descriptors = sift.detectAndCompute(image, None)
     points = np.array([key.pt for key in keys], np.float32).reshape(-1, 2)

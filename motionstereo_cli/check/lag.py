@@ -66,12 +66,16 @@ class Lag(NamedTuple):
 
 
 def small(grey: Grey) -> Grey:
-    """Return an image in the size in which motion is looked at."""
+    """Return an image, (height, width) uint8, in the size in which motion is looked at."""
     return np.asarray(cv2.resize(grey, (_WIDTH, _HEIGHT), interpolation=cv2.INTER_AREA), np.uint8)
 
 
 def profile(image: Grey, last: Grey) -> Profile:
-    """Return how much each band of rows changes between two images of :func:`small`."""
+    """Return how much each band of rows changes between two images of :func:`small`.
+
+    Returns:
+        (bands,) float32 grey levels.
+    """
     changed = cv2.absdiff(image, last).reshape(BANDS, -1)
     return np.asarray(changed.mean(axis=1), np.float32)
 

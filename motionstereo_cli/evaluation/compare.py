@@ -414,7 +414,12 @@ def _said(path: Path) -> dict[str, Any]:
 
 
 def differing(actual: Real, golden: Real, tolerance: float) -> NDArray[np.bool_]:
-    """Return where two images differ by more than a tolerance; unknown in both is equal."""
+    """Return where two images differ by more than a tolerance, (height, width) bool.
+
+    Args:
+        actual, golden: (height, width) float32 px or m, NaN = unknown; unknown in both is equal.
+        tolerance: in the same unit.
+    """
     return np.asarray(np.abs(actual - golden) > tolerance + _ROUNDING_M)  # NaN is not
 
 

@@ -227,7 +227,7 @@ def grey_of(pixels: NDArray[Any], path: Path, white: int = 0) -> Grey:
 
 
 def pixel_format(pixels: NDArray[Any]) -> str:
-    """Return the kind of pixels in words: ``grey 8 bit``."""
+    """Return the kind of pixels, which are as in :class:`Still`, in words: ``grey 8 bit``."""
     channels = {1: "grey", 2: "grey+alpha", 3: "rgb", 4: "rgba"}
     count = 1 if pixels.ndim == 2 else pixels.shape[2]
     bits = {"bool": 1, "uint8": 8}.get(pixels.dtype.name, 16)

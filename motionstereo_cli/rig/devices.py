@@ -1,4 +1,7 @@
-"""Calibrations of stereo cameras with a memory of their own: DepthAI and ZED."""
+"""Calibrations of stereo cameras with a memory of their own: DepthAI and ZED.
+
+Readers raise InputError where a value is missing, or is not what it has to be.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Calibrations that place each camera in the frame of a body, as SLAM programs do."""
+"""Calibrations that place each camera in the frame of a body, as SLAM programs do.
+
+Readers raise InputError where a value is missing, or is not what it has to be.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Calibrations as plain text: KITTI, Middlebury, ROS's ost.txt, and bare numbers."""
+"""Calibrations as plain text: KITTI, Middlebury, ROS's ost.txt, and bare numbers.
+
+Readers raise InputError where a value is missing, or is not what it has to be.
+"""
 
 from __future__ import annotations
 

@@ -54,9 +54,12 @@ def check_centres(
     Args:
         name: for messages.
         matrices: intrinsic matrices or projections, left and right.
-        size: of the images.
+        size: width and height of the images in px.
         stated: the file states the size, so that an off-centre point is intended.
         outside: a principal point may be outside the image, as with rectified ones.
+
+    Raises:
+        InputError: they do not.
     """
     # The size that has these points in its middle.
     likely = [[2 * matrix[axis, 2] + 1 for axis in (0, 1)] for matrix in matrices]
@@ -233,7 +236,18 @@ def rig_of(
     unit: str | None,
     length_m: float | None,
 ) -> tuple[Rig, tuple[str, ...]]:
-    """Return the rig of two rectified projections (3, 4), and warnings."""
+    """Return the rig of two rectified projections, and warnings.
+
+    Args:
+        name: for messages.
+        projections: (3, 4) each, in px and the file's unit of length, left and right.
+        size: width and height of the images in px.
+        unit: the format's unit of length, None if it has none.
+        length_m: the unit of length that the user states, in m; None if none.
+
+    Raises:
+        InputError: they are not those of one rectified pair, left then right.
+    """
     left, right = projections
     for side, projection in (("left", left), ("right", right)):
         checked_intrinsics(name, f"the {side} projection", projection)

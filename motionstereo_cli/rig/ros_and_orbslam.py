@@ -1,4 +1,7 @@
-"""Calibrations of SLAM programs and drivers: one file per camera, or one for both."""
+"""Calibrations of SLAM programs and drivers: one file per camera, or one for both.
+
+Readers raise InputError where a value is missing, or is not what it has to be.
+"""
 
 from __future__ import annotations
 

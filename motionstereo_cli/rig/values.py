@@ -53,6 +53,9 @@ _MAX_DEPTH = 8
 class Source:
     """Values of one file by name, with errors that name file and value.
 
+    Each method that takes a label raises InputError where the value is missing, or is not what the
+    method returns.
+
     Args:
         name: the file, for messages.
         values: as read by :mod:`~motionstereo_cli.rig.structure`.

@@ -11,29 +11,24 @@ from motionstereo_cli.types import MovingObject, Step
 if TYPE_CHECKING:
     from motionstereo_cli.sinks.sink import RunContext
 
-HEADER = (
-    "frame,id,x,y,width,height,depth_m,closing_mps,time_to_contact_s,confidence,"
-    "over_ground_mps,direction_rad,sigma_mps,by_itself,shadow"
-)
+#: Columns: whole numbers, real ones with their decimals, and what is so or not.
+_WHOLE = ("id", "x", "y", "width", "height")
+_REAL = {
+    **{"depth_m": 3, "closing_mps": 3, "time_to_contact_s": 3, "confidence": 2},
+    **{"over_ground_mps": 3, "direction_rad": 3, "sigma_mps": 3},
+}
+_FLAGS = ("by_itself", "shadow")
+HEADER = ",".join(("frame", *_WHOLE, *_REAL, *_FLAGS))
 
 
 def object_row(frame: int, item: MovingObject) -> str:
-    """Return one row of the table, without its line end.
-
-    Lengths, speeds and times have 3 decimals, confidence has 2. An empty cell is unknown.
-    """
+    """Return one row of the table, without its line end; an empty cell is unknown."""
+    flags = (getattr(item, name) for name in _FLAGS)
     return ",".join(
         [
-            *(str(frame), str(item.id)),
-            *(str(item.x), str(item.y), str(item.width), str(item.height)),
-            cell(item.depth_m, 3),
-            cell(item.closing_mps, 3),
-            cell(item.time_to_contact_s, 3),
-            cell(item.confidence, 2),
-            cell(item.over_ground_mps, 3),
-            cell(item.direction_rad, 3),
-            cell(item.sigma_mps, 3),
-            *("" if is_so is None else str(int(is_so)) for is_so in (item.by_itself, item.shadow)),
+            *(str(frame), *(str(getattr(item, name)) for name in _WHOLE)),
+            *(cell(getattr(item, name), decimals) for name, decimals in _REAL.items()),
+            *("" if flag is None else str(int(flag)) for flag in flags),
         ]
     )
 

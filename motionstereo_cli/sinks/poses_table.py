@@ -18,7 +18,9 @@ if TYPE_CHECKING:
     from motionstereo_cli.sinks.sink import RunContext
     from motionstereo_cli.types import Pose
 
-ODOMETRY_HEADER = "frame,time_s,lost,sigma_m,sigma_rad,disparity_offset_px,agreeing"
+#: Columns of the quality of poses that are real numbers, and their decimals.
+_QUALITY = {"sigma_m": 4, "sigma_rad": 5, "disparity_offset_px": 3, "agreeing": 2}
+ODOMETRY_HEADER = ",".join(("frame", "time_s", "lost", *_QUALITY))
 
 
 _UNKNOWN = " ".join(["nan"] * 12)
@@ -114,13 +116,8 @@ class OdometryFile(TableFile):
     def write(self, step: Step) -> None:
         """Append the row of a frame."""
         fix, time = step.fix, step.time
-        told = ("",) * 5
+        told = [""] * (1 + len(_QUALITY))
         if fix is not None:
-            told = (
-                str(int(fix.lost)),
-                cell(fix.sigma_m, 4),
-                cell(fix.sigma_rad, 5),
-                cell(fix.disparity_offset_px, 3),
-                cell(fix.agreeing, 2),
-            )
+            real = (cell(getattr(fix, name), decimals) for name, decimals in _QUALITY.items())
+            told = [str(int(fix.lost)), *real]
         self.add([",".join((str(time.index), cell(time.time_s, 6), *told))])

@@ -48,19 +48,28 @@ def split(image: Grey, layout: str) -> tuple[Grey, ...]:
 
 
 def turned(view: Grey, clockwise: int, *, mirrored: bool) -> Grey:
-    """Return a view mirrored left to right, if asked, and turned clockwise by degrees."""
+    """Return a view, (height, width) uint8, mirrored left to right if asked, and turned clockwise.
+
+    Args:
+        view: the view.
+        clockwise: by how many degrees, a multiple of 90.
+        mirrored: whether it is mirrored before.
+    """
     straight = view[:, ::-1] if mirrored else view
     return np.rot90(straight, -clockwise // 90)
 
 
 def cut(view: Grey, box: Box, width: int, height: int) -> Grey:
-    """Crop and scale a view, C-contiguous."""
+    """Return a part of a view, (height, width) uint8, scaled to a size in px; C-contiguous."""
     part = view[box.y : box.y + box.height, box.x : box.x + box.width]
     return np.ascontiguousarray(resized(part, width, height))
 
 
 def resized(view: Grey, width: int, height: int) -> Grey:
-    """Scale a view: by averages to smaller sizes, linearly to larger ones."""
+    """Return a view, (height, width) uint8, scaled to a size in px.
+
+    It is scaled by averages to smaller sizes, linearly to larger ones.
+    """
     if view.shape[:2] == (height, width):
         return view
     shrinks = width <= view.shape[1] and height <= view.shape[0]

@@ -20,7 +20,11 @@ _PROBED_IMAGES = 60
 
 
 def eyes_in(path: Path | str, settings: InputSettings, track: int) -> dict[str, int]:
-    """Return which view is that of the left and of the right eye."""
+    """Return which view of a multiview stream is that of the ``left`` and of the ``right`` eye.
+
+    Raises:
+        InputError: one cannot be decoded, or the stream does not say.
+    """
     container = Container(
         path,
         max_pixels=settings.max_pixels,

@@ -156,7 +156,8 @@ class Side:
 
 
 def same(one: Grey, other: Grey) -> bool:
-    """Return whether two images are equal; a few rows tell most that are not."""
+    """Return whether two images, (height, width) uint8, are equal."""
+    # A few rows tell most that are not.
     return np.array_equal(one[::32], other[::32]) and np.array_equal(one, other)
 
 

@@ -21,9 +21,11 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from resource import getpagesize
+from typing import Any
 
 import av
 import cv2
+import numpy as np
 from tqdm import tqdm
 
 from bench.children import Ended, call, fork, warm_up
@@ -111,42 +113,6 @@ _VIDEOS = {
     "AVI, MJPEG": ("mjpeg.avi", "mjpeg", "yuvj420p"),
 }
 
-_OPENCV = """%YAML:1.0
----
-image_width: {width}
-image_height: {height}
-M1: !!opencv-matrix
-   rows: 3
-   cols: 3
-   dt: d
-   data: [ {f}, 0., {cx}, 0., {f}, {cy}, 0., 0., 1. ]
-D1: !!opencv-matrix
-   rows: 1
-   cols: 5
-   dt: d
-   data: [ -0.02, 0.01, 0., 0., 0. ]
-M2: !!opencv-matrix
-   rows: 3
-   cols: 3
-   dt: d
-   data: [ {f}, 0., {cx}, 0., {f}, {cy}, 0., 0., 1. ]
-D2: !!opencv-matrix
-   rows: 1
-   cols: 5
-   dt: d
-   data: [ -0.02, 0.01, 0., 0., 0. ]
-R: !!opencv-matrix
-   rows: 3
-   cols: 3
-   dt: d
-   data: [ 1., 0., 0., 0., 1., 0., 0., 0., 1. ]
-T: !!opencv-matrix
-   rows: 3
-   cols: 1
-   dt: d
-   data: [ -{b}, 0., 0. ]
-"""
-
 
 def _samples(clip: Clip, folder: Path) -> list[_Sample]:
     frames = clip.frames(clip.count)
@@ -167,12 +133,17 @@ def _samples(clip: Clip, folder: Path) -> list[_Sample]:
     samples.append(_Sample("PNG folder", ("{}", right), images, seen_in_image))
     rig, both = clip.rig, (str(clip.paths[0]), right, "--rig", "{}")
     opencv = folder / "opencv.yml"
-    opencv.write_text(
-        _OPENCV.format(
-            width=rig.width, height=rig.height, f=rig.focal_px, cx=rig.cx, cy=rig.cy,
-            b=rig.baseline_m,
-        )
-    )  # fmt: skip
+    matrix = np.array([[rig.focal_px, 0, rig.cx], [0, rig.focal_px, rig.cy], [0, 0, 1]])
+    lens, none = np.array([-0.02, 0.01, 0, 0, 0]), np.array([0.0, 0, 0, 0, 0])
+    storage = cv2.FileStorage(str(opencv), cv2.FILE_STORAGE_WRITE)
+    values: dict[str, Any] = {
+        **{"image_width": rig.width, "image_height": rig.height, "R": np.eye(3)},
+        **{"M1": matrix, "D1": lens, "M2": matrix, "D2": none},
+        "T": np.array([-rig.baseline_m, 0, 0]),
+    }
+    for name, value in values.items():
+        storage.write(name, value)
+    storage.release()
     kitti = folder / "calib.txt"
     row = f"{rig.focal_px} 0 {rig.cx} {{}} 0 {rig.focal_px} {rig.cy} 0 0 0 1 0"
     kitti.write_text(f"P0: {row.format(0)}\nP1: {row.format(-rig.focal_px * rig.baseline_m)}\n")
