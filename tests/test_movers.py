@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from motionstereo_cli.compiled import movers as loops
+from motionstereo_cli.compiled import patches, point_disparity
 from motionstereo_cli.method.settings import Settings
 from motionstereo_cli.pipeline import StreamContext, process, steps
 from motionstereo_cli.robot.movers import Eye, Moment, Movers, _down, pyramid, see
@@ -87,12 +88,17 @@ def test_the_search_for_what_is_not_explained_does_what_is_said():
     motion[:3, :3] = cv2.Rodrigues(np.array([0.002, -0.003, 0.001]))[0]
     motion[:3, 3] = 0.01, -0.02, 0.03
     result = np.full((12, 16), 99, np.uint8)
-    work = loops.Workspace(81)
-    moments = [loops.Moment(*each) for each in (now, then)]
-    loops.find(*moments, EYE.at(0), motion, LIMITS, 4, math.inf, work, result)
+    work = loops.Workspace()
+    moments = [moment(*each) for each in (now, then)]
+    loops.find(*moments, EYE.at(0), motion, LIMITS, math.inf, work, result)
     wanted = unexplained_slowly(now, then, motion, 4)
     assert np.array_equal(result, wanted)
     assert 0.1 < wanted.mean() < 0.6
+
+
+def moment(view, other, disparity):
+    """A moment for the loops."""
+    return patches.Moment(*(np.ravel(each) for each in (view, other, disparity)), *disparity.shape)
 
 
 def moved_scene(rng, shift, change, shape=(64, 96), disparity=6.0):
@@ -105,10 +111,10 @@ def moved_scene(rng, shift, change, shape=(64, 96), disparity=6.0):
         return cv2.warpAffine(ground, way, shape[::-1], flags=flags)
 
     flat = np.full(shape, disparity, np.float32)
-    now = loops.Moment(seen(0, 0), seen(-disparity, 0), flat)
+    now = moment(seen(0, 0), seen(-disparity, 0), flat)
     before = disparity + change
     views = seen(-shift[0], -shift[1]), seen(-shift[0] - before, -shift[1])
-    return now, loops.Moment(*views, flat + np.float32(change))
+    return now, moment(*views, flat + np.float32(change))
 
 
 @pytest.mark.parametrize("shift", [(2.4, -0.6), (-1.3, 0.8), (0.0, 1.5)])
@@ -118,8 +124,8 @@ def test_a_shift_is_measured_in_both_views(shift, change):
     result = np.zeros((16, 24, loops.FIELDS), np.float32)
     camera = Eye((90.0, 90.0), 47.5, 31.5, 47.5, 1, 9.0, 0.0, 16).at(0)
     wanted, coarse = np.ones((16, 24), np.uint8), np.empty((0, 0, loops.FIELDS), np.float32)
-    work = loops.Workspace(81)
-    loops.align(now, then, camera, np.eye(4), LIMITS, 4, 4, wanted, coarse, work, result)
+    work = loops.Workspace()
+    loops.align(now, then, camera, np.eye(4), LIMITS, wanted, coarse, 0.0, work, result)
     inner = result[4:12, 5:19]
     assert np.isfinite(inner[..., 0]).mean() > 0.9
     assert np.nanmedian(inner[..., :3], axis=(0, 1)) == pytest.approx([*shift, change], abs=0.1)
@@ -138,24 +144,66 @@ def test_what_the_camera_follows_by_a_turn_is_found_where_it_stays_in_the_image(
     limits = loops.Limits(2.0, 0.05, 3.0, 0.5, 0.06, 0.25, 0.02, 64.0, 1.5, 0.25)
     wanted, coarse = np.ones((16, 24), np.uint8), np.empty((0, 0, loops.FIELDS), np.float32)
     result = np.zeros((16, 24, loops.FIELDS), np.float32)
-    loops.align(
-        now, then, camera, motion, limits, 4, 4, wanted, coarse, loops.Workspace(81), result
-    )
+    loops.align(now, then, camera, motion, limits, wanted, coarse, 0.0, loops.Workspace(), result)
     x = 4 * np.arange(10, 19) + 2
     stood = middle_x + focal_px * np.tan(np.arctan((x - middle_x) / focal_px) - turn)
     assert np.nanmedian(result[4:12, 10:19, 0], axis=0) == pytest.approx(x + 1 - stood, abs=1)
 
 
+def test_only_what_promises_to_have_moved_is_aligned_and_what_is_beside_that():
+    now, then = moved_scene(np.random.default_rng(5), (2.4, -0.6), 0.0)
+    camera = Eye((90.0, 90.0), 47.5, 31.5, 47.5, 1, 9.0, 0.0, 16).at(0)
+    wanted, work = np.ones((16, 24), np.uint8), loops.Workspace()
+
+    def aligned(coarse, promise):
+        result = np.zeros((16, 24, loops.FIELDS), np.float32)
+        moments = now, then, camera, np.eye(4), LIMITS
+        loops.align(*moments, wanted, coarse, promise, work, result)
+        return result
+
+    coarse = np.full((8, 12, loops.FIELDS), np.nan, np.float32)
+    assert np.isnan(aligned(coarse, 6.0)).all()
+    coarse[4, 6] = 1.2, -0.3, 0, 5, 0, 0.1  # not sure enough
+    assert np.isnan(aligned(coarse, 6.0)).all()
+    coarse[4, 6, 3] = 50
+    found, whole = aligned(coarse, 6.0), aligned(coarse, 0.0)
+    assert np.isnan(found[:7]).all()
+    assert np.isnan(found[7, :11]).all()
+    there = np.isfinite(found[7:, 11:20, 0])
+    assert there.mean() > 0.7  # it grows to the right and down
+    assert np.allclose(found[7:, 11:20, :2][there], whole[7:, 11:20, :2][there], atol=0.05)
+
+
+def test_the_steepest_unknown_pixel_of_each_square_is_taken():
+    rng = np.random.default_rng(8)
+    view = rng.integers(0, 9, (26, 35)).astype(np.float32) * 10  # often equally steep
+    disparity = np.where(rng.random(view.shape) < 0.7, np.float32(np.nan), np.float32(3))
+    places = np.empty((12, 2), np.int32)
+    count = point_disparity.edges(view, disparity, 8, 8.0, np.empty((2, 35), np.float32), places)
+    wanted = []
+    for top, left in np.ndindex(3, 4):
+        best = 64.0, None
+        for y, x in np.ndindex(8, 8):
+            y, x = 8 * top + y, 8 * left + x  # noqa: PLW2901
+            if min(x, y) < 1 or y > 24 or x > 33 or not np.isnan(disparity[y, x]):
+                continue
+            slope = abs((view[y - 1 : y + 2, x + 1] - view[y - 1 : y + 2, x - 1]) @ (1, 2, 1))
+            best = max(best, (slope, (x, y)), key=lambda each: each[0])
+        wanted += [best[1]] if best[1] else []
+    assert places[:count].tolist() == [list(place) for place in wanted]
+    assert count > 6
+
+
 def test_what_stands_or_was_hidden_or_is_not_asked_for_has_no_shift():
     shape = 16, 24, loops.FIELDS
     camera = Eye((90.0, 90.0), 47.5, 31.5, 47.5, 1, 9.0, 0.0, 16).at(0)
-    coarse, work = np.empty((0, 0, loops.FIELDS), np.float32), loops.Workspace(81)
+    coarse, work = np.empty((0, 0, loops.FIELDS), np.float32), loops.Workspace()
     for shift, asked, hides in ((0.0, 1, 0.0), (2.0, 0, 0.0), (2.0, 1, 4.0)):
         now, then = moved_scene(np.random.default_rng(5), (shift, 0.0), 0.0)
-        then = loops.Moment(then.view, then.other, np.asarray(then.disparity) + np.float32(hides))
+        then = moment(then.view, then.other, np.full((64, 96), 6 + hides, np.float32))
         result = np.zeros(shape, np.float32)
         wanted = np.full((16, 24), asked, np.uint8)
-        loops.align(now, then, camera, np.eye(4), LIMITS, 4, 4, wanted, coarse, work, result)
+        loops.align(now, then, camera, np.eye(4), LIMITS, wanted, coarse, 0.0, work, result)
         assert np.isnan(result).all()
 
 

@@ -1,12 +1,32 @@
 """What moved by itself: the loops of :mod:`motionstereo_cli.robot.movers`."""
 
+import sys
+
 import cython
 import numpy as np
 from cython.cimports.libc.math import fabs, isfinite
 
+from motionstereo_cli.compiled import patches
+
+if not cython.compiled:  # what is imported below is a plain module then
+    sys.modules["cython.cimports.motionstereo_cli.compiled.patches"] = patches
+
+from cython.cimports.motionstereo_cli.compiled.patches import (
+    Block,
+    Moment,
+    centre_patch,
+    compare_cells,
+    compare_patch,
+    take_cell,
+    take_patch,
+)
+
 NAN = cython.declare(cython.float, np.nan)
 #: Minimum depth of points before the camera.
-MIN_DEPTH = cython.declare(cython.double, 0.05)
+MIN_DEPTH = cython.declare(cython.float, 0.05)
+#: Height and width of cells, and how far a patch reaches from the middle of its cell, in px.
+CELL_PX = cython.declare(cython.int, 4)
+REACH_PX = cython.declare(cython.int, 4)
 #: Of what an alignment tells: shift along x and y and change of disparity in px; how sure; by how
 #: much disparity then misses that change; share of the squared differences that is left.
 FIELDS = 6
@@ -39,21 +59,6 @@ class Camera:
 
 
 @cython.cclass
-@cython.dataclasses.dataclass(eq=False)
-class Moment:
-    """What was seen at a moment, (height, width) each.
-
-    Attributes:
-        view, other: grey of the camera and of the other one.
-        disparity: of the camera's view in px, NaN = unknown.
-    """
-
-    view: cython.const[cython.uchar][:, ::1]
-    other: cython.const[cython.uchar][:, ::1]
-    disparity: cython.const[cython.float][:, ::1]
-
-
-@cython.cclass
 @cython.dataclasses.dataclass
 class Limits:
     """What counts as a difference; see :mod:`motionstereo_cli.robot.movers`."""
@@ -72,15 +77,9 @@ class Limits:
 
 @cython.cclass
 class Workspace:
-    """The pixels of a patch, 48 at most, for both views: used again and again."""
+    """Pixels and equations: used again and again."""
 
-    grey: cython.float[:, ::1]  # of now
-    slope_x: cython.float[:, ::1]  # less its mean, once they are centred
-    slope_y: cython.float[:, ::1]
-    column: cython.float[:, ::1]  # where it was if it stands
-    row: cython.float[::1]
-    place: cython.int[::1]  # columns and rows of pixels then, in lanes of 48
-    there: cython.float[::1]  # shares of a px beyond these, four greys, difference
+    block: Block
     normal: cython.double[:, ::1]
     inverse: cython.double[:, ::1]  # of the same, damped
     right: cython.double[::1]  # the right side
@@ -90,25 +89,32 @@ class Workspace:
     trial: cython.double[::1]
     none: cython.double[::1]
 
-    def __init__(self, pixels):
-        images = np.zeros((4, 2, pixels), np.float32)
-        self.grey, self.slope_x, self.slope_y, self.column = images
-        self.row = np.zeros(pixels, np.float32)
-        self.place = np.zeros(2 * 48, np.int32)
-        self.there = np.zeros(7 * 48, np.float32)
+    def __init__(self):
+        self.block = Block()
         self.normal, self.inverse = np.zeros((2, 3, 3))
         self.right, self.shift, self.trial, self.none = np.zeros((4, 3))
         self.middle = np.zeros(9)
 
 
-@cython.locals(row=cython.int, column=cython.int, n=cython.int)
+@cython.cfunc
+def set_up(
+    block: Block, camera: Camera, motion: cython.const[cython.double][:, ::1], limits: Limits
+) -> cython.void:
+    """Fill in what a block has to know of the camera and its motion."""
+    numbers = [limits.jump_px, limits.jump_share, camera.doffs, camera.side]
+    numbers += [1 / camera.focal_baseline, 1 / camera.focal_x, 1 / camera.focal_y]
+    numbers += [camera.focal_x, camera.focal_y, camera.cx, camera.cy]
+    numbers += [camera.other_cx - camera.cx, *np.asarray(motion)[:3].ravel(), MIN_DEPTH]
+    block.numbers = np.array(numbers, np.float32)
+
+
+@cython.locals(row=cython.int, column=cython.int, cell=cython.int)
 def find(
     now: Moment,
     then: Moment,
     camera: Camera,
     motion: cython.const[cython.double][:, ::1],
     limits: Limits,
-    cell_px: cython.int,
     max_way: cython.double,
     work: Workspace,
     result: cython.uchar[:, ::1],
@@ -119,33 +125,42 @@ def find(
         now, then, camera: two moments of a camera.
         motion: (4, 4) takes places in the camera of now to those in the earlier one.
         limits: what counts.
-        cell_px: height and width of a cell.
         max_way: only where what stands came at most so far across the image, px, turns apart.
-        work: for the pixels of a cell.
+        work: for the pixels of cells.
         result: (rows, columns) receives 1 for such cells, 0 for others and where that is unknown.
     """
+    sums: cython.float[::1] = work.block.values
+    noise: cython.double = 2 * limits.noise * limits.noise
+    columns: cython.int = cython.cast(cython.int, result.shape[1])
+    set_up(work.block, camera, motion, limits)
     with cython.nogil:
         for row in range(cython.cast(cython.int, result.shape[0])):
-            for column in range(cython.cast(cython.int, result.shape[1])):
-                result[row, column] = 0
-                x: cython.int = column * cell_px
-                y: cython.int = row * cell_px
-                middle: cython.double = now.disparity[y + cell_px // 2, x + cell_px // 2]
-                near: cython.double = middle + camera.doffs
-                if not (near > 0 and way(camera, motion, x, y, near) <= max_way):
+            for column in range(0, columns, 8):
+                some: cython.bint = False
+                y: cython.int = row * CELL_PX
+                for cell in range(8):
+                    x: cython.int = (column + cell) * CELL_PX
+                    middle: cython.float = cython.cast(cython.float, NAN)
+                    if column + cell < columns:
+                        result[row, column + cell] = 0
+                        middle = now.disparity[(y + CELL_PX // 2) * now.width + x + CELL_PX // 2]
+                    near: cython.double = middle + camera.doffs
+                    if near > 0 and way(camera, motion, x, y, near) <= max_way:
+                        some = True
+                    else:
+                        middle = cython.cast(cython.float, NAN)
+                    take_cell(work.block, cell, x, y, middle)
+                if not some:
                     continue
-                count: cython.int = gather(
-                    now, then, camera, motion, limits, x, y, cell_px, middle, work
-                )
-                if 4 * count < cell_px * cell_px:
-                    continue
-                slopes: cython.double = 0
-                for n in range(count):
-                    slopes += work.slope_x[0, n] ** 2 + work.slope_y[0, n] ** 2
-                off: cython.double = misfit(then, camera, count, work.none, work)
-                expected: cython.double = 2 * count * limits.noise * limits.noise
-                expected += limits.per_slope * slopes
-                result[row, column] = off > limits.unexplained * expected
+                compare_cells(now, then, work.block)
+                for cell in range(min(8, columns - column)):
+                    # Rows of sums are 64 apart.
+                    count: cython.double = sums[17 * 64 + cell]
+                    expected: cython.double = (
+                        count * noise + limits.per_slope * sums[18 * 64 + cell]
+                    )
+                    off: cython.bint = sums[16 * 64 + cell] > limits.unexplained * expected
+                    result[row, column + cell] = off and 4 * count >= CELL_PX * CELL_PX
 
 
 @cython.locals(row=cython.int, column=cython.int, k=cython.int)
@@ -155,10 +170,9 @@ def align(
     camera: Camera,
     motion: cython.const[cython.double][:, ::1],
     limits: Limits,
-    cell_px: cython.int,
-    reach: cython.int,
     wanted: cython.const[cython.uchar][:, ::1],
     coarse: cython.const[cython.float][:, :, ::1],
+    promise: cython.float,
     work: Workspace,
     result: cython.float[:, :, ::1],
 ) -> None:
@@ -169,35 +183,60 @@ def align(
 
     Args:
         now, then, camera, motion, limits: as :func:`find` has them.
-        cell_px: distance of cells.
-        reach: a patch reaches so many px from the middle of its cell.
         wanted: cells that are asked for, (rows, columns), 0 or 1.
         coarse: the result at the next coarser level, of no rows = there is none.
+        promise: of cells with nothing around them that so surely moved, none is aligned; 0 = all.
         work: for the pixels of a patch.
         result: (rows, columns, :data:`FIELDS`) receives it, NaN where unknown.
     """
-    side: cython.int = 2 * reach + 1
+    side: cython.int = 2 * REACH_PX + 1
+    set_up(work.block, camera, motion, limits)
     with cython.nogil:
         for row in range(cython.cast(cython.int, result.shape[0])):
             for column in range(cython.cast(cython.int, result.shape[1])):
                 for k in range(cython.cast(cython.int, result.shape[2])):
                     result[row, column, k] = NAN
-                x: cython.int = column * cell_px + cell_px // 2
-                y: cython.int = row * cell_px + cell_px // 2
-                inside: cython.bint = reach <= x < now.view.shape[1] - reach
-                inside = inside and reach <= y < now.view.shape[0] - reach
+                x: cython.int = column * CELL_PX + CELL_PX // 2
+                y: cython.int = row * CELL_PX + CELL_PX // 2
+                inside: cython.bint = REACH_PX <= x < now.width - REACH_PX
+                inside = inside and REACH_PX <= y < now.height - REACH_PX
                 if not (inside and wanted[row, column]):
                     continue
-                middle: cython.double = now.disparity[y, x]
+                if promise > 0 and not promising(coarse, result, row, column, promise):
+                    continue
+                middle: cython.float = now.disparity[y * now.width + x]
                 if not middle + camera.doffs > 0:
                     continue
-                count: cython.int = gather(
-                    now, then, camera, motion, limits, x - reach, y - reach, side, middle, work
-                )
+                count: cython.float = take_patch(now, work.block, x, y, middle)
                 if 6 * count >= side * side and look_up(
                     then, camera, motion, limits, x, y, middle, work
                 ):
                     one(then, camera, limits, middle, count, row, column, coarse, work, result)
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+@cython.locals(i=cython.Py_ssize_t, k=cython.Py_ssize_t)
+def promising(
+    coarse: cython.const[cython.float][:, :, ::1],
+    result: cython.const[cython.float][:, :, ::1],
+    row: cython.Py_ssize_t,
+    column: cython.Py_ssize_t,
+    promise: cython.float,
+) -> cython.bint:
+    """Return whether something moved around a cell, at the coarser level or at this one so far."""
+    for i in range(max(row - 1, 0) // 2, min((row + 1) // 2 + 1, coarse.shape[0])):
+        for k in range(max(column - 1, 0) // 2, min((column + 1) // 2 + 1, coarse.shape[1])):
+            if coarse[i, k, 3] > promise and coarse[i, k, 5] < HOPELESS:
+                return True
+    if column and result[row, column - 1, 3] > promise:
+        return True
+    if row:
+        for k in range(max(column - 1, 0), min(column + 2, result.shape[1])):
+            if result[row - 1, k, 3] > promise:
+                return True
+    return False
 
 
 @cython.cfunc
@@ -222,77 +261,6 @@ def way(
         there: cython.double = along(motion, axis, across, down, 0) / far
         result = max(result, fabs(along(motion, axis, across, down, inverse) / z - there))
     return camera.focal_x * result
-
-
-@cython.cfunc
-@cython.nogil
-@cython.exceptval(check=False)
-@cython.locals(x=cython.int, y=cython.int)
-def gather(
-    now: Moment,
-    then: Moment,
-    camera: Camera,
-    motion: cython.const[cython.double][:, ::1],
-    limits: Limits,
-    left: cython.int,
-    top: cython.int,
-    side: cython.int,
-    middle: cython.double,
-    work: Workspace,
-) -> cython.int:
-    """Take every second pixel of a square, as on a chessboard, of one surface; return how many."""
-    count: cython.int = 0
-    per_px: cython.double = 1 / camera.focal_baseline
-    per_focal: cython.double = 1 / camera.focal_x
-    height: cython.int = cython.cast(cython.int, now.view.shape[0])
-    width: cython.int = cython.cast(cython.int, now.view.shape[1])
-    jump: cython.double = max(limits.jump_px, limits.jump_share * (middle + camera.doffs))
-    for y in range(max(top, 1), min(top + side, height - 1)):
-        down: cython.double = (y - camera.cy) / camera.focal_y
-        first_x: cython.int = max(left, 1)
-        for x in range(first_x + (first_x + y & 1), min(left + side, width - 1), 2):
-            disparity: cython.double = now.disparity[y, x]
-            if not fabs(disparity - middle) <= jump:  # nor where it is NaN
-                continue
-            place: cython.double = x + camera.side * disparity
-            if not (place >= 2 and place < width - 3):
-                continue
-            near: cython.double = disparity + camera.doffs
-            inverse: cython.double = near * per_px
-            across: cython.double = (x - camera.cx) * per_focal
-            z: cython.double = along(motion, 2, across, down, inverse)
-            per_z: cython.double = 1 / z
-            u: cython.double = camera.cx + camera.focal_x * per_z * along(
-                motion, 0, across, down, inverse
-            )
-            v: cython.double = camera.cy + camera.focal_y * per_z * along(
-                motion, 1, across, down, inverse
-            )
-            w: cython.double = u + camera.other_cx - camera.cx + camera.side * near * per_z
-            before: cython.bint = z >= MIN_DEPTH and v >= 0 and v < height
-            if not (before and u >= 0 and u < width and w >= 0 and w < width):
-                continue
-            work.grey[0, count] = now.view[y, x]
-            work.slope_x[0, count] = 0.5 * (
-                cython.cast(cython.float, now.view[y, x + 1]) - now.view[y, x - 1]
-            )
-            work.slope_y[0, count] = 0.5 * (
-                cython.cast(cython.float, now.view[y + 1, x]) - now.view[y - 1, x]
-            )
-            first: cython.int = cython.cast(cython.int, place)
-            a: cython.float = cython.cast(cython.float, place - first)
-            work.grey[1, count] = between(now.other, y, first, a)
-            work.slope_x[1, count] = 0.5 * (
-                between(now.other, y, first + 1, a) - between(now.other, y, first - 1, a)
-            )
-            work.slope_y[1, count] = 0.5 * (
-                between(now.other, y + 1, first, a) - between(now.other, y - 1, first, a)
-            )
-            work.column[0, count] = u
-            work.column[1, count] = w
-            work.row[count] = v
-            count += 1
-    return count
 
 
 @cython.cfunc
@@ -355,9 +323,10 @@ def look_up(
 @cython.exceptval(check=False)
 def disparity_at(then: Moment, u: cython.double, v: cython.double) -> cython.double:
     """Return the disparity at a place, NaN outside of the view."""
-    if not (u >= 0 and v >= 0 and u < then.view.shape[1] - 1 and v < then.view.shape[0] - 1):
+    if not (u >= 0 and v >= 0 and u < then.width - 1 and v < then.height - 1):
         return NAN
-    return then.disparity[cython.cast(cython.int, v + 0.5), cython.cast(cython.int, u + 0.5)]
+    row: cython.int = cython.cast(cython.int, v + 0.5)
+    return then.disparity[row * then.width + cython.cast(cython.int, u + 0.5)]
 
 
 @cython.cfunc
@@ -369,7 +338,7 @@ def one(
     camera: Camera,
     limits: Limits,
     disparity: cython.double,
-    count: cython.int,
+    count: cython.float,
     row: cython.int,
     column: cython.int,
     coarse: cython.const[cython.float][:, :, ::1],
@@ -425,7 +394,7 @@ def settled(
     then: Moment,
     camera: Camera,
     limits: Limits,
-    count: cython.int,
+    count: cython.float,
     first: cython.double,
     work: Workspace,
 ) -> cython.bint:
@@ -454,7 +423,7 @@ def settled(
 @cython.exceptval(check=False)
 @cython.locals(i=cython.int, k=cython.int)
 def sureness(
-    limits: Limits, near: cython.double, left: cython.double, count: cython.int, work: Workspace
+    limits: Limits, near: cython.double, left: cython.double, count: cython.float, work: Workspace
 ) -> cython.double:
     """Return the squared shift in standard deviations, of which disparity's error is a part."""
     variance: cython.double = 2 * limits.noise * limits.noise + left / (2 * count)
@@ -476,11 +445,11 @@ def sureness(
 @cython.cfunc
 @cython.nogil
 @cython.exceptval(check=False)
-@cython.locals(side=cython.int, n=cython.int)
+@cython.locals(side=cython.int)
 def misfit(
     then: Moment,
     camera: Camera,
-    count: cython.int,
+    count: cython.float,
     moved: cython.const[cython.double][::1],
     work: Workspace,
 ) -> cython.double:
@@ -488,85 +457,38 @@ def misfit(
 
     Fills in the right side of the equations, for slopes that are centred.
     """
-    place: cython.int[::1] = work.place
-    there: cython.float[::1] = work.there
+    sums: cython.double[::1] = work.block.sums
     all: cython.double = 0
-    none: cython.float = 0
-    down: cython.float = cython.cast(cython.float, moved[1])
-    last_column: cython.float = cython.cast(cython.float, then.view.shape[1] - 1.001)
-    last_row: cython.float = cython.cast(cython.float, then.view.shape[0] - 1.001)
     work.right[:] = 0
     for side in range(2):
-        view: cython.const[cython.uchar][:, ::1] = then.other if side else then.view
-        right: cython.float = cython.cast(
-            cython.float, moved[0] + (camera.side * moved[2] if side else 0.0)
-        )
-        total: cython.double = 0
-        squares: cython.double = 0
-        by_x: cython.double = 0
-        by_y: cython.double = 0
-        for n in range(48):
-            u: cython.float = min(max(work.column[side, n] + right, none), last_column)
-            v: cython.float = min(max(work.row[n] + down, none), last_row)
-            place[n] = cython.cast(cython.int, u)
-            place[n + 48] = cython.cast(cython.int, v)
-            there[n] = u - place[n]
-            there[n + 48] = v - place[n + 48]
-        for n in range(count):
-            there[n + 96] = view[place[n + 48], place[n]]
-            there[n + 144] = view[place[n + 48], place[n] + 1]
-            there[n + 192] = view[place[n + 48] + 1, place[n]]
-            there[n + 240] = view[place[n + 48] + 1, place[n] + 1]
-        for n in range(48):
-            upper: cython.float = there[n + 96] + there[n] * (there[n + 144] - there[n + 96])
-            lower: cython.float = there[n + 192] + there[n] * (there[n + 240] - there[n + 192])
-            there[n + 288] = upper + there[n + 48] * (lower - upper) - work.grey[side, n]
-        for n in range(count):
-            off: cython.float = there[n + 288]
-            total += off
-            squares += off * off
-            by_x += off * work.slope_x[side, n]
-            by_y += off * work.slope_y[side, n]
-        all += max(squares - total * total / count, 0.0)
-        work.right[0] -= by_x
-        work.right[1] -= by_y
-        work.right[2] -= camera.side * side * by_x
+        by_disparity: cython.double = camera.side * side
+        right: cython.double = moved[0] + by_disparity * moved[2]
+        compare_patch(then, work.block, side, count, right, moved[1])
+        all += sums[0]
+        work.right[0] -= sums[1]
+        work.right[1] -= sums[2]
+        work.right[2] -= by_disparity * sums[1]
     return all
 
 
 @cython.cfunc
 @cython.nogil
 @cython.exceptval(check=False)
-@cython.locals(side=cython.int, n=cython.int, i=cython.int, k=cython.int)
-def equations(camera: Camera, count: cython.int, work: Workspace) -> cython.void:
+@cython.locals(side=cython.int, i=cython.int, k=cython.int)
+def equations(camera: Camera, count: cython.float, work: Workspace) -> cython.void:
     """Centre the slopes, and fill in the equations and the inverse of them damped."""
+    sums: cython.double[::1] = work.block.sums
     a: cython.double[:, ::1] = work.normal
     a[:, :] = 0
     for side in range(2):
         by_disparity: cython.double = camera.side * side
-        mean_x: cython.float = 0
-        mean_y: cython.float = 0
-        for n in range(count):
-            mean_x += work.slope_x[side, n]
-            mean_y += work.slope_y[side, n]
-        xx: cython.double = 0
-        xy: cython.double = 0
-        yy: cython.double = 0
-        for n in range(count):
-            # A brighter view says nothing.
-            x: cython.float = work.slope_x[side, n] - mean_x / count
-            y: cython.float = work.slope_y[side, n] - mean_y / count
-            work.slope_x[side, n] = x
-            work.slope_y[side, n] = y
-            xx += x * x
-            xy += x * y
-            yy += y * y
-        a[0, 0] += xx
-        a[0, 1] += xy
-        a[1, 1] += yy
-        a[0, 2] += by_disparity * xx
-        a[1, 2] += by_disparity * xy
-        a[2, 2] += by_disparity * by_disparity * xx
+        centre_patch(work.block, side, count)
+        a[0, 0] += sums[3]
+        a[0, 1] += sums[4]
+        a[1, 1] += sums[5]
+        a[0, 2] += by_disparity * sums[3]
+        a[1, 2] += by_disparity * sums[4]
+        a[2, 2] += by_disparity * by_disparity * sums[3]
     a[1, 0] = a[0, 1]
     a[2, 0] = a[0, 2]
     a[2, 1] = a[1, 2]
@@ -586,15 +508,3 @@ def equations(camera: Camera, count: cython.int, work: Workspace) -> cython.void
         for k in range(i, 3):
             b[i, k] /= determinant
             b[k, i] = b[i, k]
-
-
-@cython.cfunc
-@cython.nogil
-@cython.inline
-@cython.exceptval(check=False)
-def between(
-    view: cython.const[cython.uchar][:, ::1], row: cython.int, column: cython.int, a: cython.float
-) -> cython.float:
-    """Return the grey a share ``a`` from a pixel to the next one in its row."""
-    here: cython.float = cython.cast(cython.float, view[row, column])
-    return here + a * (view[row, column + 1] - here)

@@ -113,6 +113,7 @@ def edges(
     disparity: cython.const[cython.float][:, ::1],
     square_px: cython.int,
     min_slope: cython.float,
+    work: cython.float[:, ::1],
     places: cython.int[:, ::1],
 ) -> cython.int:
     """Take the steepest pixel of each square of unknown disparity; return how many there are.
@@ -122,6 +123,7 @@ def edges(
         disparity: NaN = unknown.
         square_px: side of a square.
         min_slope: least slope along the row, in grey levels a px, of the mean of three rows.
+        work: (2, width).
         places: (squares, 2) receives their columns and rows.
     """
     row: cython.int
@@ -131,31 +133,61 @@ def edges(
     count: cython.int = 0
     height: cython.int = cython.cast(cython.int, view.shape[0])
     width: cython.int = cython.cast(cython.int, view.shape[1])
+    least: cython.float = 8 * min_slope
     with cython.nogil:
         for row in range(height // square_px):
+            for x in range(width):
+                work[0, x] = least
+                work[1, x] = -1
+            for y in range(max(row * square_px, 1), min((row + 1) * square_px, height - 1)):
+                steepest_in_columns(view[y - 1], view[y], view[y + 1], disparity[y], y, work)
             for column in range(width // square_px):
-                steepest: cython.float = 8 * min_slope
+                steepest: cython.float = least
                 found: cython.bint = False
-                for y in range(max(row * square_px, 1), min((row + 1) * square_px, height - 1)):
-                    for x in range(
-                        max(column * square_px, 1), min((column + 1) * square_px, width - 1)
-                    ):
-                        if disparity[y, x] == disparity[y, x]:
-                            continue
-                        slope: cython.float = fabs(
-                            view[y - 1, x + 1]
-                            - view[y - 1, x - 1]
-                            + 2 * (view[y, x + 1] - view[y, x - 1])
-                            + view[y + 1, x + 1]
-                            - view[y + 1, x - 1]
-                        )
-                        if slope > steepest:
-                            steepest = slope
-                            found = True
-                            places[count, 0] = x
-                            places[count, 1] = y
+                for x in range(column * square_px, (column + 1) * square_px):
+                    # The first one in reading order.
+                    ahead: cython.bint = work[0, x] > steepest or (
+                        found and work[0, x] == steepest and work[1, x] < places[count, 1]
+                    )
+                    if work[1, x] >= 0 and ahead:
+                        steepest = work[0, x]
+                        found = True
+                        places[count, 0] = x
+                        places[count, 1] = cython.cast(cython.int, work[1, x])
                 count += found
     return count
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def steepest_in_columns(
+    above: cython.const[cython.float][::1],
+    here: cython.const[cython.float][::1],
+    below: cython.const[cython.float][::1],
+    disparity: cython.const[cython.float][::1],
+    y: cython.int,
+    work: cython.float[:, ::1],
+) -> cython.void:
+    """Renew the steepest slope of unknown disparity in each column, and its row."""
+    x: cython.Py_ssize_t
+    best: cython.float[::1] = work[0]
+    where: cython.float[::1] = work[1]
+    number: cython.float = y
+    for x in range(1, here.shape[0] - 1):
+        slope: cython.float = abs(
+            above[x + 1]
+            - above[x - 1]
+            + 2 * (here[x + 1] - here[x - 1])
+            + below[x + 1]
+            - below[x - 1]
+        )
+        known: cython.bint = disparity[x] == disparity[x]
+        before: cython.float = best[x]
+        row: cython.float = where[x]
+        slope = before if known else slope
+        best[x] = slope if slope > before else before
+        where[x] = number if slope > before else row
 
 
 def fill(

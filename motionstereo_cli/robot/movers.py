@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from motionstereo_cli.compiled import movers as loops
-from motionstereo_cli.compiled import point_disparity, reused
+from motionstereo_cli.compiled import patches, point_disparity, reused
 
 Grey = NDArray[np.uint8]
 Real = NDArray[np.float32]
@@ -43,7 +43,8 @@ _SECOND_BEST, _MAX_SIGMA_PX = 1.5, 0.3
 LEVELS = 4
 #: Smoothing before, standard deviation in px.
 _BLUR_PX = 0.8
-#: Distance of patches, and how far they reach from their middle, in px of each level.
+#: Distance of patches, and how far they reach from their middle, in px of each level: as the loops
+#: have them.
 CELL_PX, _REACH_PX = 4, 4
 
 #: Standard deviation of grey at each level, and what its slope adds to its variance; differences of
@@ -59,6 +60,9 @@ _MAX_SHIFT_PX = 16.0
 #: What was nearer by more than the larger of these hid a point.
 _HIDDEN_PX, _HIDDEN_SHARE = 1.5, 0.25
 
+#: At the finest level, patches are aligned around those that at the next one, or at this one, moved
+#: by so many squared standard deviations.
+_PROMISE = 6.0
 #: A patch moved if that is so many squared standard deviations and px, if so little of what
 #: differed is left, if disparity then was what it had to be, and if nearness changed by no larger
 #: share of it. Below a nearness fewer squared standard deviations do, in proportion, down to the
@@ -134,21 +138,30 @@ class Moment:
         disparity_px: of the camera's view, NaN = unknown.
         before_from_now: (4, 4) takes places in the camera then to those in the one a frame before.
         time_s: time in s.
+        smaller_px: the disparity at the other levels, once it is filled.
     """
 
     views: tuple[Grey, ...]
     disparity_px: Real
     before_from_now: Reals
     time_s: float
+    smaller_px: tuple[Real, ...] = ()
+
+    def filled(self, disparity_px: Real) -> Moment:
+        """Return the moment with another disparity, at all levels."""
+        smaller = [disparity_px]
+        while len(smaller) < LEVELS:
+            smaller.append(smaller[-1][::2, ::2] * np.float32(0.5))
+        return replace(self, disparity_px=disparity_px, smaller_px=tuple(smaller[1:]))
 
     def levels(self) -> list[Any]:
         """Return the moment at each level for the loops."""
-        disparities = [self.disparity_px]
-        for level in range(1, LEVELS):
-            disparities.append(self.disparity_px[:: 2**level, :: 2**level] * np.float32(0.5**level))
+        moment: Any = patches.Moment
         return [
-            loops.Moment(*views, disparity_px)  # type: ignore[call-arg]
-            for views, disparity_px in zip(self.views, disparities, strict=True)
+            moment(*views.reshape(2, -1), near_px.ravel(), *near_px.shape)
+            for views, near_px in zip(
+                self.views, (self.disparity_px, *self.smaller_px), strict=True
+            )
         ]
 
 
@@ -174,11 +187,15 @@ class Movers:
 
 def pyramid(view: Grey, other: Grey) -> tuple[Grey, ...]:
     """Return two views at each level, as they are compared."""
-    levels = []
-    pair = [cv2.GaussianBlur(grey, (0, 0), _BLUR_PX) for grey in (view, other)]
-    for _ in range(LEVELS):
-        levels.append(np.array(pair, np.uint8))
-        pair = [cv2.pyrDown(grey) for grey in pair]
+    levels = [np.empty((2, *view.shape), np.uint8)]
+    for grey, blurred in zip((view, other), levels[0], strict=True):
+        cv2.GaussianBlur(grey, (0, 0), _BLUR_PX, dst=blurred)
+    while len(levels) < LEVELS:
+        height, width = levels[-1].shape[1:]
+        smaller = np.empty((2, (height + 1) // 2, (width + 1) // 2), np.uint8)
+        for grey, half in zip(levels[-1], smaller, strict=True):
+            cv2.pyrDown(grey, dst=half)
+        levels.append(smaller)
     return tuple(levels)
 
 
@@ -199,10 +216,11 @@ def see(movers: Movers, now: Moment, eye: Eye) -> tuple[Movers, NDArray[np.bool_
     rows, columns = (side // CELL_PX for side in shape)
     moving, lasting = None, np.zeros((rows, columns), np.bool_)
     velocity_mps = np.full((rows, columns, 4), np.nan, np.float32)
-    now = replace(now, disparity_px=_filled(now, eye))
+    now = now.filled(_filled(now, eye))
     if movers.moments:
         gap, levels = _gap(movers, now, eye), now.levels()
-        near = np.nan_to_num(_in_cells(now.disparity_px) + np.float32(eye.doffs_px))
+        near = _in_cells(now.disparity_px) + np.float32(eye.doffs_px)
+        near[np.isnan(near)] = 0
         farther = min(_FARTHER * gap, len(movers.moments))
         moved, shifts = (
             np.zeros((rows, columns), np.bool_),
@@ -235,7 +253,7 @@ def _gap(movers: Movers, now: Moment, eye: Eye) -> int:
     """Return how many frames before the one is to compare with."""
     near = now.disparity_px[::8, ::8] + np.float32(eye.doffs_px)
     near = near[near > 0]
-    typical = float(np.median(near)) if near.size else 1.0
+    typical = float(np.partition(near, near.size // 2)[near.size // 2]) if near.size else 1.0
     max_turn_rad = _TURN * now.disparity_px.shape[1] / eye.focal_px[0]
     wanted_m = _WAY * now.disparity_px.shape[1] / typical * eye.focal_baseline / eye.focal_px[0]
     for gap in range(1, len(movers.moments)):
@@ -267,7 +285,9 @@ def _filled(now: Moment, eye: Eye) -> Real:
     view, other = (image.astype(np.float32) for image in now.views[0])
     squares = (view.shape[0] // _EDGE_PX) * (view.shape[1] // _EDGE_PX)
     places = np.empty((squares, 2), np.int32)
-    places = places[: point_disparity.edges(view, now.disparity_px, _EDGE_PX, _MIN_SLOPE, places)]
+    columns = np.empty((2, view.shape[1]), np.float32)
+    squares = point_disparity.edges(view, now.disparity_px, _EDGE_PX, _MIN_SLOPE, columns, places)
+    places = places[:squares]
     there = places
     if eye.side < 0:  # in a mirror the other camera is at the left
         view, other = (np.ascontiguousarray(image[:, ::-1]) for image in (view, other))
@@ -296,8 +316,8 @@ def _shifts(now: list[Any], motion: Reals, then: Moment, eye: Eye, way_px: float
     moments = list(zip(now, then.levels(), strict=True))
     limits = [_limits(level) for level in range(LEVELS)]
     wanted = np.zeros((height // CELL_PX // 2, width // CELL_PX // 2), np.uint8)
-    work: Any = reused(loops.Workspace, (2 * _REACH_PX + 1) ** 2)
-    loops.find(*moments[1], eye.at(1), motion, limits[1], CELL_PX, way_px / 2, work, wanted)
+    work: Any = reused(loops.Workspace)
+    loops.find(*moments[1], eye.at(1), motion, limits[1], way_px / 2, work, wanted)
     asked_at = {1: wanted}
     for level in range(2, LEVELS):
         shape = tuple(side // 2**level // CELL_PX for side in (height, width))
@@ -310,8 +330,8 @@ def _shifts(now: list[Any], motion: Reals, then: Moment, eye: Eye, way_px: float
             asked = cv2.resize(wanted, shape[::-1], interpolation=cv2.INTER_NEAREST)
         coarse, found = found, np.empty((*shape, loops.FIELDS), np.float32)
         loops.align(
-            *(*moments[level], eye.at(level), motion, limits[level], CELL_PX, _REACH_PX),
-            *(np.asarray(asked), coarse, work, found),
+            *(*moments[level], eye.at(level), motion, limits[level]),
+            *(np.asarray(asked), coarse, 0.0 if level else _PROMISE, work, found),
         )
     return found
 
@@ -319,8 +339,8 @@ def _shifts(now: list[Any], motion: Reals, then: Moment, eye: Eye, way_px: float
 def _any_of_four(wanted: Grey, shape: tuple[int, ...]) -> Grey:
     """Return cells twice as large, with all that is wanted within them."""
     rows, columns = shape
-    inside = wanted[: 2 * rows, : 2 * columns]
-    return np.ascontiguousarray(inside.reshape(rows, 2, columns, 2).max(axis=(1, 3)))
+    pairs = wanted[: 2 * rows : 2, : 2 * columns] | wanted[1 : 2 * rows : 2, : 2 * columns]
+    return pairs[:, ::2] | pairs[:, 1::2]
 
 
 def _limits(level: int) -> Any:
@@ -404,6 +424,8 @@ def _places_m(where: NDArray[np.bool_], near: Real, eye: Eye) -> Reals:
 
 def _things(moved: NDArray[np.bool_], shifts: Real, near: Real) -> tuple[int, NDArray[np.int32]]:
     """Return the number of movers plus one, and the mover of each cell, 0 = none."""
+    if not moved.any():
+        return 1, np.zeros(moved.shape, np.int32)
     rows, columns = moved.shape
     maze = np.zeros((2 * rows - 1, 2 * columns - 1), np.uint8)
     maze[::2, ::2] = moved
@@ -459,5 +481,7 @@ def _in_pixels(cells: NDArray[np.bool_], shape: tuple[int, ...]) -> NDArray[np.b
     """Return the pixels of cells."""
     result = np.zeros(shape, np.bool_)
     rows, columns = (side * CELL_PX for side in cells.shape)
-    result[:rows, :columns] = np.repeat(np.repeat(cells, CELL_PX, axis=0), CELL_PX, axis=1)
+    if cells.any():
+        large = cv2.resize(cells.view(np.uint8), (columns, rows), interpolation=cv2.INTER_NEAREST)
+        result[:rows, :columns] = large.view(np.bool_)
     return result

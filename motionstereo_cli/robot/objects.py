@@ -453,10 +453,14 @@ def expected_box(track: Track, time_s: float) -> tuple[float, ...]:
     """
     seen = [observation.region for observation in track.observations]
     last = seen[-1]
-    sizes = np.array([each.width * each.height / each.nearness_px**2 for each in seen])
-    usual = np.abs(sizes / _median(sizes) - 1) <= _USUAL_SHARE
-    full = int(np.flatnonzero(usual)[-1])
-    whole, grown = seen[full], last.nearness_px / seen[full].nearness_px
+    sizes = [each.width * each.height / each.nearness_px**2 for each in seen]
+    usual = sorted(sizes)[(len(sizes) - 1) // 2]
+    whole = next(
+        each
+        for each, size in zip(reversed(seen), reversed(sizes), strict=True)
+        if abs(size / usual - 1) <= _USUAL_SHARE
+    )
+    grown = last.nearness_px / whole.nearness_px
     x, y, *_ = _expected(track, time_s)
     measures = []
     for at, now, start, size, span in (
@@ -464,8 +468,8 @@ def expected_box(track: Track, time_s: float) -> tuple[float, ...]:
         (y - last.middle_y, last.y, whole.y, whole.height, last.height),
     ):
         half = grown * size / 2
-        middle = np.median([now + half, now + span - half, start + size / 2])
-        measures.append((float(middle) + at, 2 * half))
+        middle = sorted((now + half, now + span - half, start + size / 2))[1]
+        measures.append((middle + at, 2 * half))
     (x, width), (y, height) = measures
     return (x, y, width, height, last.nearness_px)
 

@@ -62,8 +62,12 @@ def _edges(box: Box) -> tuple[float, float, float, float]:
 def _held_share(region: Place, box: Box) -> float:
     """Return how much of an expected box a region fills at the expected nearness, 0..1."""
     left, top, cells = region
-    columns = slice(*(max(round(edge) - left, 0) for edge in _edges(box)[::2]))
-    rows = slice(*(max(round(edge) - top, 0) for edge in _edges(box)[1::2]))
+    x, y, x_end, y_end = (round(edge) for edge in _edges(box))
+    columns = slice(max(x - left, 0), max(x_end - left, 0))
+    rows = slice(max(y - top, 0), max(y_end - top, 0))
+    _, height, width = cells.shape
+    if columns.start >= min(columns.stop, width) or rows.start >= min(rows.stop, height):
+        return 0.0
     near = np.abs(cells[1, rows, columns] - box[4]) <= max(_OFF_PX, _OFF_SHARE * box[4])
     return float(np.count_nonzero(near) / max(box[2] * box[3], 1))
 

@@ -265,8 +265,10 @@ def _separated(
     ]
     result: list[Region] = []
     for region, each in zip(found, parts(places, expected), strict=True):
-        apart = [replace(region_of(*part), before=region.before) for part in each]
-        result += apart if len(apart) > 1 else [region]
+        if len(each) > 1:
+            result += [replace(region_of(*part), before=region.before) for part in each]
+        else:
+            result.append(region)
     return tuple(result)
 
 

@@ -1,0 +1,23 @@
+cdef class Moment:
+    cdef public const unsigned char[::1] view
+    cdef public const unsigned char[::1] other
+    cdef public const float[::1] disparity
+    cdef public int height
+    cdef public int width
+
+
+cdef class Block:
+    cdef float[::1] values
+    cdef int[::1] places
+    cdef unsigned int[::1] pairs
+    cdef int[:, ::1] aside
+    cdef int[:, ::1] below
+    cdef float[::1] numbers
+    cdef double[::1] sums
+
+
+cdef void take_cell(Block block, int cell, int x, int y, float middle) noexcept nogil
+cdef void compare_cells(Moment now, Moment then, Block block) noexcept nogil
+cdef float take_patch(Moment now, Block block, int x, int y, float middle) noexcept nogil
+cdef void centre_patch(Block block, int side, float count) noexcept nogil
+cdef void compare_patch(Moment then, Block block, int side, float count, float right, float down) noexcept nogil
