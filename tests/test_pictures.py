@@ -28,7 +28,7 @@ from motionstereo_cli.files.lettering import (
 from motionstereo_cli.files.records import pack, unpack
 from motionstereo_cli.method.settings import Settings
 from motionstereo_cli.robot.mapper import Floor
-from motionstereo_cli.sinks.drawing import depth_colours
+from motionstereo_cli.sinks.drawing import coloured
 from motionstereo_cli.sinks.legend import strip
 from motionstereo_cli.sinks.map import from_above, map_sheet
 from motionstereo_cli.sinks.outputs import OUTPUTS
@@ -87,7 +87,7 @@ def test_a_depth_has_its_colour_at_its_place_on_the_scale(rig):
     assert len(ticks) > 3
     for tick in ticks:
         disparity_px = np.float32([[scale.px_m / tick if scale.px_m else tick]])
-        [[painted]] = depth_colours(disparity_px, scale.near_px, scale.far_px)
+        [[painted]] = coloured(disparity_px, DepthScale(scale.near_px, scale.far_px))
         colour = np.array(scale.colour(scale.place(tick)), int)
         assert np.abs(painted - colour).max() <= 6
     places = [scale.place(tick) for tick in ticks]
@@ -123,7 +123,7 @@ def test_the_strip_of_the_depth_video_can_be_switched_off(tmp_path):
         sink.close()
         [picture] = frames(tmp_path / "depth.mp4")
         heights.append(len(picture))
-        wanted = depth_colours(np.float32([[4]]), 64)[0, 0].astype(int)
+        wanted = coloured(np.float32([[4]]), DepthScale(64))[0, 0].astype(int)
         assert np.abs(picture[HEIGHT // 2, WIDTH // 2] - wanted).max() < 16
     assert heights == [HEIGHT + 28, HEIGHT]
 

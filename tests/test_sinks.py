@@ -30,7 +30,7 @@ from motionstereo_cli.params import params
 from motionstereo_cli.runs.folder import RunFolder
 from motionstereo_cli.runs.folder_files import head
 from motionstereo_cli.runs.threaded_sink import Threaded
-from motionstereo_cli.sinks.drawing import coloured, depth_colours
+from motionstereo_cli.sinks.drawing import coloured
 from motionstereo_cli.sinks.images import depth_png, disparity_png
 from motionstereo_cli.sinks.outputs import DEFAULT_OUTPUTS, OUTPUTS, available
 from motionstereo_cli.sinks.records import Counts
@@ -341,7 +341,7 @@ def test_a_video_has_the_rate_of_its_frames(tmp_path, name):
 
 def test_depth_colours_are_red_near_blue_far_grey_unknown():
     disparity_px = np.float32([[NAN, 0.0, 1.0, 8.0, 64.0, 70.0]])
-    found = depth_colours(disparity_px, 64, colours="turbo")[0].astype(int)
+    found = coloured(disparity_px, DepthScale(64, colours="turbo"))[0].astype(int)
     unknown, zero, far, middle, near, nearer = found
     assert len(set(unknown.tolist())) == 1
     assert zero.tolist() == far.tolist()
@@ -349,7 +349,6 @@ def test_depth_colours_are_red_near_blue_far_grey_unknown():
     assert far[2] == far.max() > 100  # blue
     assert middle[1] == middle.max() > 200  # the middle of the log scale is green
     assert near[0] == near.max() > 100  # red
-    assert depth_colours(disparity_px, 1).shape == (1, 6, 3)
 
 
 def test_colours_and_their_range_are_options(tmp_path):
@@ -370,7 +369,7 @@ def test_colours_and_their_range_are_options(tmp_path):
 def test_every_colour_map_is_known_to_opencv():
     [choices] = (item.choices for item in params(OutputSettings) if item.name == "colours")
     for name in choices:
-        assert depth_colours(np.float32([[8.0]]), 64, colours=name).max() > 0
+        assert coloured(np.float32([[8.0]]), DepthScale(64, colours=name)).max() > 0
 
 
 def test_nonsense_of_the_output_is_refused():

@@ -60,13 +60,9 @@ def check_builds(out: Path, builds: Mapping[str, str]) -> None:
     """
     path = builds_path(out)
     if not os.path.lexists(path):
-        with reported(path), contextlib.suppress(FileExistsError):
-            record = Temporary(path)
+        with reported(path), contextlib.suppress(FileExistsError), Temporary(path) as record:
             record.content.write(encode(BuildsRecord(dict(builds))))
-            try:
-                record.place_new()
-            finally:
-                record.discard()
+            record.place_new()
     theirs = typed(read_json(path, within=out), BuildsRecord, path).builds
     if said := difference(theirs, builds):
         raise InputError(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,12 +15,11 @@ from motionstereo_cli.evaluation.compare import WorstImage, differing
 from motionstereo_cli.files.encode import encode_png, remove_signed, signed
 from motionstereo_cli.files.lettering import DARK, colour_key, titled
 from motionstereo_cli.files.targets import write_output
-from motionstereo_cli.sinks.drawing import depth_colours
+from motionstereo_cli.sinks.drawing import coloured
 from motionstereo_cli.sinks.legend import strip
 from motionstereo_cli.sinks.outputs import RECORD
 from motionstereo_cli.sinks.read_back import read_record
 from motionstereo_cli.sinks.scale import ENDS, DepthScale
-from motionstereo_cli.sinks.settings import OutputSettings
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -85,7 +85,7 @@ def draw_worst(worst: WorstImage, golden: Path | None = None) -> NDArray[np.uint
     panels = []
     for values in (actual, expected):
         px = np.float32(scale.px_m) / values if is_depth and scale.px_m else values + scale.doffs
-        panels.append(depth_colours(px, scale.near_px, scale.far_px, scale.colours))
+        panels.append(coloured(px, replace(scale, doffs=0.0)))
     difference = np.zeros((*actual.shape, 3), np.uint8)
     difference[~np.isnan(actual) & ~np.isnan(expected)] = _SAME
     difference[differing(actual, expected, worst.tolerance)] = _OFF
@@ -122,9 +122,9 @@ def _recorded(golden: Path | None, is_depth: bool) -> DepthScale | None:
 
 def _scale_of(values: Real, is_depth: bool) -> DepthScale:
     """Return the scale that fits images."""
-    known, colours = values[~np.isnan(values)], OutputSettings().colours
+    known = values[~np.isnan(values)]
     if not len(known):
-        return DepthScale(64, 1, None, colours)
+        return DepthScale(64)
     low, high = np.quantile(known, [0.01, 0.99]).tolist()
     near_px, far_px = (1 / low, 1 / high) if is_depth else (high, max(low, 1e-3))
-    return DepthScale(max(near_px, 2 * far_px), far_px, 1.0 if is_depth else None, colours)
+    return DepthScale(max(near_px, 2 * far_px), far_px, 1.0 if is_depth else None)

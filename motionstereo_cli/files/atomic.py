@@ -15,7 +15,7 @@ import re
 import stat
 from collections.abc import Iterator
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, Self
 
 from motionstereo_cli.errors import OutputError
 
@@ -76,6 +76,8 @@ def reported(path: Path | str) -> Iterator[None]:
 class Temporary:
     """A new file in the folder of its final name, renamed when it is complete.
 
+    As a context it is discarded at the end, unless it got its name.
+
     Args:
         final: that name.
 
@@ -92,6 +94,12 @@ class Temporary:
         self.path = final.with_name(f"{_MARK}{os.urandom(8).hex()}{_PART}")
         self.content: BinaryIO = os.fdopen(make_new(self.path), "wb")
         self._status = os.fstat(self.content.fileno())
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.discard()
 
     def place(self, *, durable: bool = False) -> None:
         """Give the file its final name, replacing a file or link that has it.
@@ -119,8 +127,6 @@ class Temporary:
         except OSError:  # a disk without hard links
             os.close(make_new(self._final))
             os.replace(self.path, self._final)
-        else:
-            self.discard()
 
     def discard(self) -> None:
         """Remove the file if it did not get its final name; a file that took its place stays."""
@@ -219,14 +225,9 @@ def write_whole(path: Path, content: bytes, *, durable: bool = False) -> None:
     Raises:
         OutputError: the file cannot be written.
     """
-    with reported(path):
-        file = Temporary(path)
-        try:
-            file.content.write(content)
-            file.place(durable=durable)
-        except BaseException:
-            file.discard()
-            raise
+    with reported(path), Temporary(path) as file:
+        file.content.write(content)
+        file.place(durable=durable)
 
 
 def sync(path: Path) -> None:

@@ -202,18 +202,15 @@ def copy_new(source: Path, target: Path) -> None:
     Raises:
         OutputError: something else has the name, or it cannot be written.
     """
-    with reported(target), open_regular(source) as content:
-        copy = Temporary(target)
+    with reported(target), open_regular(source) as content, Temporary(target) as copy:
+        shutil.copyfileobj(content, copy.content)
         try:
-            shutil.copyfileobj(content, copy.content)
             copy.place_new()
         except FileExistsError:
             if sum_of(target) != sum_of(source):
                 raise OutputError(
                     f"{target} is not from an earlier run: move it, or give another name"
                 ) from None
-        finally:
-            copy.discard()
 
 
 def link_new(source: Path, target: Path) -> None:

@@ -354,24 +354,20 @@ def join(segments: Sequence[Path], path: Path) -> None:
     Raises:
         OutputError: the file cannot be written, or a segment cannot be read.
     """
-    with _reported(path):
-        file = Temporary(path)
-        try:
-            with _new(file.path, path) as joined:
-                stream: Any = None
-                for segment in segments:
-                    with opened_result(segment, segment.parent) as source:
-                        if stream is None:
-                            stream = joined.add_stream_from_template(source.streams.video[0])
-                            # That of the first segment, which no other way of joining has.
-                            stream.codec_context.bit_rate = 0
-                        for packet in source.demux(source.streams.video[0]):
-                            if packet.dts is not None:  # the last one is empty
-                                packet.stream = stream
-                                joined.mux(packet)
-            file.place(durable=True)
-        finally:
-            file.discard()
+    with _reported(path), Temporary(path) as file:
+        with _new(file.path, path) as joined:
+            stream: Any = None
+            for segment in segments:
+                with opened_result(segment, segment.parent) as source:
+                    if stream is None:
+                        stream = joined.add_stream_from_template(source.streams.video[0])
+                        # That of the first segment, which no other way of joining has.
+                        stream.codec_context.bit_rate = 0
+                    for packet in source.demux(source.streams.video[0]):
+                        if packet.dts is not None:  # the last one is empty
+                            packet.stream = stream
+                            joined.mux(packet)
+        file.place(durable=True)
 
 
 def _even(image: Picture) -> NDArray[np.uint8]:

@@ -131,32 +131,28 @@ class BagFile:
         from mcap.reader import make_reader
 
         poses, spacing, found, begin_ns = [], 1, 0, 0
-        with reported(self._path):
-            joined = Temporary(self._path)
-            try:
-                writer = _Writer(self._path, joined.content, self._messages.types)
-                for segment in self._segments.paths:
-                    with open_regular(segment) as file:
-                        messages = make_reader(file).iter_messages(log_time_order=False)
-                        for _, channel, message in messages:
-                            writer.add(channel.topic, message.data, message.log_time)
-                            if channel.topic == "/tf_static":
-                                begin_ns = message.log_time
-                            elif channel.topic == "/tf":
-                                if found % spacing == 0:
-                                    poses.append(message.data)
-                                found += 1
-                                if len(poses) == _MAX_PATH:
-                                    poses, spacing = poses[::2], 2 * spacing
-                if poses:  # all of it from the beginning on
-                    path = self._messages.packed(self._messages.path(poses, begin_ns))
-                    writer.add("/path", path, begin_ns)
-                writer.finish()
-                layout = resources.files("motionstereo_cli") / "sinks" / LAYOUT
-                write_whole(self._path.with_name(LAYOUT), layout.read_bytes())
-                joined.place(durable=True)
-            finally:
-                joined.discard()
+        with reported(self._path), Temporary(self._path) as joined:
+            writer = _Writer(self._path, joined.content, self._messages.types)
+            for segment in self._segments.paths:
+                with open_regular(segment) as file:
+                    messages = make_reader(file).iter_messages(log_time_order=False)
+                    for _, channel, message in messages:
+                        writer.add(channel.topic, message.data, message.log_time)
+                        if channel.topic == "/tf_static":
+                            begin_ns = message.log_time
+                        elif channel.topic == "/tf":
+                            if found % spacing == 0:
+                                poses.append(message.data)
+                            found += 1
+                            if len(poses) == _MAX_PATH:
+                                poses, spacing = poses[::2], 2 * spacing
+            if poses:  # all of it from the beginning on
+                path = self._messages.packed(self._messages.path(poses, begin_ns))
+                writer.add("/path", path, begin_ns)
+            writer.finish()
+            layout = resources.files("motionstereo_cli") / "sinks" / LAYOUT
+            write_whole(self._path.with_name(LAYOUT), layout.read_bytes())
+            joined.place(durable=True)
 
     def abandon(self, *, keep: bool) -> None:
         """End early: complete the segment or, without ``keep``, remove all."""

@@ -13,7 +13,6 @@ from motionstereo_cli.compiled import checked_array
 from motionstereo_cli.compiled.pictures import levels_of
 from motionstereo_cli.files.video import table_of
 from motionstereo_cli.sinks.scale import FARTHEST, DepthScale, palette
-from motionstereo_cli.sinks.settings import OutputSettings
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -26,30 +25,13 @@ _LEVELS_PER_PX = 256
 _MAX_LEVELS = 1 << 20
 
 
-def depth_colours(
-    disparity_px: Real, near_px: float, far_px: float = 1.0, colours: str = OutputSettings().colours
-) -> NDArray[np.uint8]:
-    """Return depth in colour, grey = unknown; in turbo red is near, in most others what is bright.
-
-    The scale is the logarithm of the disparity, the same for every frame: equal steps of colour
-    are equal ratios of depth, so that far and near both show contrast, and no rig is needed.
-
-    Args:
-        disparity_px: (height, width) float32, doffs added if there is one; NaN = unknown.
-        near_px: disparity of the nearest colour in px.
-        far_px: disparity of the farthest colour in px, above 0; ``near_px`` counts as at least
-            twice as much.
-        colours: name of an OpenCV colour map.
-
-    Returns:
-        (height, width, 3) uint8 RGB.
-    """
-    scale = DepthScale(max(near_px, 2 * far_px), far_px, None, colours)
-    return coloured(disparity_px, scale)
-
-
 def coloured(disparity_px: Real, scale: DepthScale, view: Grey | None = None) -> NDArray[np.uint8]:
-    """Return the same, (height, width, 3) uint8 RGB; for the arguments see :func:`depth_levels`."""
+    """Return depth in colour, (height, width, 3) uint8 RGB; grey = unknown.
+
+    In turbo red is near, in most others what is bright. The scale is the logarithm of the
+    disparity, the same for every frame: equal steps of colour are equal ratios of depth, so that
+    far and near both show contrast. For the arguments see :func:`depth_levels`.
+    """
     levels = depth_levels(disparity_px, scale, view)
     return cv2.applyColorMap(levels, palette(scale.colours)).astype(np.uint8, copy=False)
 

@@ -62,9 +62,9 @@ class DepthScale:
     """
 
     near_px: float
-    far_px: float
-    px_m: float | None
-    colours: str
+    far_px: float = 1.0
+    px_m: float | None = None
+    colours: str = OutputSettings().colours
     doffs: float = 0.0
 
     @classmethod

@@ -16,7 +16,8 @@ from motionstereo_cli.method.memory import see
 from motionstereo_cli.method.settings import PRESETS, Settings
 from motionstereo_cli.simulate.scenes import render_scene
 from motionstereo_cli.simulate.settings import SimulateSettings
-from motionstereo_cli.sinks.drawing import depth_colours
+from motionstereo_cli.sinks.drawing import coloured
+from motionstereo_cli.sinks.scale import DepthScale
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -47,7 +48,7 @@ def sheet(width: int = 324) -> NDArray[np.uint8]:
             assert left is not None
             found[name] = match(right, left, s)[0]
         panels = [np.repeat(shots[-1].right[..., None], 3, axis=2)]
-        panels += [depth_colours(px, Settings().max_disparity) for px in found.values()]
+        panels += [coloured(px, DepthScale(Settings().max_disparity)) for px in found.values()]
         rows.append(titled(panels, (title, *found), DARK))
     return np.concatenate(rows)
 
