@@ -22,6 +22,7 @@ from motionstereo_cli.robot.alignment import (
     Lens,
     align,
     keyframe,
+    mismatch,
     nearness_of,
     pyramid,
 )
@@ -486,6 +487,12 @@ class TestAlignment:
         found = align(key, right, flat, self.LENS, np.eye(4))
         assert np.allclose(found.motion, motion, atol=2e-3)
         assert found.score > 0.9
+        for px in (-4, 0, 6):  # starts that turn by other angles mismatch more
+            turns = [[0, np.sin((px + off) / 150 / 2), 0, 1] for off in (-6, -2, 0, 3, 6)]
+            starts = np.tile(np.eye(4), (5, 1, 1))
+            starts[:, :3, :3] = rotations(np.array(turns))
+            costs = mismatch(key, right, self.LENS, starts @ motion, near=True)
+            assert np.argmin(costs) == {-4: 3, 0: 2, 6: 0}[px]
 
     def test_measures_what_the_right_view_is_displaced_by(self):
         y, x = np.mgrid[:60, :120].astype(float)

@@ -262,9 +262,14 @@ def align(
     return Alignment(motion, state[12:16], state[16:], score, share, normal)
 
 
-def mismatch(key: Keyframe, right: list[Real], lens: Lens, motions: Reals) -> Reals:
-    """Return the mismatch of grey after each of some motions (n, 4, 4), at the coarsest level."""
-    level = LEVELS - 1
+def mismatch(
+    key: Keyframe, right: list[Real], lens: Lens, motions: Reals, *, near: bool = False
+) -> Reals:
+    """Return the mismatch of grey after each of some motions (n, 4, 4).
+
+    It is that of the coarsest level, or of the one where a near start begins.
+    """
+    level = _NEAR_LEVEL if near else LEVELS - 1
     views, camera = _views(key, right, right, level), lens.at(level)
     residual = np.empty(len(key.points), np.float32)
     weights = loops.Weights(*_COARSE_WEIGHTS)  # type: ignore[call-arg]

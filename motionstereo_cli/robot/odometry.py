@@ -40,8 +40,8 @@ BLOCK_FRAMES = 8
 #: So is one that sees less than this share of the last keyframe's points.
 _MIN_SEEN = 0.7
 
-#: One alignment is enough with this share of the keyframe's median score; at first, of the last
-#: value. Other starts are tried below the second share, and corners below the third.
+#: One alignment is enough with this share of the median score; at first, of the last value. Other
+#: starts are tried below the second share, and corners below the third.
 _GOOD, _ENOUGH, _POOR, _USUAL_SCORE = 0.9, 0.75, 0.7, 0.85
 #: Below it, the rig is lost, unless so many corners agree, and such a share of them, or points of
 #: now are found in the last views with the second score.
@@ -53,6 +53,9 @@ _CORNERS, _CORNER_CELLS = 400, (4, 8)
 _TURNS_RAD = np.radians([0, -2, 2, -4, 4, -6, 6, -8, 8, -10, 10])
 _AHEAD = (0.0, 0.03, 0.06, 0.1, 0.16, -0.03)
 _TRIED = 4
+#: Where the motion before is not near enough, the likeliest of these turns is added: by how many
+#: px they move the image.
+_NEAR_TURNS_PX = np.array([-10.0, -8.0, -6.0, -4.0, -2.0, 2.0, 4.0, 6.0, 8.0, 10.0])
 
 #: Limits of the motion in a frame: rotation, and translation as a share of the points' depth.
 _MAX_TURN_RAD, _MAX_AHEAD = float(np.radians(15)), 0.5
@@ -121,7 +124,7 @@ class Odometry:
         motion: (4, 4) takes places in its camera to those in the last one.
         velocity: (4, 4) the last motion, from before to after; None where unknown.
         per_error: (6, 3) shift and turn of ``motion`` per px of the error of disparity.
-        scores: of the frames since.
+        scores: of the frames since the last keyframe by number.
     """
 
     key: Keyframe | None
@@ -179,8 +182,10 @@ def step(
     if new:
         key = keyframe(right, left, lens, range_px)
         # The start of a new block must not depend on earlier frames.
-        velocity = None if number % BLOCK_FRAMES == 0 else _inverse(motion.before_from_now)
-        return replace(_anew(key), velocity=velocity), motion
+        if number % BLOCK_FRAMES == 0:
+            return _anew(key), motion
+        scores, velocity = (*before.scores, found.score), _inverse(motion.before_from_now)
+        return replace(_anew(key), velocity=velocity, scores=scores), motion
     assert before.key is not None
     return (
         Odometry(
@@ -234,6 +239,10 @@ def _aligned(
     if before.velocity is not None:
         # From farther off, something large that moves by itself may draw it away.
         attempt(before.velocity @ before.motion, near=True)
+        if below(_ENOUGH):
+            turned = _turns(_NEAR_TURNS_PX / lens.focal_px[0]) @ before.velocity @ before.motion
+            costs = mismatch(key, right, lens, turned, near=True)
+            attempt(turned[np.argmin(costs)], near=True)
         if below(_GOOD):
             attempt(before.velocity @ before.motion)
     if below(_ENOUGH):
@@ -276,14 +285,19 @@ def _starts(depth_m: float) -> Reals:
     Args:
         depth_m: about how far off things are.
     """
-    starts = []
-    for ahead in _AHEAD:
-        for turn in _TURNS_RAD:
-            motion = np.eye(4)
-            motion[:3, :3] = cv2.Rodrigues(np.array([0.0, turn, 0.0]))[0]
-            motion[2, 3] = -ahead * depth_m
-            starts.append(motion)
-    return np.array(starts)
+    turned = _turns(_TURNS_RAD)
+    starts = np.repeat(turned[None], len(_AHEAD), axis=0)
+    starts[:, :, 2, 3] = -np.array(_AHEAD)[:, None] * depth_m
+    return starts.reshape(-1, 4, 4)
+
+
+def _turns(angles_rad: Reals) -> Reals:
+    """Return motions (n, 4, 4) that turn to the side by some angles (n,)."""
+    motions = np.tile(np.eye(4), (len(angles_rad), 1, 1))
+    motions[:, 0, 0] = motions[:, 2, 2] = np.cos(angles_rad)
+    motions[:, 0, 2] = np.sin(angles_rad)
+    motions[:, 2, 0] = -motions[:, 0, 2]
+    return motions
 
 
 def _at_rest(
