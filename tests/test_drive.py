@@ -216,6 +216,36 @@ class TestWalkers:
         assert np.abs(rows[0] - rows[1]).mean() < 0.25 * rows[0].std()
 
 
+class TestTruthOfWalkers:
+    def seen(self, walker):
+        """Return what a shot says of a walker, after the robot drove 0.1 m in a frame."""
+        world = DriveWorld(DriveSettings(seed=0, walkers=1, **SMALL))
+        ahead = world.robot
+        x_m, y_m = np.array([ahead.x_m, ahead.y_m]) + 3 * np.array(ahead.forward)
+        world.walkers = [walker(x_m, y_m, ahead.yaw_rad)]
+        world.act(Command(0.1, 0.0))
+        return world.shot().objects
+
+    def test_is_its_box_and_its_speed(self):
+        (found,) = self.seen(lambda x, y, yaw: Walker(x, y, yaw + math.pi, 1.0, True))
+        assert found.depth_m == pytest.approx(3 - 0.2 - RADIUS_M, abs=0.15)
+        assert found.closing_mps == pytest.approx(2.0, abs=0.05)
+        assert found.over_ground_mps == pytest.approx(1.0, abs=0.01)
+        assert found.by_itself
+        left, right = np.array([found.x, found.x + found.width]) / 160
+        assert left < 0.5 < right
+        assert found.width / 160 == pytest.approx(0.87 * 2 * RADIUS_M / 2.7, abs=0.03)
+
+    def test_one_that_stands_does_not_move_by_itself(self):
+        (found,) = self.seen(lambda x, y, yaw: Walker(x, y, yaw, 0.0, True))
+        assert not found.by_itself
+        assert found.over_ground_mps == 0
+        assert found.closing_mps == pytest.approx(1.0, abs=0.05)
+
+    def test_one_out_of_sight_has_no_row(self):
+        assert self.seen(lambda x, y, yaw: Walker(-x, -y, yaw, 1.0, True)) == ()
+
+
 def test_finds_its_way_round_a_corner():
     world = DriveWorld(DriveSettings(seed=0, laps=0.3))
     for _, found in driven(world, Settings()):

@@ -26,6 +26,16 @@ def test_a_file_is_all_of_itself():
     assert math.isnan(report.contact_error)
 
 
+def test_what_stands_in_the_truth_is_not_judged(tmp_path):
+    rows = {n: f"{n},1,10,20,40,40,2.0,,,1.00,1.0,,,{int(n != 2)},\n" for n in range(4)}
+    truth, found = tmp_path / "truth.csv", tmp_path / "found.csv"
+    truth.write_text(f"{HEADER}\n{''.join(rows.values())}")
+    for kept in ((0, 1, 2, 3), (0, 1, 3)):
+        found.write_text(f"{HEADER}\n{''.join(rows[n] for n in kept)}")
+        report = evaluate_objects(found, truth)
+        assert (report.true_boxes, report.found, report.false_rows) == (3, 1, 0)
+
+
 def test_misses_false_rows_and_switches_are_counted():
     true = [box(n) for n in range(10)]
     # Another id from frame 4 on, nothing in frame 7, a row elsewhere in frame 8.

@@ -315,12 +315,12 @@ class TestFreeWays:
 
 
 class TestPlan:
-    def planned(self, way, possible=None, course=None, yaw_rad=0.0, turned_rad=0.0, goal=None):
+    def planned(self, way, possible=None, course=None, yaw_rad=0.0, turned_rad=0.0, goal_rad=None):
         way = np.array([way(d) for d in DIRECTIONS_RAD])
         possible = way if possible is None else np.array([possible(d) for d in DIRECTIONS_RAD])
         course = course or Course(0.0, 0.0)
         directions = yaw_rad + DIRECTIONS_RAD
-        turned = {"turned_rad": turned_rad, "goal": goal}
+        turned = {"turned_rad": turned_rad, "goal_rad": goal_rad}
         return plan(course, yaw_rad, way, possible, directions, **turned)
 
     def test_heads_for_the_longest_way(self):
@@ -328,24 +328,12 @@ class TestPlan:
         assert course.heading_rad == pytest.approx(0.4, abs=0.15)
         assert free_m == 6
 
-    @pytest.mark.parametrize("at_rad", [0.8, -2.6])
-    def test_heads_for_a_goal_where_the_way_there_is_free(self, at_rad):
-        def way(d):
-            return 2.5 if abs(d - at_rad) < 0.2 else 6.0 if abs(d) < 0.2 else 1.0
-
-        near, free_m = self.planned(way, goal=(at_rad, 2.9))
-        assert near.heading_rad == at_rad
-        assert free_m == 2.5
-        far, free_m = self.planned(way, goal=(at_rad, 6.5))  # something is before it
-        assert abs(far.heading_rad) < 0.3
-        assert free_m == 6
-
     def test_of_two_ways_takes_that_nearer_to_the_goal(self):
         def way(d):
             return 5.0 if 0.5 < abs(d) < 1.0 else 1.0
 
         for side in (-1, 1):
-            course, _ = self.planned(way, goal=(side * 1.5, 9.0))
+            course, _ = self.planned(way, goal_rad=side * 1.5)
             assert course.heading_rad * side > 0.4
 
     def test_does_not_turn_back_for_a_longer_way(self):

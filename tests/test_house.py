@@ -91,6 +91,7 @@ def test_only_the_files_of_robot_that_keep_state_join_its_pure_ones():
         "robot/mover_finder.py",
         "robot/odometer.py",
         "robot/odometry.py",
+        "robot/route.py",  # the course to a goal
         "robot/tracker.py",
     } | {
         "runs/checkpoint.py",  # it names what is kept from frame to frame

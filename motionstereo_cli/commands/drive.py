@@ -44,9 +44,10 @@ def drive(out: Path, view: bool, overwrite: bool, world: DriveSettings, settings
 
     It drives round a square corridor, or in the floor plan of --world. OUT then holds left.mkv and
     right.mkv, its views (FFV1, lossless); rig.yaml and poses.txt (TUM format, m); steering.csv,
-    equal to that of run with --poses poses.txt and the same --goal; plan.png, the drive from above;
-    map.ply, map.png, map.yaml and map-sheet.png, equal to those of run --save map; drive.json with
-    laps, distance, collisions, nearest pass and the reason for the end.
+    equal to that of run with --poses poses.txt and the same --goal; objects.csv, the true boxes and
+    speeds of the walkers; plan.png, the drive from above; map.ply, map.png, map.yaml and
+    map-sheet.png, equal to those of run --save map; drive.json with laps, distance, collisions,
+    nearest pass and the reason for the end.
     """
     from motionstereo_cli.simulate.drive import drive as library
     from motionstereo_cli.simulate.drive_world import GOAL_M, world_of

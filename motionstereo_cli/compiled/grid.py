@@ -1,8 +1,14 @@
-"""What a camera sees of a grid, and free ways on it: the loops of :mod:`.robot.grid` and course."""
+"""What a camera sees of a grid, and ways on it: the loops of :mod:`.robot.grid`, course, route."""
 
 import cython
+import numpy as np
+from cython.cimports.libc.math import sqrt
 
 HALF = cython.declare(cython.float, 0.5)
+INFINITY = cython.declare(cython.float, np.inf)
+#: One over the length of a diagonal; a way is easier if it costs less by this much.
+DIAGONAL = cython.declare(cython.float, 0.70710678)
+EASIER = cython.declare(cython.float, 1e-3)
 
 
 @cython.cclass
@@ -150,3 +156,103 @@ def free_ways(
                 possible[n] += 1
                 if known[n] == step and to_unknown[row, column] >= known_m[step]:
                     known[n] += 1
+
+
+def ways_to(
+    cost: cython.const[cython.float][:, ::1], to: cython.float[:, ::1], rounds: cython.int
+) -> None:
+    """Lower what the way from each cell costs, by the ways through its neighbours.
+
+    The eikonal equation, by fast sweeping (Zhao 2005): in rounds of four sweeps, one from each
+    corner, until nothing changes.
+
+    Args:
+        cost: of a way through each cell, (nx, ny).
+        to: what is known at first, infinity where nothing is; gets the result. (nx, ny).
+        rounds: the most.
+    """
+    sweep: cython.int
+    i: cython.Py_ssize_t
+    k: cython.Py_ssize_t
+    row: cython.Py_ssize_t
+    column: cython.Py_ssize_t
+    rows: cython.Py_ssize_t = to.shape[0]
+    columns: cython.Py_ssize_t = to.shape[1]
+    with cython.nogil:
+        for _ in range(rounds):
+            changed: cython.bint = False
+            for sweep in range(4):
+                for i in range(rows):
+                    row = i if sweep & 1 == 0 else rows - 1 - i
+                    for k in range(columns):
+                        column = k if sweep & 2 == 0 else columns - 1 - k
+                        low: cython.float = through(cost[row, column], to, row, column)
+                        if low < to[row, column] - EASIER:
+                            to[row, column] = low
+                            changed = True
+            if not changed:
+                break
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def through(
+    cost: cython.float, to: cython.float[:, ::1], row: cython.Py_ssize_t, column: cython.Py_ssize_t
+) -> cython.float:
+    """Return what the way from a cell costs that leads through its neighbours."""
+    rows: cython.Py_ssize_t = to.shape[0]
+    columns: cython.Py_ssize_t = to.shape[1]
+    a: cython.float = INFINITY
+    b: cython.float = INFINITY
+    if row > 0:
+        a = to[row - 1, column]
+    if row < rows - 1 and to[row + 1, column] < a:
+        a = to[row + 1, column]
+    if column > 0:
+        b = to[row, column - 1]
+    if column < columns - 1 and to[row, column + 1] < b:
+        b = to[row, column + 1]
+    if a > b:
+        a, b = b, a
+    if a + cost <= b or a == INFINITY:
+        return a + cost
+    return (a + b + cython.cast(cython.float, sqrt(2 * cost * cost - (b - a) * (b - a)))) / 2
+
+
+def downhill(
+    to: cython.const[cython.float][:, ::1],
+    row: cython.Py_ssize_t,
+    column: cython.Py_ssize_t,
+    path: cython.int[:, ::1],
+) -> cython.Py_ssize_t:
+    """Fill in the cells of the way from a cell, each the best neighbour of the one before.
+
+    Args:
+        to: what the way from each cell costs.
+        row, column: the cell.
+        path: gets the cells after it, (n, 2).
+
+    Returns:
+        The number of cells; the way ends where no neighbour is better.
+    """
+    n: cython.Py_ssize_t
+    i: cython.Py_ssize_t
+    k: cython.Py_ssize_t
+    for n in range(path.shape[0]):
+        steepest: cython.float = 0
+        best_row: cython.Py_ssize_t = row
+        best_column: cython.Py_ssize_t = column
+        for i in range(max(row - 1, 0), min(row + 2, to.shape[0])):
+            for k in range(max(column - 1, 0), min(column + 2, to.shape[1])):
+                fall: cython.float = to[row, column] - to[i, k]
+                if i != row and k != column:
+                    fall *= DIAGONAL
+                if fall > steepest:
+                    steepest, best_row, best_column = fall, i, k
+        if steepest == 0:
+            return n
+        row, column = best_row, best_column
+        path[n, 0] = cython.cast(cython.int, row)
+        path[n, 1] = cython.cast(cython.int, column)
+    return path.shape[0]

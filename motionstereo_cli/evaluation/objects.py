@@ -52,7 +52,8 @@ class ObjectBox:
         depth_m, closing_mps, time_to_contact_s: as
             :class:`~motionstereo_cli.types.MovingObject` has them; NaN where unknown.
         over_ground_mps: speed over ground; NaN likewise.
-        counts: False where it is not labelled, and what is found there is not judged.
+        counts: False where it is not labelled or, in a truth, stands; what is found there is not
+            judged.
     """
 
     frame: int
@@ -216,6 +217,7 @@ def _of_table(path: Path) -> Iterator[ObjectBox]:
             *(frame, name, x, y, x + width, y + height),
             *(number("depth_m"), number("closing_mps"), number("time_to_contact_s")),
             number("over_ground_mps"),
+            row.get("by_itself") != "0",
         )
 
 

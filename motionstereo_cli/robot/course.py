@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from motionstereo_cli.compiled import grid as loops
+from motionstereo_cli.robot.grid import cells_within
 
 
 def steadied(before: float | None, target: float, gain: float) -> float:
@@ -29,7 +30,10 @@ DIRECTIONS_RAD = np.radians(np.arange(-180, 180, 3, dtype=np.float64))
 _LONGEST_M = 7.0
 _STEP_M = 0.05
 #: Clearance beside the robot, and how fast it has to grow where it is less.
-_CLEARANCE_M = 0.2
+CLEARANCE_M = 0.2
+#: The same on the way to a goal where it leads through a narrow place, and the least free distance
+#: there.
+NARROW_M = 0.08
 _WIDENING = 0.35
 #: Half the width of the strip that has to be free; beside it nothing may be occupied.
 _KNOWN_M = 0.15
@@ -39,16 +43,16 @@ _TRAVEL_COST_M = 1.0
 _CHANGE_COST_M = 0.5
 #: Directions farther from the direction of travel lead back.
 _BACK_RAD = math.radians(100)
-#: Free distance that offsets a radian away from a goal. It heads there where the way is free up to
-#: the first distance from the goal, or as far as the second.
+#: Free distance that offsets a radian away from the way to a goal.
 _GOAL_COST_M = 0.5
-_AT_GOAL_M, _TOWARD_GOAL_M = 0.5, 4.0
 #: Free distances below the first are blocked: the robot looks around until one exceeds the second.
 _MIN_FREE_M = 0.9
 _FOUND_FREE_M = 1.5
 _AHEAD_RAD = math.radians(35)
 #: After looking around by this angle without success, the direction back is allowed.
 _LOOK_RAD = math.radians(540)
+#: Where something enters so many free cells in a frame, somebody walks: it looks around for longer.
+_ENTERED, _WAIT_RAD = 3, math.radians(60)
 #: How far a rig has turned is looked at over the first number of frames, what it was asked to do
 #: over the second, as it may be late. In each it turns by the angle that it is asked, at most.
 TURN_FRAMES, ASKED_FRAMES = 8, 12
@@ -65,12 +69,15 @@ class Course:
         travel_rad: yaw of its recent path.
         look: 1 while it turns left to look around, -1 to the right, 0 while it has a heading.
         looked_rad: angle turned while looking around.
+        vain: what it has looked at on its way to a goal, and learnt nothing: places in cells of the
+            world.
     """
 
     heading_rad: float
     travel_rad: float
     look: int = 0
     looked_rad: float = 0.0
+    vain: tuple[tuple[float, float], ...] = ()
 
 
 def free_distances(
@@ -81,6 +88,7 @@ def free_distances(
     *,
     cell_m: float,
     radius_m: float,
+    beside_m: float = CLEARANCE_M,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return how far a round robot can drive in each direction, (n,) float64 m.
 
@@ -92,6 +100,7 @@ def free_distances(
         directions_rad: yaws along the axes of the cells, (n,).
         cell_m: size of a cell in m.
         radius_m: radius of the robot in m.
+        beside_m: clearance beside it; less is wanted where it starts with less.
     """
     # The robot's own place is free.
     here = cells_within(occupied.shape, place, radius_m, cell_m)
@@ -101,35 +110,13 @@ def free_distances(
     )
     step = np.arange(_STEP_M, _LONGEST_M + _STEP_M, _STEP_M)
     clearance_m = float(to_occupied[int(place[0]), int(place[1])])
-    wanted_m = np.minimum(radius_m + _CLEARANCE_M, max(clearance_m - cell_m, 0) + _WIDENING * step)
+    wanted_m = np.minimum(radius_m + beside_m, max(clearance_m - cell_m, 0) + _WIDENING * step)
     known, possible = np.empty((2, len(directions_rad)), np.int32)
     loops.free_ways(
         *(to_occupied, to_unknown, *place, np.cos(directions_rad), np.sin(directions_rad), step),
         *(cell_m, wanted_m, np.minimum(_KNOWN_M, 0.15 * step), known, possible),
     )
     return known * np.float64(_STEP_M), possible * np.float64(_STEP_M)
-
-
-def cells_within(
-    shape: tuple[int, ...], place: tuple[float, float], radius_m: float, cell_m: float
-) -> NDArray[np.bool_]:
-    """Return the cells whose middle is within a radius of a place, (nx, ny).
-
-    Args:
-        shape: number of cells along both axes.
-        place: in cells along both axes.
-        radius_m: the radius.
-        cell_m: size of a cell.
-    """
-    inside, reach = np.zeros(shape, np.bool_), radius_m / cell_m + 1
-    low, high = (
-        [min(max(int(at + off), 0), size) for at, size in zip(place, shape, strict=True)]
-        for off in (-reach, reach + 1)
-    )
-    x, y = (np.arange(a, b) + 0.5 - at for a, b, at in zip(low, high, place, strict=True))
-    near = np.hypot(x[:, None], y) * cell_m <= radius_m
-    inside[low[0] : high[0], low[1] : high[1]] = near
-    return inside
 
 
 def plan(
@@ -140,7 +127,8 @@ def plan(
     directions_rad: NDArray[np.float64],
     *,
     turned_rad: float,
-    goal: tuple[float, float] | None = None,
+    goal_rad: float | None = None,
+    entered: int = 0,
 ) -> tuple[Course, float | None]:
     """Return the next course and the free distance on it in m, None while looking around.
 
@@ -150,19 +138,18 @@ def plan(
         free_m, possible_m: free distances, see :func:`free_distances`.
         directions_rad: their yaws in the world.
         turned_rad: how far the robot has turned since the last frame.
-        goal: yaw in the world and distance in m of a place to drive to, if there is one.
+        goal_rad: yaw in the world of the way to a goal, if there is one.
+        entered: number of cells that had been free for long, in which something is now.
     """
-    if goal is not None:
-        best = int(np.argmin(np.abs(wrapped(directions_rad - goal[0]))))
-        if free_m[best] >= min(max(goal[1] - _AT_GOAL_M, 0.0), _TOWARD_GOAL_M):
-            return Course(goal[0], goal[0]), float(free_m[best])
     looked_rad = course.looked_rad + abs(turned_rad) if course.look else 0.0
+    if entered >= _ENTERED:
+        looked_rad = max(looked_rad - _WAIT_RAD, 0.0)
     from_travel = np.abs(wrapped(directions_rad - course.travel_rad))
     smooth_m = np.mean([np.roll(free_m, k) for k in (-2, -1, 0, 1, 2)], axis=0)
     worth = np.minimum(free_m, smooth_m) - _TRAVEL_COST_M * from_travel
     worth -= _CHANGE_COST_M * np.abs(wrapped(directions_rad - course.heading_rad))
-    if goal is not None:
-        worth -= _GOAL_COST_M * np.abs(wrapped(directions_rad - goal[0]))
+    if goal_rad is not None:
+        worth -= _GOAL_COST_M * np.abs(wrapped(directions_rad - goal_rad))
     # A short free distance is enough to continue, but not to turn to.
     ahead = (np.abs(wrapped(directions_rad - yaw_rad)) <= _AHEAD_RAD) & (course.look == 0)
     allowed = free_m >= np.where(ahead, _MIN_FREE_M, _FOUND_FREE_M)
@@ -174,10 +161,12 @@ def plan(
         # The way back is the new direction of travel: it does not lead back again.
         turns_back = bool(from_travel[best] > _BACK_RAD)
         travel_rad = heading_rad if turns_back else course.travel_rad
-        return Course(heading_rad, travel_rad), float(free_m[best])
+        return replace(
+            course, heading_rad=heading_rad, travel_rad=travel_rad, look=0, looked_rad=0.0
+        ), float(free_m[best])
     look = course.look or _side_to_look(possible_m, directions_rad, course.travel_rad)
     heading_rad = yaw_rad + look * math.pi / 2
-    return Course(heading_rad, course.travel_rad, look, looked_rad), None
+    return replace(course, heading_rad=heading_rad, look=look, looked_rad=looked_rad), None
 
 
 def travelled(course: Course, forward_m: float, direction_rad: float) -> Course:
@@ -191,7 +180,7 @@ def travelled(course: Course, forward_m: float, direction_rad: float) -> Course:
     share = min(1.0, forward_m / _TRAVEL_M)
     off_rad = math.remainder(direction_rad - course.travel_rad, math.tau)
     travel_rad = course.travel_rad + share * off_rad
-    return Course(course.heading_rad, travel_rad, course.look, course.looked_rad)
+    return replace(course, travel_rad=travel_rad)
 
 
 def taken_along(course: Course, yaws_rad: Sequence[float], asked_rad: Sequence[float]) -> Course:

@@ -56,6 +56,28 @@ def window(
     return found
 
 
+def cells_within(
+    shape: tuple[int, ...], place: tuple[float, float], radius_m: float, cell_m: float
+) -> NDArray[np.bool_]:
+    """Return the cells whose middle is within a radius of a place, (nx, ny).
+
+    Args:
+        shape: number of cells along both axes.
+        place: in cells along both axes.
+        radius_m: the radius.
+        cell_m: size of a cell.
+    """
+    inside, reach = np.zeros(shape, np.bool_), radius_m / cell_m + 1
+    low, high = (
+        [min(max(int(at + off), 0), size) for at, size in zip(place, shape, strict=True)]
+        for off in (-reach, reach + 1)
+    )
+    x, y = (np.arange(a, b) + 0.5 - at for a, b, at in zip(low, high, place, strict=True))
+    near = np.hypot(x[:, None], y) * cell_m <= radius_m
+    inside[low[0] : high[0], low[1] : high[1]] = near
+    return inside
+
+
 @dataclass(frozen=True, slots=True)
 class FloorView:
     """A camera on the floor plane.

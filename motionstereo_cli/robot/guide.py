@@ -21,7 +21,6 @@ from motionstereo_cli.robot.course import (
     DIRECTIONS_RAD,
     TURN_FRAMES,
     Course,
-    cells_within,
     free_distances,
     plan,
     steadied,
@@ -39,17 +38,21 @@ from motionstereo_cli.robot.free_space import (
     nearest,
     way_ahead,
 )
-from motionstereo_cli.robot.grid import FloorView
+from motionstereo_cli.robot.grid import FloorView, cells_within
 from motionstereo_cli.robot.local_map import (
     CELL_M,
     CELLS,
     CERTAIN,
+    GOAL_HALF_LIFE_FRAMES,
+    HALF_LIFE_FRAMES,
+    ONE_HIT,
     Bearings,
     LocalMap,
     moved,
     profile,
     seen,
 )
+from motionstereo_cli.robot.route import toward
 from motionstereo_cli.types import MovingObject, Pose, Rig, Steering
 
 if TYPE_CHECKING:
@@ -70,6 +73,9 @@ CONTACT_RADIUS_M = 0.5
 #: a wall that the camera passes always shows new parts, as if it moved along.
 STANDS = 3.0
 STANDS_WITHIN_M = 0.25
+
+#: Up to this distance what one frame sees is an obstacle: who walks is in another cell in the next.
+_NEAR_M = 1.2
 
 #: Rows and columns of an image that are used for guidance: larger images take no longer.
 STEERING_PX = 240
@@ -381,8 +387,9 @@ class MapGuide:
         view = view_of(self.rig, s.reference, self.rig.camera_on_floor(pose, s.reference), yaw)
         new = bool(np.isfinite(seen_now.bearings.near_px).any())
         before = state or MapCourse(LocalMap.unknown(pose.x_m, pose.y_m), pose)
-        around = moved(before.map, pose.x_m, pose.y_m)
-        known = seen(around, seen_now.bearings, view, seen_now.size, s.robot_below_m)
+        shifted = moved(before.map, pose.x_m, pose.y_m)
+        half_life = GOAL_HALF_LIFE_FRAMES if s.goal_m else HALF_LIFE_FRAMES
+        known = seen(*(shifted, seen_now.bearings, view, seen_now.size, s.robot_below_m, half_life))
         trail = (*before.trail, (pose.x_m, pose.y_m, yaw))[-_TRAIL:]
         image, by_image = before.image, None
         if seen_now.image is not None:
@@ -400,23 +407,27 @@ class MapGuide:
             yaws = [each for _, _, each in trail[-TURN_FRAMES - 1 :]]
             course = taken_along(course, yaws, before.asked_rad)
         directions = yaw + DIRECTIONS_RAD
+        middle = known.cells_of(pose.x_m, pose.y_m)
         occupied, free = known.evidence > CERTAIN, known.evidence < -CERTAIN
-        known_m, possible_m = free_distances(
-            occupied | self._foreseen(nearest_contact(objects), known),
-            free,
-            (pose.x_m / CELL_M - known.corner[0], pose.y_m / CELL_M - known.corner[1]),
-            directions,
-            cell_m=CELL_M,
-            radius_m=s.robot_radius_m,
-        )
+        occupied |= (known.evidence > ONE_HIT) & cells_within(free.shape, middle, _NEAR_M, CELL_M)
+        occupied |= self._foreseen(nearest_contact(objects), known)
+        around = middle, directions
         turned = math.remainder(yaw - before.pose.yaw_rad, math.tau)
-        goal = None
-        if s.goal_m is not None:
-            x_m, y_m = s.goal_m[0] - pose.x_m, s.goal_m[1] - pose.y_m
-            goal = math.atan2(y_m, x_m), math.hypot(x_m, y_m)
-        course, free_m = plan(
-            course, yaw, known_m, possible_m, directions, turned_rad=turned, goal=goal
-        )
+        if s.goal_m is None:
+            ways = free_distances(
+                *(occupied, free, *around), cell_m=CELL_M, radius_m=s.robot_radius_m
+            )
+            course, free_m = plan(
+                *(course, yaw, *ways, directions), turned_rad=turned, entered=known.entered
+            )
+        else:
+            course, free_m = toward(
+                *(course, yaw, occupied, free, *around, known.cells_of(*s.goal_m)),
+                corner=known.corner,
+                turned_rad=turned,
+                cell_m=CELL_M,
+                radius_m=s.robot_radius_m,
+            )
         angle_rad = math.remainder(course.heading_rad - yaw, math.tau)
         place = steadied(before.place, self._place_of(angle_rad, width), s.steer_gain)
         half_way = s.robot_radius_m / self.rig.baseline_m
@@ -502,8 +513,7 @@ class MapGuide:
 
         def around(after_s: float, radius_m: float) -> NDArray[np.bool_]:
             there_m = x + vx * after_s, y + vy * after_s
-            i, k = (m / CELL_M - first for m, first in zip(there_m, known.corner, strict=True))
-            return cells_within(cells.shape, (i, k), radius_m, CELL_M)
+            return cells_within(cells.shape, known.cells_of(*there_m), radius_m, CELL_M)
 
         if not (known.evidence[around(0, STANDS_WITHIN_M)] > STANDS).any():
             for after_s in FORESEEN_S:

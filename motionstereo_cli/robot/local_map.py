@@ -29,6 +29,8 @@ CELL_M = 0.1
 #: Cells along one side of the map: 16 m.
 CELLS = 160
 HALF_LIFE_FRAMES = 50
+#: The same where a robot has a goal, and plans its way by what it has passed.
+GOAL_HALF_LIFE_FRAMES = 200
 
 #: Evidence of one frame, and its limit. A cell counts as free or occupied beyond
 #: CERTAIN: after two frames or more.
@@ -36,6 +38,11 @@ _HIT = 0.5
 _MISS = -0.5
 _MOST = 4.0
 CERTAIN = 0.7
+#: More than this is of one frame, at least.
+ONE_HIT = 0.3
+
+#: A cell has been free for long below this evidence. So many cells from the middle are looked at.
+_LONG_FREE, _AROUND = -2.0, 30
 
 #: Distance from the robot up to which points are marked as occupied.
 _HIT_REACH_M = 6.0
@@ -58,6 +65,8 @@ _LOW_THING = cv2.getStructuringElement(
 #: Evidence from which on a thing is believed to stand where no view reaches it; one that rises less
 #: than this length above what is no obstacle may be the floor, wrongly matched, and needs more.
 _SURE, _SURE_IF_LOW, _LOW_M = 0.9, 2.0, 0.25
+#: Beyond this distance it is taken for floor, which beside the edge of a wall has the wall's depth.
+_LOW_REACH_M = 3.5
 #: The upper side of a low thing: as near its top as this, nearer than this, without a longer gap.
 _LEVEL_M, _LEVEL_REACH_M, _LEVEL_GAP_M = 0.12, 4.0, 0.45
 #: How far above the top of a thing a sight has to pass to be said to pass over it.
@@ -72,17 +81,24 @@ class LocalMap:
         evidence: (CELLS, CELLS) float32, axis 0 along the world's x, axis 1 along its y.
         top_m: (CELLS, CELLS) float32, height above the cameras of what stands in the cell.
         corner: world cell of ``evidence[0, 0]``; world cell i spans i..i+1 times CELL_M.
+        entered: number of cells around the middle that had been free for long, in which the last
+            frame saw something.
     """
 
     evidence: Reals
     top_m: Reals
     corner: tuple[int, int]
+    entered: int = 0
 
     @classmethod
     def unknown(cls, x_m: float, y_m: float) -> LocalMap:
         """Return an empty map around a place."""
         nothing = np.zeros((CELLS, CELLS), np.float32)
         return cls(nothing, nothing, _corner(x_m, y_m))
+
+    def cells_of(self, x_m: float, y_m: float) -> tuple[float, float]:
+        """Return a place in the world in cells along both axes."""
+        return x_m / CELL_M - self.corner[0], y_m / CELL_M - self.corner[1]
 
 
 class Bearings(NamedTuple):
@@ -179,7 +195,12 @@ def moved(known: LocalMap, x_m: float, y_m: float) -> LocalMap:
 
 
 def seen(
-    known: LocalMap, found: Bearings, view: FloorView, size: tuple[int, int], below_m: float
+    known: LocalMap,
+    found: Bearings,
+    view: FloorView,
+    size: tuple[int, int],
+    below_m: float,
+    half_life: int = HALF_LIFE_FRAMES,
 ) -> LocalMap:
     """Return the map after a frame, with what a camera has seen.
 
@@ -189,6 +210,7 @@ def seen(
         view: the camera.
         size: width and height of its images in px.
         below_m: as of the profile.
+        half_life: number of frames in which evidence halves.
     """
     width, height = size
     sight = sighted(
@@ -202,21 +224,25 @@ def seen(
         error_px=_HIT_ERROR_PX,
         far_m=found.far_m,
     )
-    evidence = known.evidence * np.float32(0.5 ** (1 / HALF_LIFE_FRAMES))
+    evidence = known.evidence * np.float32(0.5 ** (1 / half_life))
     # The lowest row passes over what is lower and near.
     lowest_m = sight.ahead_m * np.float32((view.cy_px - (height - 1)) / view.focal_y_px)
-    needed = np.where(known.top_m < np.float32(_LOW_M - below_m), _SURE_IF_LOW, _SURE)
+    low_m = np.float32(_LOW_M - below_m)
+    needed = np.where(known.top_m < low_m, _SURE_IF_LOW, _SURE)
     passed_over = (evidence > needed) & (known.top_m < lowest_m + np.float32(_TOP_ERROR_M))
     # Behind its front it is assumed to be as low, and its end is not visible from here.
     beside = cv2.dilate(passed_over.astype(np.uint8), _LOW_THING).astype(np.bool_)
     passed_over |= beside & (np.abs(evidence) < CERTAIN)
     evidence[sight.free & ~passed_over] += np.float32(_MISS)
     top_m = _filled(found.top_m)[sight.bearing]
+    hit = sight.hit & ((top_m >= low_m) | (sight.ahead_m < _LOW_REACH_M))
     top_m = np.where(evidence > 0, (known.top_m + top_m) / 2, top_m)
+    around = (slice(CELLS // 2 - _AROUND, CELLS // 2 + _AROUND),) * 2
+    entered = int(np.count_nonzero(hit[around] & (evidence[around] < _LONG_FREE)))
     # An object that enters a long-free cell is believed as soon as any other.
-    hit = sight.hit
     evidence[hit] = np.maximum(evidence[hit], 0) + np.float32(_HIT)
-    return LocalMap(evidence.clip(-_MOST, _MOST), np.where(hit, top_m, known.top_m), known.corner)
+    top_m = np.where(hit, top_m, known.top_m)
+    return LocalMap(evidence.clip(-_MOST, _MOST), top_m, known.corner, entered)
 
 
 def _corner(x_m: float, y_m: float) -> tuple[int, int]:

@@ -29,12 +29,14 @@ from motionstereo_cli.simulate.drive_world import RobotWorld, Shot
 from motionstereo_cli.simulate.settings import ROBOT_RADIUS_M
 from motionstereo_cli.sinks.drawing import depth_picture, grey_picture
 from motionstereo_cli.sinks.map import MapFiles
+from motionstereo_cli.sinks.objects_table import HEADER, object_row
 from motionstereo_cli.sinks.preview import framed, with_heading
 from motionstereo_cli.sinks.records import Count, FolderRecord, Plain
 from motionstereo_cli.sinks.scale import measured_ends
 from motionstereo_cli.sinks.settings import OutputSettings
 from motionstereo_cli.sinks.sink import RunContext
 from motionstereo_cli.sinks.steering_table import SteeringFile
+from motionstereo_cli.sinks.writers import TableFile
 from motionstereo_cli.types import Pose, Step, StereoFrame
 
 if TYPE_CHECKING:
@@ -46,7 +48,7 @@ _TIME_BASE = Fraction(1, 1000)
 #: Files of a drive; the record is the last.
 RECORD, _VIEW = "drive.json", "drive.mp4"
 OUTPUTS = (
-    *("left.mkv", "right.mkv", "rig.yaml", "steering.csv", "poses.txt", "plan.png"),
+    *("left.mkv", "right.mkv", "rig.yaml", "steering.csv", "poses.txt", "objects.csv", "plan.png"),
     *("map.ply", "map.png", "map.yaml", "map-sheet.png", _VIEW, RECORD),
 )
 
@@ -93,8 +95,8 @@ def drive(
     """Drive until the end, write the results, and return the record.
 
     Writes left.mkv and right.mkv (FFV1), rig.yaml, poses.txt (TUM), steering.csv as ``run`` does,
-    plan.png, map.ply, map.png, map.yaml, map-sheet.png, the record drive.json and, with ``view``,
-    drive.mp4.
+    objects.csv with the true boxes and speeds of the walkers, plan.png, map.ply, map.png, map.yaml,
+    map-sheet.png, the record drive.json and, with ``view``, drive.mp4.
     ``run`` on the recordings with that rig and those poses gives the same steering.csv and map.
 
     On failure or interruption no file remains.
@@ -123,11 +125,14 @@ def drive(
         surroundings = MapFiles(out / "map.ply", context)
         folder.add("map", lambda _: surroundings)
         folder.add("steering", lambda _: SteeringFile(out / "steering.csv"))
-        for frame, step in driven(world, settings, with_map=True):
+        walkers = folder.own(TableFile(out / "objects.csv", HEADER))
+        for shot, step in driven(world, settings, with_map=True):
+            frame = shot.frame
             assert step.pose is not None
             poses.append(format_pose(frame.pts * float(_TIME_BASE), step.pose))
             folder.write(step)
             plan.add_walkers()
+            walkers.add(object_row(frame.index, each) for each in shot.objects)
             images = [frame.left, frame.right]
             if view:
                 picture = plan.draw(surroundings.mapper.floor())
@@ -165,8 +170,8 @@ def aimed(settings: Settings, world: RobotWorld) -> Settings:
 
 def driven(
     world: RobotWorld, settings: Settings, *, with_map: bool = False
-) -> Iterator[tuple[StereoFrame, Step]]:
-    """Yield each frame and its step; the caller moves the robot before the next.
+) -> Iterator[tuple[Shot, Step]]:
+    """Yield each shot and its step; the caller moves the robot before the next.
 
     See :meth:`RobotWorld.act_on`. Steps have points for a map if it is asked for.
     """
@@ -191,7 +196,7 @@ def driven(
         with_points=with_map,
         extras=("depth_m",),
     )
-    return ((frame, step) for frame, step, _ in steps(frames(), stream, pose_of))
+    return ((shot, step) for _, step, _ in steps(frames(), stream, pose_of))
 
 
 def _outcome(world: RobotWorld, settings: Settings) -> dict[str, Any]:

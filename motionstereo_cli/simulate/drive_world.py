@@ -27,8 +27,9 @@ from motionstereo_cli.simulate.floor_plan import prisms, read_plan
 from motionstereo_cli.simulate.plan_scene import Outlines, PlanScene
 from motionstereo_cli.simulate.scenes import exposed
 from motionstereo_cli.simulate.settings import CORRIDOR, ROBOT_RADIUS_M, DriveSettings
+from motionstereo_cli.simulate.truth import moving_objects
 from motionstereo_cli.simulate.walkers import RADIUS_M, Walker, WalkerPaint, place_walkers, step
-from motionstereo_cli.types import Pose, Steering, StereoFrame
+from motionstereo_cli.types import MovingObject, Pose, Steering, StereoFrame
 
 if TYPE_CHECKING:
     from motionstereo_cli.types import Real
@@ -73,11 +74,14 @@ class Shot(NamedTuple):
         frame: the images, with the sensor's noise.
         disparity_px: (height, width) float32 true disparity of every pixel of the right view.
         pose: where the rig is.
+        objects: what walks, as far as the right view shows it, with its true speed since the last
+            frame.
     """
 
     frame: StereoFrame
     disparity_px: Real
     pose: Pose
+    objects: tuple[MovingObject, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,6 +137,7 @@ class RobotWorld:
     """
 
     walkers: Sequence[Walker] = ()
+    _walkers_before: Sequence[Walker] = ()
 
     def __init__(
         self,
@@ -232,8 +237,32 @@ class RobotWorld:
             left=exposed(left.grey, s.noise_sigma, (s.seed, 3, number, 0)),
             right=exposed(right.grey, s.noise_sigma, (s.seed, 3, number, 1)),
         )
+        objects: Iterator[MovingObject] = iter(())
+        if right.mover is not None:
+            objects = moving_objects(
+                *(right.mover, right.depth_m, pts / 1000), self._pose_at, self._walkers_at
+            )
         disparity_px = s.rig.disparity_px(right.depth_m)
-        return Shot(frame, disparity_px, as_written(self.believed.rig_pose))
+        return Shot(frame, disparity_px, as_written(self.believed.rig_pose), tuple(objects))
+
+    def _pose_at(self, time_s: float) -> FloorPose:
+        """Return where the robot is if it goes on as in the last frame."""
+        frames = time_s * FRAME_RATE - self.frames
+        (x0, y0), (x1, y1) = self.path[-2:] if len(self.path) > 1 else self.path * 2
+        return FloorPose(x1 + frames * (x1 - x0), y1 + frames * (y1 - y0), self.robot.yaw_rad)
+
+    def _walkers_at(self, time_s: float) -> dict[int, tuple[float, float]]:
+        """Return where the walkers are, by their numbers, if they go on as in the last frame."""
+        frames = time_s * FRAME_RATE - self.frames
+        return {
+            number: (
+                now.x_m + frames * (now.x_m - then.x_m),
+                now.y_m + frames * (now.y_m - then.y_m),
+            )
+            for number, (then, now) in enumerate(
+                zip(self._walkers_before or self.walkers, self.walkers, strict=True), start=1
+            )
+        }
 
     def around_px(self) -> Real:
         """Return the true disparities of what is around the robot now, in four directions, (n,)."""
@@ -376,6 +405,7 @@ class DriveWorld(RobotWorld):
         return "laps done" if self.laps >= self.settings.laps else super()._finished()
 
     def _went(self, before: FloorPose) -> None:
+        self._walkers_before = self.walkers
         self.walkers = [
             step(
                 walker,

@@ -57,5 +57,5 @@ def moving_objects(
             place_m=(float(places[number][0]), float(places[number][1])),
             velocity_mps=(float(way_m[0]) / _MOMENT_S, float(way_m[1]) / _MOMENT_S),
             sigma_mps=0.0,
-            by_itself=True,
+            by_itself=bool(way_m.any()),
         )

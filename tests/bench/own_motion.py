@@ -128,7 +128,8 @@ def measure_drive(settings: DriveSettings) -> DriveScore:
     odometer = Odometer(world.settings.rig, SETTINGS.max_disparity)
     state = last = path = None
     found, true, lost = [], [], []
-    for frame, step in driven(world, aimed(SETTINGS, world)):
+    for shot, step in driven(world, aimed(SETTINGS, world)):
+        frame = shot.frame
         true.append(world.robot.rig_pose)
         state, motion = odometer.step(state, last, frame.right, frame.left, frame.index)
         path, pose, fix = odometer.follow(path, motion)
