@@ -82,6 +82,8 @@ def shortage(error: BaseException) -> str | None:
         or _NO_MEMORY.search(str(error))
     ):
         return "out of memory: close other programs, or give --jobs 1, --scale or --crop"
+    if getattr(error, "errno", None) in (errno.EMFILE, errno.ENFILE):
+        return "too many files are open: raise the limit (ulimit -n), or close other programs"
     return None
 
 

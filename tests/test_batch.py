@@ -485,6 +485,32 @@ def test_what_a_client_has_left_is_done_without_it(archive, by_hand, tmp_path):
     assert [path.read_text().count("note: done") for path in logs] == [1, 1]
 
 
+@pytest.mark.parametrize("shard", [False, True])
+def test_a_limit_of_open_files_is_named_and_ends_nothing_in_a_wait(archive, tmp_path, shard):
+    resource = pytest.importorskip("resource")
+    command = [sys.executable, "-m", "motionstereo_cli", "batch", "good.csv"]
+    command += ["-o", str(tmp_path / "out"), "--workers", "2", *(["--shard", "0/1"] * shard)]
+
+    def few() -> None:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (20, 20))
+
+    (archive / "good.csv").write_text("left,right,out\na/left.mp4,a/right.mp4,a\n")
+    done = subprocess.run(
+        command,
+        check=False,
+        cwd=archive,
+        preexec_fn=few,
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+    assert done.returncode == 1
+    first, *more = done.stderr.splitlines()
+    assert first.startswith("error: ")
+    assert "ulimit -n" in first or (shard and "Too many open files" in first)
+    assert all(line.startswith("note: ") for line in more)
+
+
 def test_without_a_scheduler_there_is_one_line(archive, tmp_path, capsys):
     arguments = [str(archive / "all.csv"), "-o", str(tmp_path / "out")]
     assert main(["batch", *arguments, "--scheduler", "tcp://127.0.0.1:9"]) == 1

@@ -31,6 +31,8 @@ _ANSWER_S = 10
 _MAX_FILE_BYTES = 1_000_000
 #: Attempts to start processes on this machine.
 _STARTS = 3
+#: Files that Dask opens in this process, and for each worker; without them it waits for ever.
+_FILES, _FILES_OF_A_WORKER = 40, 12
 #: Timeout for its workers to connect, in s.
 _WORKERS_S = 60
 
@@ -113,6 +115,8 @@ def client_of(cluster: Cluster, tasks: int, say: Say) -> Iterator[tuple[Client, 
     import dask
     import distributed  # noqa: F401  # whose defaults would else go with the settings
 
+    for name in ("asyncio", "tornado.application"):  # which print tracebacks, as of too many files
+        logging.getLogger(name).setLevel(logging.CRITICAL)
     with dask.config.set(_SETTINGS), warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of Dask, which users of a batch can do little about
         opened = _started(cluster, tasks, say) if cluster.local else _joined(cluster)
@@ -143,6 +147,7 @@ def _started(cluster: Cluster, tasks: int, say: Say) -> Iterator[Client]:
     workers = min(cluster.workers or cores, tasks)
     if workers > cores:
         say("note", f"{workers} workers share {cores} cores: more than one for each gains nothing")
+    _make_room(workers)
     # A free port for Dask's dashboard, so that two batches do not collide.
     options = {"threads_per_worker": 1, "dashboard_address": "127.0.0.1:0"}
     silent = logging.CRITICAL  # it would print tracebacks of processes that do not start
@@ -159,6 +164,28 @@ def _started(cluster: Cluster, tasks: int, say: Say) -> Iterator[Client]:
                 ) from None
     with local, Client(local) as client:
         yield client
+
+
+def _make_room(workers: int) -> None:
+    """Raise the limit of open files to what so many workers need.
+
+    Raises:
+        InputError: that is more than the system allows.
+    """
+    if not importlib.util.find_spec("resource"):  # as on Windows
+        return
+    import resource
+
+    needed = _FILES + _FILES_OF_A_WORKER * workers
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    endless = resource.RLIM_INFINITY
+    if hard != endless and hard < needed:
+        raise InputError(
+            f"--workers {workers} need {needed} open files, and the limit is {hard}: give fewer, "
+            "or raise it (ulimit -n)"
+        )
+    if soft != endless and soft < needed:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (needed, hard))
 
 
 @contextlib.contextmanager

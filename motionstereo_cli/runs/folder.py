@@ -268,7 +268,8 @@ class RunFolder(Sinks):
             if not self._overwrite and not all(
                 path.name == LOCK or is_left_over(path) for path in out.iterdir()
             ):
-                advice = ", or --resume to go on" if kind is RUN and self._part.exists() else ""
+                begun = kind is RUN and read_record(self._part, kind)
+                advice = ", or --resume to go on" if begun else ""
                 raise OutputError(
                     f"{out} is not empty: give another folder, or --overwrite{advice}"
                 )
