@@ -29,7 +29,6 @@ FOCAL, CX, CY = 200.0, 119.5, 79.5
 SLOPE = 0.3
 GROUND = Ground(SLOPE, CY)
 RIG = Rig(WIDTH, HEIGHT, FOCAL, baseline_m=SLOPE * 1.2, cx=CX, cy=CY)
-FAR_PX = FOCAL * SLOPE / 25
 
 
 def road(*boxes, ground=GROUND, walls=None):

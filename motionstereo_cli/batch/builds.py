@@ -30,7 +30,7 @@ def own_builds() -> dict[str, str]:
 
 
 def builds_here() -> dict[str, str]:
-    """Return the builds of this process, found in another one: to load them all takes memory.
+    """Return the builds of this process, found by another one: loading all libraries takes memory.
 
     Raises:
         InputError: a library cannot be loaded.

@@ -228,7 +228,7 @@ async def _shake_hands(address: str, security: Any) -> None:
 
 
 def _common_builds(client: Client, *, local: bool) -> dict[str, str]:
-    """Return the builds of all workers, which give the same bytes.
+    """Return the builds that all workers have in common, so that their results are the same bytes.
 
     Processes of this machine have those of this one.
 

@@ -340,7 +340,7 @@ def _stop(out: str, submitted_s: float) -> None:
 
 
 class OtherBuildsError(Exception):
-    """A worker has other builds than its batch: its address, and they."""
+    """A worker has other builds than its batch; the arguments are its address and its builds."""
 
 
 def _work(task: Task, builds: Mapping[str, str]) -> None:

@@ -1,4 +1,4 @@
-"""Batches of what lies in an object store.
+"""Batches whose recordings or results lie in an object store.
 
 Recordings are fetched to this machine's disk, processed there, and the results put back whole, with
 ``run.json`` last. Statuses lie in the store as well, so that shards on machines that share no disk

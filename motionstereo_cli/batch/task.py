@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Storage:
-    """What of a batch does not lie on this machine's disk.
+    """What part of a batch lies in an object store.
 
     Attributes:
         address: where the results go; None = they stay in the folder of the batch.

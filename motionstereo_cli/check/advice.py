@@ -72,7 +72,7 @@ def advised(
 
 
 def _turned(given: InputSettings, more: Any) -> dict[str, Any]:
-    """Return the turns that are given followed by others: a view is mirrored, then turned."""
+    """Return the given turns combined with further ones; a view is mirrored first, then turned."""
     found: dict[str, Any] = {}
     for side, (degrees, mirrored) in zip(("left", "right"), given.turns, strict=True):
         again, further = more.get(f"mirror_{side}", False), more.get(f"rotate_{side}", 0)

@@ -124,7 +124,7 @@ class FrameWindow:
         return matches.where(followed & (np.abs(lower) < _ROW_REACH * self.shape[0]))
 
     def _motion(self, t: int, chosen: NDArray[np.intp]) -> tuple[Column, NDArray[np.bool_]]:
-        """Return what :func:`_followed` does of some keypoints of the left view, each found once.
+        """Return :func:`_followed` of some keypoints of the left view, each computed once.
 
         ``chosen`` are their indices, (n,).
         """
@@ -182,7 +182,7 @@ def mutual_matches(left: Keypoints, right: Keypoints) -> NDArray[np.intp]:
 
 
 def _repeats(seen: Keypoints) -> Column:
-    """Return the distances of keypoints on a row, each the most alike to the other one, (n,)."""
+    """Return the distances, (n,) px, of keypoints on one row that are most alike to each other."""
     if len(seen.points) < 2:
         return np.empty(0)
     within = _distances(seen, seen)
@@ -195,7 +195,7 @@ def _repeats(seen: Keypoints) -> Column:
 
 
 def without_repetitions(matches: Matches, repeats: Column) -> Matches:
-    """Return the matches but for those that a pattern that repeats itself explains.
+    """Return the matches without those that a repeating pattern explains.
 
     Where an object hides the true partner and its likes, another repetition is matched. Its
     disparity is off by the distance of two repetitions, from one that has more matches. A distance
@@ -228,7 +228,7 @@ def _counts(places: NDArray[np.intp], size: int) -> NDArray[np.intp]:
 
 
 def _distances(one: Keypoints, other: Keypoints) -> NDArray[np.float32]:
-    """Return the distances of all descriptors, (n, m); their numbers are whole: nothing is lost."""
+    """Return the distances of all descriptors, (n, m); exact, for their elements are whole."""
     lengths = [np.square(each.descriptors).sum(axis=1) for each in (one, other)]
     products = one.descriptors @ other.descriptors.T
     squares = lengths[0][:, np.newaxis] + lengths[1] - 2 * products
@@ -236,10 +236,10 @@ def _distances(one: Keypoints, other: Keypoints) -> NDArray[np.float32]:
 
 
 def _clear_matches(across: NDArray[np.float32], within: NDArray[np.float32]) -> NDArray[np.intp]:
-    """Return for each the nearest of the others, (n,); -1 where something else looks alike.
+    """Return the index of the nearest of the others for each, (n,); -1 if it is ambiguous.
 
-    Neither the second nearest of the others may, nor another in its own image: of a pattern that
-    repeats itself, the true partner may be hidden.
+    It is if the second nearest, or another keypoint of the same image, is nearly as near: of a
+    repeating pattern, the true partner may be hidden.
 
     Args:
         across: distances from the others, (n, m).

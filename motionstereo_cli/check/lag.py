@@ -92,7 +92,7 @@ def lag_of(
     reach: int,
     min_overlap: int = MIN_OVERLAP,
 ) -> Lag | None:
-    """Return the lag at which two recordings agree best, None where too little tells it.
+    """Return the lag at which two recordings agree best, None if too little moves.
 
     Arguments as those of :func:`lags_of`.
     """
@@ -106,7 +106,7 @@ def lags_of(
     min_overlap: int = MIN_OVERLAP,
     most: int = 1,
 ) -> list[Lag]:
-    """Return the lags at which two recordings agree best, none where too little tells them.
+    """Return the lags at which two recordings agree best, none if too little moves.
 
     Rows may be off by a few bands, the same all over the image: the best such shift counts.
 

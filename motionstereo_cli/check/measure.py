@@ -160,7 +160,7 @@ def watched(
 
 
 def advised_range(sample: Iterable[StereoFrame]) -> CheckReport:
-    """Return what windows of a recording, one after the other, tell of disparities."""
+    """Return the report of frames sampled to find the range of disparities, window after window."""
     windows = range(0, MAX_WINDOWS * WINDOW_FRAMES, WINDOW_FRAMES)
     checker = _Checker(windows, _MOMENTS)
     for frame in sample:
@@ -338,7 +338,9 @@ def _moved_share(image: Grey, small: Grey, last: Grey, last_small: Grey) -> floa
 
 
 def _repeated(moved: Column, other: Column) -> NDArray[np.bool_]:
-    """Return where an image repeats the last one: nothing moves, but in the other view or around.
+    """Return which images repeat the last one while objects move, (n,) bool.
+
+    They do if the other view changes, or this one just before and after.
 
     Args:
         moved, other: (n,) shares of this view and the other one that move, n = frames - 1.
@@ -350,7 +352,11 @@ def _repeated(moved: Column, other: Column) -> NDArray[np.bool_]:
 
 
 def _motion(left: Sequence[float], right: Sequence[float]) -> dict[str, Any]:
-    """Return what the shares that move in each view, a frame each, say of motion."""
+    """Return the fields of the report on motion, from the share of each view that moves.
+
+    Args:
+        left, right: the share, 0..1, of each frame after the first.
+    """
     if not left:
         return {}
     moved = {"left": np.array(left), "right": np.array(right)}
@@ -365,7 +371,7 @@ def _motion(left: Sequence[float], right: Sequence[float]) -> dict[str, Any]:
 def _alignment(
     rows: Fit | None, matches: Matches, shape: tuple[int, ...], scale: float
 ) -> dict[str, Any]:
-    """Return how far the rows of the views are apart; nothing where too few matches tell."""
+    """Return the fields of the report on row alignment; none with too few matches."""
     if rows is None:
         return {}
     still = matches.lower - rows.step * matches.down
@@ -386,7 +392,7 @@ def _alignment(
 def _disparities(
     matches: Matches, scale: float, max_disparity: int, doffs: float, given_offset_px: float
 ) -> dict[str, Any]:
-    """Return the range of disparities and grey of matches; nothing where there are none."""
+    """Return the fields of the report on disparities and grey levels; none without matches."""
     if not len(matches):
         return {}
     disparity = matches.disparity * scale

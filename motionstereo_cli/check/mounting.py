@@ -65,10 +65,10 @@ _TURNS = (
 
 
 def mounted(windows: Sequence[FrameWindow]) -> Mounting | None:
-    """Return how the right view stands against the left one and what mends it, None if alike.
+    """Return how the right view is mounted unlike the left one, and what mends it; None if alike.
 
     Args:
-        windows: of each the two images at its middle are looked at.
+        windows: windows of the recording; the pair in the middle of each is used.
     """
     pairs, found = [], []
     for window in windows:
@@ -107,8 +107,8 @@ def mounted(windows: Sequence[FrameWindow]) -> Mounting | None:
 def _is_left(look: _Matches, turn: _Turn) -> bool:
     """Return whether it is the left view that was turned, not the right one.
 
-    Then both are turned once the right one is mended: what is near lies to the wrong side, or up
-    and down instead of across.
+    If so, both views are turned after the right one is mended: disparities have the wrong sign, or
+    are vertical.
     """
     across, down = np.median(look, axis=0)
     if turn.options.get("rotate_right", 180) == 180:

@@ -41,18 +41,18 @@ _MIN_BRIGHTNESS = 5.0
 
 
 def falls_short(charged: float, matched: float) -> bool:
-    """Return whether little of what is charged was matched, by mean shares of the image, 0..1."""
+    """Return whether few of the pixels with charge were matched, by mean shares, 0..1."""
     return charged >= _MIN_CHARGED_SHARE and matched < MIN_MATCHED_SHARE * charged
 
 
 def shortfall(
     charged: float, matched: float, right: Grey, left: Grey, max_disparity: int, advised: int = 0
 ) -> str:
-    """Return why little of what is charged was matched, as a sentence.
+    """Return why few of the pixels with charge were matched, as a sentence.
 
     Other explanations are tried on one pair of images: swapped views, rows that are off, a larger
-    range. The one under which most pixels find a certain partner is the reason, if that is much
-    more than without; then comes the brightness.
+    range. The one under which most pixels find a certain partner is the reason, if these are many
+    more than as the run is; else it may be the brightness.
 
     Args:
         charged, matched: mean shares of the image with charge and with a disparity, 0..1.
@@ -99,7 +99,7 @@ def shortfall(
 
 
 def unmoved(charged: float) -> str | None:
-    """Return that next to nothing moved; None where something did.
+    """Return a warning if next to nothing moved, else None.
 
     Args:
         charged: mean share of the image with charge, 0..1.
@@ -113,7 +113,7 @@ def unmoved(charged: float) -> str | None:
 
 
 def without_heading(blind: float, matched: float) -> str | None:
-    """Return why most frames have no heading; None where they have one.
+    """Return why most frames have no heading, None if most have one.
 
     Args:
         blind: share of the frames without a heading, 0..1.
@@ -131,7 +131,7 @@ def without_heading(blind: float, matched: float) -> str | None:
 
 
 def lost_poses(frames: int, lost: int, first_lost: tuple[int, int] | None) -> str | None:
-    """Return that the rig's own motion is unknown in some frames; None where it is in none.
+    """Return a warning if the rig's own motion is unknown in some frames, else None.
 
     Args:
         frames: how many frames there were.
@@ -150,7 +150,7 @@ def lost_poses(frames: int, lost: int, first_lost: tuple[int, int] | None) -> st
 
 
 def beyond_range(matched: float, at_limit: float, max_disparity: int) -> str | None:
-    """Return that much of what was seen may be nearer than the range reaches; None where it is not.
+    """Return a warning if much of the scene may be nearer than the range reaches, else None.
 
     Args:
         matched, at_limit: mean shares of the image with a disparity and at the limit, 0..1.

@@ -160,11 +160,11 @@ class PairingStep(NamedTuple):
 
 
 def _walk(windows: Sequence[FrameWindow], matches: Matches) -> PairingStep | None:
-    """Return the step of some windows, from their matches in step on; None if nothing tells it.
+    """Return the step of some windows, searched from 0; None if it cannot be found.
 
-    Speeds change, and that of slow objects is known badly, so a fit gives little more than the
-    direction: go there in whole frames while it points on. Where speeds change much, that misleads,
-    so that all steps are tried where it points on from the best.
+    Speeds change, and those of slow objects are uncertain, so a fit gives little more than the
+    direction: the search moves that way by whole frames while fits point onward. Where speeds
+    change much, the direction misleads: if the best fit still points onward, all steps are tried.
     """
     tried: dict[int, Fit] = {}
 

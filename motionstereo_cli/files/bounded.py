@@ -24,7 +24,7 @@ def decompressed(decompressor: _Decompressor, data: bytes) -> bytes:
     """Decompress content that is complete and at most :data:`MAX_CONTENT_BYTES` long.
 
     Raises:
-        ValueError: it is not.
+        ValueError: it is incomplete or longer.
     """
     content = decompressor.decompress(data, MAX_CONTENT_BYTES)
     if not decompressor.eof:

@@ -64,7 +64,7 @@ def remove(root: Path, paths: Iterable[Path]) -> None:
     """Remove files in a folder or below, in order; missing ones are skipped.
 
     No link but ``root`` itself is followed: if a folder below is replaced by a link, the files it
-    leads to stays.
+    leads to stay.
 
     Args:
         root: the folder.

@@ -35,11 +35,11 @@ def address_of(name: str | Path) -> str | None:
 class Store:
     """A folder in an object store.
 
-    What a store does not answer is asked again for ten minutes.
+    A request that the store does not answer is repeated for ten minutes.
 
     Args:
         address: ``s3://bucket/folder`` and the like, or ``https://``, which can only be read.
-        patience_s: another time than ten minutes.
+        patience_s: repeat requests for this long instead of ten minutes.
 
     Raises:
         InputError: the package for this kind of store is not installed.
@@ -67,7 +67,7 @@ class Store:
         return f"{self._root.rstrip('/')}/{name}" if name else str(self._root)
 
     def _patiently(self, action: Callable[[], _T]) -> _T:
-        """Do something that the store may not answer for a while."""
+        """Repeat an action while the store does not answer; at the end raise its last error."""
         until_s, pause_s = time.monotonic() + self._patience_s, _FIRST_PAUSE_S
         while True:
             try:
@@ -186,7 +186,7 @@ class Store:
 
 
 def _is_refusal(error: Exception) -> bool:
-    """Return whether a store has answered that it will not."""
+    """Return whether an error says that the store refused the request."""
     response: Any = getattr(error, "response", None)
     status = getattr(error, "status", None) or (
         response.get("ResponseMetadata", {}).get("HTTPStatusCode")

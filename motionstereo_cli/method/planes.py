@@ -36,9 +36,6 @@ _WINDOW, _SMOOTH, _TEXTURED = (9, 3), 0.7, 1.0
 #: px.
 _AGREEING, _AGREE_PX, _AGREEMENT_WINDOW = 0.8, 1.5, (65, 33)
 
-#: Weight of a smooth pixel in a plane; others have 1.
-_WEIGHT = 0.5
-
 #: Samples of one surface are not independent: a plane's error is as large as if there were fewer of
 #: them by this factor.
 _DEPENDENT = 11.0

@@ -31,7 +31,7 @@ _SIDES = (("left", "right"), ("infra1", "infra2"), ("cam0", "cam1"), ("camera0",
 
 
 def right_of(name: str) -> str | None:
-    """Return the name of the right camera for that of the left one, None if it is not of one."""
+    """Return the name of the right camera for that of the left one, None for other names."""
     for left, right in _SIDES:
         if re.search(_word(left), name):
             return re.sub(_word(left), right, name)
@@ -39,7 +39,7 @@ def right_of(name: str) -> str | None:
 
 
 def side_of(name: str) -> str | None:
-    """Return the camera that a name is of, ``left`` or ``right``, None if it tells neither."""
+    """Return which camera a name belongs to, ``left`` or ``right``; None if it does not say."""
     for sides in _SIDES:
         for side, called in zip(("left", "right"), sides, strict=True):
             if re.search(_word(called), name):

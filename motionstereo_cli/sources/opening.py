@@ -354,7 +354,7 @@ def _files(name: str) -> list[Path]:
 
 
 def _both_in(name: str) -> list[str]:
-    """Return the recordings of both cameras in a folder, or the name if it may hold both itself."""
+    """Return both cameras' recordings in a folder, or the name if it may be one of both."""
     for pair in PAIRS:
         folders = [Path(name, part) for part in pair]
         if all(folder.is_dir() for folder in folders):
@@ -390,7 +390,7 @@ def _alone(name: str) -> str:
 
 
 def _whole_beside(path: Path) -> Path | None:
-    """Return a folder of both cameras that a folder is in, or that is in it; None without one."""
+    """Return a folder of both cameras, above or below this one; None if there is none."""
     if not path.is_dir():
         return None
     inside = sorted(each for form in ("*", "*/*") for each in path.glob(form) if each.is_dir())

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 
 class Selected(NamedTuple):
-    """What a pair is among all.
+    """A pair's place among all pairs.
 
     Attributes:
         frame: number of the frame that it becomes, None where it is skipped.
