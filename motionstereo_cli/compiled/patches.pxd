@@ -16,8 +16,8 @@ cdef class Block:
     cdef double[::1] sums
 
 
-cdef void take_cell(Block block, int cell, int x, int y, float middle) noexcept nogil
+cdef void take_cell(Block block, Py_ssize_t cell, int x, int y, float middle) noexcept nogil
 cdef void compare_cells(Moment now, Moment then, Block block) noexcept nogil
 cdef float take_patch(Moment now, Block block, int x, int y, float middle) noexcept nogil
-cdef void centre_patch(Block block, int side, float count) noexcept nogil
-cdef void compare_patch(Moment then, Block block, int side, float count, float right, float down) noexcept nogil
+cdef void centre_patch(Block block, Py_ssize_t side, float count) noexcept nogil
+cdef void compare_patch(Moment then, Block block, Py_ssize_t side, float count, float right, float down) noexcept nogil

@@ -60,9 +60,9 @@ class Block:
         self.sums = np.zeros(6)
 
 
-@cython.locals(n=cython.int)
+@cython.locals(n=cython.Py_ssize_t)
 def take_cell(
-    block: Block, cell: cython.int, x: cython.int, y: cython.int, middle: cython.float
+    block: Block, cell: cython.Py_ssize_t, x: cython.int, y: cython.int, middle: cython.float
 ) -> cython.void:
     """Take one of 8 cells, from its upper left pixel on; of a disparity NaN, none of it counts."""
     for n in range(cell, 64, 8):
@@ -71,7 +71,7 @@ def take_cell(
         block.places[at(1, n)] = y + block.below[2, n]
 
 
-@cython.locals(cell=cython.int, side=cython.int)
+@cython.locals(cell=cython.Py_ssize_t, side=cython.Py_ssize_t)
 def compare_cells(now: Moment, then: Moment, block: Block) -> cython.void:
     """Fill in, by cell, squared differences of grey, a brighter view apart, pixels and slopes."""
     values: cython.float[::1] = block.values
@@ -89,7 +89,7 @@ def compare_cells(now: Moment, then: Moment, block: Block) -> cython.void:
             values[at(16, cell)] += max(squares - total * total / count, 0)
 
 
-@cython.locals(n=cython.int)
+@cython.locals(n=cython.Py_ssize_t)
 def take_patch(
     now: Moment, block: Block, x: cython.int, y: cython.int, middle: cython.float
 ) -> cython.float:
@@ -103,8 +103,8 @@ def take_patch(
     return over_patch(block.values, 2, 2)
 
 
-@cython.locals(n=cython.int)
-def centre_patch(block: Block, side: cython.int, count: cython.float) -> cython.void:
+@cython.locals(n=cython.Py_ssize_t)
+def centre_patch(block: Block, side: cython.Py_ssize_t, count: cython.float) -> cython.void:
     """Centre the slopes in one view: a brighter view says nothing; fill in their products."""
     values: cython.float[::1] = block.values
     mean_x: cython.float = over_patch(values, 9 + side, 2) / count
@@ -120,7 +120,7 @@ def centre_patch(block: Block, side: cython.int, count: cython.float) -> cython.
 def compare_patch(
     then: Moment,
     block: Block,
-    side: cython.int,
+    side: cython.Py_ssize_t,
     count: cython.float,
     right: cython.float,
     down: cython.float,
@@ -137,12 +137,12 @@ def compare_patch(
 @cython.cfunc
 @cython.nogil
 @cython.exceptval(check=False)
-@cython.locals(n=cython.int)
+@cython.locals(n=cython.Py_ssize_t)
 def gather(
     now: Moment,
     work: Block,
-    pixels: cython.int,
-    count: cython.int,
+    pixels: cython.Py_ssize_t,
+    count: cython.Py_ssize_t,
 ) -> cython.void:
     """Fill in the first pixels of a block: of one surface, and in view now and then."""
     block: cython.float[::1] = work.values
@@ -154,7 +154,7 @@ def gather(
     for n in range(count):
         x: cython.int = places[at(0, n)]
         y: cython.int = places[at(1, n)]
-        inside: cython.int = min(x, y, width - 1 - x, height - 1 - y)
+        inside: cython.Py_ssize_t = min(x, y, width - 1 - x, height - 1 - y)
         x = x if inside > 0 else 1  # any place will do
         y = y if inside > 0 else 1
         places[at(0, n)] = x
@@ -198,12 +198,12 @@ def gather(
 @cython.cfunc
 @cython.nogil
 @cython.exceptval(check=False)
-@cython.locals(n=cython.int)
+@cython.locals(n=cython.Py_ssize_t)
 def stand(  # noqa: PLR0915
     numbers: cython.const[cython.float][::1],
     width: cython.int,
     height: cython.int,
-    count: cython.int,
+    count: cython.Py_ssize_t,
     block: cython.float[::1],
     places: cython.int[::1],
 ) -> cython.void:
@@ -280,15 +280,15 @@ def stand(  # noqa: PLR0915
 @cython.cfunc
 @cython.nogil
 @cython.exceptval(check=False)
-@cython.locals(n=cython.int)
+@cython.locals(n=cython.Py_ssize_t)
 def compare(
     then: Moment,
     work: Block,
-    side: cython.int,
+    side: cython.Py_ssize_t,
     right: cython.float,
     down: cython.float,
-    pixels: cython.int,
-    count: cython.int,
+    pixels: cython.Py_ssize_t,
+    count: cython.Py_ssize_t,
 ) -> cython.void:
     """Fill in the differences of grey of one view after a shift, 0 where pixels do not count."""
     block: cython.float[::1] = work.values
@@ -327,7 +327,10 @@ def compare(
 @cython.inline
 @cython.exceptval(check=False)
 def over_cell(
-    block: cython.float[::1], one: cython.int, other: cython.int, cell: cython.int
+    block: cython.float[::1],
+    one: cython.Py_ssize_t,
+    other: cython.Py_ssize_t,
+    cell: cython.Py_ssize_t,
 ) -> cython.float:
     """Return the sum of the products of two rows over the 8 pixels of a cell."""
     first: cython.float = block[at(one, cell)] * block[at(other, cell)]
@@ -344,8 +347,10 @@ def over_cell(
 @cython.nogil
 @cython.inline
 @cython.exceptval(check=False)
-@cython.locals(lane=cython.int)
-def over_patch(block: cython.float[::1], one: cython.int, other: cython.int) -> cython.float:
+@cython.locals(lane=cython.Py_ssize_t)
+def over_patch(
+    block: cython.float[::1], one: cython.Py_ssize_t, other: cython.Py_ssize_t
+) -> cython.float:
     """Return the sum of the products of two rows over the pixels of a patch."""
     for lane in range(8):
         sum: cython.float = block[at(one, lane)] * block[at(other, lane)]
@@ -365,7 +370,7 @@ def over_patch(block: cython.float[::1], one: cython.int, other: cython.int) -> 
 @cython.nogil
 @cython.inline
 @cython.exceptval(check=False)
-def at(row: cython.int, lane: cython.int) -> cython.int:
+def at(row: cython.Py_ssize_t, lane: cython.Py_ssize_t) -> cython.Py_ssize_t:
     """Return where a value of a block is: compilers have to know how far apart rows are."""
     return 64 * row + lane
 

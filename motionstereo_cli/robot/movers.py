@@ -41,8 +41,8 @@ _EDGE_PX, _MIN_SLOPE = 8, 2.5
 _SECOND_BEST, _MAX_SIGMA_PX = 1.5, 0.3
 #: Levels of the pyramid, each half as large; differences are searched at the second one.
 LEVELS = 4
-#: Smoothing before, standard deviation in px.
-_BLUR_PX = 0.8
+#: Smoothing before, standard deviation and side of the kernel in px: what is beyond it rounds to 0.
+_BLUR_PX, _BLUR_SIDE_PX = 0.8, 5
 #: Distance of patches, and how far they reach from their middle, in px of each level: as the loops
 #: have them.
 CELL_PX, _REACH_PX = 4, 4
@@ -189,7 +189,7 @@ def pyramid(view: Grey, other: Grey) -> tuple[Grey, ...]:
     """Return two views at each level, as they are compared."""
     levels = [np.empty((2, *view.shape), np.uint8)]
     for grey, blurred in zip((view, other), levels[0], strict=True):
-        cv2.GaussianBlur(grey, (0, 0), _BLUR_PX, dst=blurred)
+        cv2.GaussianBlur(grey, (_BLUR_SIDE_PX, _BLUR_SIDE_PX), _BLUR_PX, dst=blurred)
     while len(levels) < LEVELS:
         height, width = levels[-1].shape[1:]
         smaller = np.empty((2, (height + 1) // 2, (width + 1) // 2), np.uint8)
@@ -233,15 +233,18 @@ def see(movers: Movers, now: Moment, eye: Eye) -> tuple[Movers, NDArray[np.bool_
             then, motion = movers.moments[-back], _motion(movers, now, back)
             found = _shifts(levels, motion, then, eye, ways_px[back])
             new = _moved(found, near) & ~moved
+            if not new.any():
+                continue
             shifts[new] = found[new][:, :3] / np.float32(back)
             velocity_mps[new] = _velocity_mps(
                 new, found[new], near[new], motion, eye, now.time_s - then.time_s
             )
             moved |= new
         count, things = _things(moved, shifts, near)
-        moving = np.where((things > 0)[..., None], shifts[..., :3], np.float32(np.nan))
-        if movers.moving is not None:
-            some, step = things > 0, now.before_from_now
+        some = things > 0
+        moving = np.where(some[..., None], shifts[..., :3], np.float32(np.nan))
+        if movers.moving is not None and some.any():
+            step = now.before_from_now
             stood = _places_m(some, near[some], eye) @ step[:3, :3].T + step[:3, 3]
             lasting = _lasting(count, things, moving, movers.moving, eye.in_view_px(stood))
     kept = (*movers.moments, now)[-GAPS:]

@@ -40,6 +40,7 @@ from motionstereo_cli.robot.guide import ImageGuide
 from motionstereo_cli.robot.tracker import Tracker
 from motionstereo_cli.runs.record import versions
 from motionstereo_cli.simulate.settings import SimulateSettings
+from motionstereo_cli.sinks.outputs import DEFAULT_OUTPUTS
 
 if TYPE_CHECKING:
     from motionstereo_cli.types import Grey, Rig, StereoFrame
@@ -343,7 +344,8 @@ def bench_run(bench: Bench) -> None:
     """Time the whole run, from two files to the results, start-up and all."""
     clip, out = bench.long, bench.folder / "run_out"
     plain = _script(bench, clip)
-    fast = "--preset", "fast"
+    fast, poses = ("--preset", "fast"), ("--poses", "auto")
+    objects = "--save", ",".join([*DEFAULT_OUTPUTS, "objects"])
     contestants: dict[tuple[str, str], list[str | Path]] = {
         ("corridor", "script, StereoBM"): plain,
         ("corridor", "script, StereoBM, two videos"): [*plain, "--videos"],
@@ -360,7 +362,8 @@ def bench_run(bench: Bench) -> None:
         ("corridor", "motionstereo, wide range"): run_command(
             clip, out, "--max-disparity", str(bench.plan.ranges[0][-1])
         ),
-        ("corridor", "motionstereo, poses found"): run_command(clip, out, "--poses", "auto"),
+        ("corridor", "motionstereo, poses found"): run_command(clip, out, *poses),
+        ("corridor", "motionstereo, poses and objects"): run_command(clip, out, *poses, *objects),
         ("cards panning", "script, StereoSGBM"): [*_script(bench, bench.long_cards), "--sgbm"],
         ("cards panning", DEFAULT): run_command(bench.long_cards, out),
     }
