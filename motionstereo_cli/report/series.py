@@ -6,6 +6,7 @@ import contextlib
 import itertools
 import math
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -88,11 +89,90 @@ def _known(values: NDArray[np.float64]) -> list[float | None]:
     return [None if np.isnan(value) else value for value in values.tolist()]
 
 
+@dataclass
+class PlottedTrack:
+    """An object of a page; what is None is unknown.
+
+    Attributes:
+        id: its number.
+        frame: its first frame.
+        spans: each with its begin, its end, its urgency (0 contact soon, 1 later, 2 hardly or
+            unknown) and what it was then (0 not moving by itself or unknown, 1 moving by itself, 2
+            a shadow); begin and end are an x of the plots.
+        frames: in how many frames it was.
+        known, own, shadow: in how many of these it is known whether it moved by itself, in how many
+            it did, and in how many it was marked as a shadow.
+        contact, nearest: its least time to contact in s, and its least depth in m.
+        closing: its greatest closing speed in m/s.
+        speed, sigma, direction: its greatest speed over ground in m/s with its standard deviation,
+            and its direction in rad then.
+        confidence: its mean confidence, 0..1.
+        contact_frame, nearest_frame: the frames of ``contact`` and ``nearest``.
+    """
+
+    id: int
+    frame: int
+    spans: list[list[float]] = field(default_factory=list)
+    frames: int = 0
+    known: int = 0
+    own: int = 0
+    shadow: int = 0
+    contact: float | None = None
+    nearest: float | None = None
+    closing: float | None = None
+    speed: float | None = None
+    confidence: float | None = None
+    contact_frame: int | None = None
+    nearest_frame: int | None = None
+    sigma: float | None = None
+    direction: float | None = None
+
+    def add(self, row: Mapping[str, str], begin: float, lasts: float) -> None:
+        """Take in its row of a frame, which begins at an x of the plots and lasts so long there.
+
+        Raises:
+            ValueError: the row is damaged.
+        """
+        frame = int(row["frame"])
+        contact, depth = _number(row, "time_to_contact_s"), _number(row, "depth_m")
+        level = 2 if contact is None or contact > LATER_S else 1 if contact > SOON_S else 0
+        kind = 2 if row.get("shadow") == "1" else int(row.get("by_itself") == "1")
+        last = self.spans[-1] if self.spans else None
+        if last and last[2:] == [level, kind] and begin - last[1] < lasts:
+            last[1] = begin + lasts
+        else:
+            self.spans.append([begin, begin + lasts, level, kind])
+        if contact is not None and (self.contact is None or contact < self.contact):
+            self.contact, self.contact_frame = contact, frame
+        if depth is not None and (self.nearest is None or depth < self.nearest):
+            self.nearest, self.nearest_frame = depth, frame
+        closing = _number(row, "closing_mps")
+        if closing is not None and (self.closing is None or closing > self.closing):
+            self.closing = closing
+        speed = _number(row, "over_ground_mps")
+        if speed is not None and (self.speed is None or speed > self.speed):
+            self.speed, self.sigma = speed, _number(row, "sigma_mps")
+            self.direction = _number(row, "direction_rad")
+        self.frames += 1
+        self.known += bool(row.get("by_itself"))
+        self.own += kind == 1
+        self.shadow += kind == 2
+        if (sure := _number(row, "confidence")) is not None:
+            mean = self.confidence or 0.0
+            self.confidence = mean + (sure - mean) / self.frames
+
+    @property
+    def urgency(self) -> tuple[float, float]:
+        """Sorts by least time to contact, then by longest presence."""
+        stayed = sum(end - begin for begin, end, *_ in self.spans)
+        return np.inf if self.contact is None else self.contact, -stayed
+
+
 class PlottedTracks(NamedTuple):
     """The objects of a page.
 
     Attributes:
-        shown: those to show, see :func:`tracks`.
+        shown: those to show, in the order of their first frames: :class:`PlottedTrack` as dicts.
         total: how many were seen long enough to know how they move.
         brief: how many were not.
     """
@@ -112,71 +192,29 @@ def tracks(
         x_of: the x of each frame in the plots.
         frame_x: the duration of a frame there.
 
-    Returns:
-        For each object, in the order of their first frames: ``id``; its first ``frame``; ``spans``,
-        each with its begin, its end, its urgency (0 contact soon, 1 later, 2 hardly or unknown) and
-        what it was then (0 not moving by itself or unknown, 1 moving by itself, 2 a shadow); the
-        least ``contact`` in s, ``nearest`` in m, each with its ``contact_frame`` or
-        ``nearest_frame``, and most ``closing`` in m/s; in how many
-        ``frames`` it was, in how many of these it is ``known`` whether it moved by itself, in how
-        many it did (``own``), and in how many it was marked as a ``shadow``; its mean
-        ``confidence``, and its greatest ``speed`` over ground in m/s with its ``sigma``, and its
-        ``direction`` in rad then; None if unknown.
-
     Raises:
         ValueError: a row is damaged, or there are too many.
     """
-    found: dict[int, dict[str, Any]] = {}
+    found: dict[int, PlottedTrack] = {}
     count = 0
     for row in rows:
         frame = int(row["frame"])
         if frame not in x_of:
             continue
         number = int(_number(row, "id") or 0)
-        contact, depth, closing = (
-            _number(row, name) for name in ("time_to_contact_s", "depth_m", "closing_mps")
-        )
-        level = 2 if contact is None or contact > LATER_S else 1 if contact > SOON_S else 0
-        is_shadow = row.get("shadow") == "1"
-        kind = level, 2 if is_shadow else int(row.get("by_itself") == "1")
-        begin, end = x_of[frame], x_of[frame] + frame_x
-        track = found.setdefault(
-            number,
-            {"id": number, "frame": frame, "spans": []}
-            | dict.fromkeys(("frames", "known", "own", "shadow"), 0)
-            | dict.fromkeys(("contact", "nearest", "closing", "speed", "confidence"))
-            | dict.fromkeys(("contact_frame", "nearest_frame", "sigma", "direction")),
-        )
-        spans = track["spans"]
-        if spans and (*spans[-1][2:],) == kind and begin - spans[-1][1] < frame_x:
-            spans[-1][1] = end
-        else:
-            spans.append([begin, end, *kind])
-            count += 1
-            if count > MAX_SPANS:
-                raise ValueError(
-                    f"objects come more than {MAX_SPANS} times, the limit of a page: make pages of "
-                    "parts of the recording, run with --start and --end"
-                )
-        for name, value in (("contact", contact), ("nearest", depth)):
-            if value is not None and (track[name] is None or value < track[name]):
-                track[name], track[f"{name}_frame"] = value, frame
-        track["closing"] = _most(track["closing"], closing)
-        track["frames"] += 1
-        track["known"] += bool(row.get("by_itself"))
-        track["own"] += kind[1] == 1
-        track["shadow"] += is_shadow
-        speed = _number(row, "over_ground_mps")
-        if speed is not None and (track["speed"] is None or speed > track["speed"]):
-            track["speed"], track["sigma"] = speed, _number(row, "sigma_mps")
-            track["direction"] = _number(row, "direction_rad")
-        if (sure := _number(row, "confidence")) is not None:
-            mean = track["confidence"] or 0.0
-            track["confidence"] = mean + (sure - mean) / track["frames"]
-    lasting = [track for track in found.values() if track["frames"] >= MIN_ROWS]
-    shown = sorted(lasting, key=_urgency)[:MAX_OBJECTS]
-    shown = sorted(shown, key=lambda track: (track["spans"][0][0], track["id"]))
-    return PlottedTracks(shown, len(lasting), len(found) - len(lasting))
+        track = found.setdefault(number, PlottedTrack(number, frame))
+        count -= len(track.spans)
+        track.add(row, x_of[frame], frame_x)
+        count += len(track.spans)
+        if count > MAX_SPANS:
+            raise ValueError(
+                f"objects come more than {MAX_SPANS} times, the limit of a page: make pages of "
+                "parts of the recording, run with --start and --end"
+            )
+    lasting = [track for track in found.values() if track.frames >= MIN_ROWS]
+    shown = sorted(lasting, key=lambda track: track.urgency)[:MAX_OBJECTS]
+    shown = sorted(shown, key=lambda track: (track.spans[0][0], track.id))
+    return PlottedTracks([vars(track) for track in shown], len(lasting), len(found) - len(lasting))
 
 
 def _number(row: Mapping[str, str], name: str) -> float | None:
@@ -187,13 +225,3 @@ def _number(row: Mapping[str, str], name: str) -> float | None:
             return value
     wrong = f"{name} of frame {row['frame']} is {shortened(row[name])}"
     raise ValueError(f"{wrong} and no number: write it again")
-
-
-def _urgency(track: Mapping[str, Any]) -> tuple[float, float]:
-    """Sort by least time to contact, then by longest presence."""
-    stayed = sum(end - begin for begin, end, *_ in track["spans"])
-    return np.inf if track["contact"] is None else track["contact"], -stayed
-
-
-def _most(one: float | None, other: float | None) -> float | None:
-    return max((each for each in (one, other) if each is not None), default=None)
