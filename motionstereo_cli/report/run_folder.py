@@ -15,6 +15,7 @@ import numpy as np
 from motionstereo_cli.errors import InputError
 from motionstereo_cli.files.atomic import part_of
 from motionstereo_cli.files.reading import real
+from motionstereo_cli.files.stills import DamagedImageError, grey_of, read_still
 from motionstereo_cli.sinks.outputs import OUTPUTS, RECORD
 from motionstereo_cli.sinks.read_back import Table, lines_of_table, read_record
 from motionstereo_cli.sinks.records import RunRecord
@@ -22,6 +23,8 @@ from motionstereo_cli.sinks.sink import DEFAULT_TIME_BASE, EPOCH_S
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
+
+    from motionstereo_cli.types import Grey
 
 #: Columns of the steering table that the page shows over time.
 SERIES = ("steer", "steer_rad", "depth_m", "nearest_m", "charged", "matched")
@@ -117,7 +120,7 @@ class Results:
         return str(self.record.values("settings").get("reference", "right"))
 
     def video(self, output: str) -> Path:
-        """Return the path of an output's video, None if it is missing."""
+        """Return the path of an output's video, which may be missing."""
         return self.path / OUTPUTS[output].path
 
     def view(self) -> tuple[Path | None, bool]:
@@ -156,6 +159,16 @@ class Results:
         """
         path = self._file("objects")
         return _rows(path) if os.path.lexists(path) else None
+
+    def map(self) -> Grey | None:
+        """Return the map from above, (height, width) uint8; None without one that can be read."""
+        path = (self.path / OUTPUTS["map"].path).with_suffix(".png")
+        if not (self.has("map") and path.is_file()):
+            return None
+        try:
+            return grey_of(read_still(path, within=self.path).pixels, path)
+        except (DamagedImageError, InputError):
+            return None
 
     def _file(self, output: str) -> Path:
         """Return an output's file or, if it is not complete, its partial file."""

@@ -13,10 +13,8 @@ import numpy as np
 
 from motionstereo_cli.errors import InputError, SettingsError
 from motionstereo_cli.files.reading import real
-from motionstereo_cli.files.stills import DamagedImageError, grey_of, read_still
 from motionstereo_cli.report import write_report
 from motionstereo_cli.report.pictures import (
-    Picture,
     address_of,
     encoded,
     height_of,
@@ -309,23 +307,18 @@ def _histogram(run: Results, scale: DepthScale) -> dict[str, Any] | None:
 
 def _map(run: Results) -> dict[str, Any] | None:
     """Return the map from above; None without one, empty if nothing is known in it."""
-    path = run.path / "map.png"
-    if not (run.has("map") and path.is_file()):
-        return None
-    said = run.record.values("output_settings")
-    cell_m = float(said.get("map_cell_m", OutputSettings().map_cell_m))
-    try:
-        image = grey_of(read_still(path, within=run.path).pixels, path)
-    except (DamagedImageError, InputError):
+    image = run.map()
+    if image is None:
         return None
     if (image == _UNKNOWN).all():
         return {}
-    picture: Picture = encoded(image, _MAP_PX, ".png")
+    said = run.record.values("output_settings")
+    cell_m = float(said.get("map_cell_m", OutputSettings().map_cell_m))
     width_m, height_m = image.shape[1] * cell_m, image.shape[0] * cell_m
     bar_m = 10 ** math.floor(math.log10(width_m / 3))
     bar_m *= next(each for each in (5, 2, 1) if each * bar_m <= width_m / 2)
     return {
-        "picture": picture,
+        "picture": encoded(image, _MAP_PX, ".png"),
         "bar_m": f"{bar_m:g}",
         "bar": bar_m / width_m,
         "alt": f"Map from above, {width_m:.1f} by {height_m:.1f} m",

@@ -12,7 +12,6 @@ import numpy as np
 
 from motionstereo_cli.errors import InputError
 from motionstereo_cli.files.reading import MAX_RESULT_BYTES, read_text
-from motionstereo_cli.files.stills import DamagedImageError, grey_of, read_still
 from motionstereo_cli.report.pictures import encoded
 from motionstereo_cli.report.run_folder import Results, SteeringTable
 from motionstereo_cli.sinks.outputs import OUTPUTS
@@ -116,13 +115,12 @@ def _things(run: Results, steering: SteeringTable | None, poses: Reals) -> dict[
 
 def _floor(run: Results) -> dict[str, Any] | None:
     """Return the picture of the map and where it lies, m; None without one that can be read."""
-    picture, yaml = (run.path / OUTPUTS["map"].path).with_suffix(".png"), run.path / "map.yaml"
-    if not (run.has("map") and picture.is_file() and yaml.is_file()):
+    image = run.map()
+    if image is None:
         return None
     try:
-        text = read_text(yaml, "the map", MAX_RESULT_BYTES, within=run.path)
-        image = grey_of(read_still(picture, within=run.path).pixels, picture)
-    except (DamagedImageError, InputError):
+        text = read_text(run.path / "map.yaml", "the map", MAX_RESULT_BYTES, within=run.path)
+    except InputError:
         return None
     cell = re.search(r"^resolution: *([0-9.eE+-]+)", text, re.MULTILINE)
     origin = re.search(r"^origin: *\[([^,\]]+),([^,\]]+),", text, re.MULTILINE)
