@@ -446,7 +446,7 @@ def with_movers(
         and context.objects_are_movers
         and not robot.mover_finder.stands(summary.motion)
     ):
-        regions = context.tracker.moving_regions(movers.disparity_px, moved, velocity_mps)
+        regions = context.tracker.moving_regions(movers.disparity_px, velocity_mps)
         summary = replace(summary, regions=regions)
     if summary.points is not None and context.rig is not None:
         s = context.settings

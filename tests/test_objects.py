@@ -25,6 +25,7 @@ from motionstereo_cli.robot import objects
 from motionstereo_cli.robot.assignment import assignment
 from motionstereo_cli.robot.guide import MapGuide, nearest_contact
 from motionstereo_cli.robot.objects import (
+    CELL_PX,
     Observation,
     Region,
     Track,
@@ -644,6 +645,12 @@ def test_shadows_on_a_wall_are_marked_and_cards_are_not():
     assert marks[False, False] > 10
 
 
+def moving(velocity_mps, moved, age_frames=0):
+    """Velocities of cells with the age of those that moved."""
+    age = np.where(moved[::CELL_PX, ::CELL_PX], np.float32(age_frames), NAN)
+    return np.dstack([velocity_mps, age]).astype(np.float32)
+
+
 @pytest.mark.parametrize(("top", "stands"), [(60, True), (4, False)])
 def test_what_moves_by_itself_stands_on_ground(top, stands):
     rig = Rig(160, 120, 140.0, 0.12, 79.5, 59.5)
@@ -651,14 +658,13 @@ def test_what_moves_by_itself_stands_on_ground(top, stands):
     disparity[top : top + 24, 40:64] = 1.5
     moved[top : top + 24, 40:64] = True
     velocity_mps = np.full((30, 40, 4), np.float32([1, 0, 1, 1]))
-    found = Tracker(Settings(), rig).moving_regions(disparity, moved, velocity_mps)
+    found = Tracker(Settings(), rig).moving_regions(disparity, moving(velocity_mps, moved))
     assert [(each.x, each.y, each.width, each.height) for each in found] == (
         [(40, top, 24, 24)] if stands else []
     )
     assert all(each.middle_x == 51.5 and each.middle_y == top + 11.5 for each in found)
-    assert not Tracker(Settings(), rig).moving_regions(
-        disparity, np.zeros_like(moved), velocity_mps
-    )
+    still = moving(velocity_mps, np.zeros_like(moved))
+    assert not Tracker(Settings(), rig).moving_regions(disparity, still)
 
 
 @pytest.mark.parametrize("driven_m", [0.0, 0.1])
@@ -674,7 +680,7 @@ def test_the_velocity_of_a_region_is_the_median_of_its_cells(driven_m):
     velocity_mps[10:20, 10] = (3.0, 0.0, 4.0, 2.0)
     tracker, tracks = Tracker(Settings(), RIG), Tracks()
     for number in range(2):
-        found = tracker.moving_regions(disparity, moved, velocity_mps)
+        found = tracker.moving_regions(disparity, moving(velocity_mps, moved))
         assert [each.velocity_mps for each in found] == [(1.0, 0.5)]
         # A tenth of a px in each of 80 cells, of which five show the same.
         assert found[0].sigma_mps == pytest.approx(0.2 / math.sqrt(80 / 5))
@@ -695,8 +701,43 @@ def test_what_leaves_the_ground_is_no_mover(sinks_mps, ahead_mps, count):
     moved[40:60, 40:60] = True
     velocity_mps = np.full((HEIGHT // 4, WIDTH // 4, 4), NAN)
     velocity_mps[10:15, 10:15] = (0.0, sinks_mps, ahead_mps, 2.0)
-    found = Tracker(Settings(), RIG).moving_regions(disparity, moved, velocity_mps)
+    found = Tracker(Settings(), RIG).moving_regions(disparity, moving(velocity_mps, moved))
     assert len(found) == count
+
+
+@pytest.mark.parametrize(
+    ("beside_px", "speed_mps", "rows"),
+    [
+        (NAN, 1.0, [2, 3, 4, 5]),
+        (4, 1.0, [2, 3, 4, 5]),
+        (8, 1.0, [2, 3]),  # it lies on what is beside it
+        (NAN, 20.0, [2, 3]),  # it may be anywhere
+    ],
+)
+def test_what_is_remembered_goes_on_but_does_not_begin(beside_px, speed_mps, rows):
+    """It is found in four frames; another thing never is, and is remembered all the same."""
+    tracker, tracks, seen_in = Tracker(Settings(), RIG), Tracks(), []
+    moved = np.zeros((HEIGHT, WIDTH), np.bool_)
+    moved[40:60, 40:60] = True
+    other = np.zeros_like(moved)
+    other[40:60, 120:140] = True
+    for number in range(6):
+        disparity = np.full((HEIGHT, WIDTH), NAN)
+        disparity[40:60, 20:80] = beside_px
+        disparity[moved | other] = 8
+        velocity_mps = np.full((HEIGHT // 4, WIDTH // 4, 4), NAN)
+        if number < 4:
+            velocity_mps[10:15, 10:15] = (0.0, 0.0, speed_mps, 0.1)
+        cells = moving(velocity_mps, moved, max(number - 3, 0))
+        cells[10:15, 30:35, 4] = 3
+        found = tracker.moving_regions(disparity, cells)
+        pose = Pose(0, 0, 0, 0, 0, 0, 1)
+        tracks, seen = tracker.follow(tracks, found, FrameTime(number, number, number / 10), pose)
+        assert len(seen) <= 1
+        seen_in += [number] * len(seen)
+        assert all(each.x < 80 for each in seen)
+        assert all(each.over_ground_mps == pytest.approx(speed_mps) for each in seen)
+    assert seen_in == [1, *rows]
 
 
 def test_a_mover_beside_nearer_ones_is_found():
@@ -705,7 +746,7 @@ def test_a_mover_beside_nearer_ones_is_found():
     disparity[40:60, 20:40] = disparity[40:60, 60:80] = 12
     moved[40:60, 20:80] = True
     velocity_mps = np.full((HEIGHT // 4, WIDTH // 4, 4), np.float32([2, 0, 2, 1]))
-    found = Tracker(Settings(), RIG).moving_regions(disparity, moved, velocity_mps)
+    found = Tracker(Settings(), RIG).moving_regions(disparity, moving(velocity_mps, moved))
     assert sorted(each.nearness_px for each in found) == [6, 12, 12]
 
 
@@ -716,7 +757,7 @@ def test_a_part_of_what_moves_is_no_other_thing(inner_px, count):
     disparity[:40] = disparity[80:] = disparity[:, :40] = disparity[:, 100:] = np.nan
     disparity[52:68, 60:76] = inner_px
     velocity_mps = np.full((HEIGHT // 4, WIDTH // 4, 4), np.float32([1, 0, 1, 1]))
-    found = Tracker(Settings(), RIG).moving_regions(disparity, moved, velocity_mps)
+    found = Tracker(Settings(), RIG).moving_regions(disparity, moving(velocity_mps, moved))
     assert [each.width for each in found] == [60, 16][:count]
 
 

@@ -5,13 +5,14 @@ position in an earlier view. If it stands still, its grey is found there, in bot
 patch around it is aligned with the earlier views: it moved by itself if its grey is found elsewhere
 in both, farther away than an error of its disparity explains, and at a consistent disparity.
 Patches with similar motion form one mover; it has a minimum size, and moved likewise in the last
-frame.
+frame. Where nothing is found, because it has little texture or the rig's own motion is wrong, it
+is still a mover for a few frames, if its surface is where it is expected.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import cv2
@@ -82,8 +83,13 @@ _LASTING_PX, _LASTING_SHARE = 2.0, 0.5
 #: so much of it.
 _WAY_M, _AHEAD = 0.02, 0.7
 
+#: What moved is remembered for so many frames, where the nearness is at least the first and differs
+#: from what is expected by at most the larger of the others. Farther off all depths look alike.
+_REMEMBERED_FRAMES = 6
+_MIN_REMEMBERED_PX, _REMEMBERED_PX, _REMEMBERED_SHARE = 7.0, 0.7, 0.08
+
 #: Number of earlier frames on which a result depends.
-RUN_IN_FRAMES = GAPS + 1
+RUN_IN_FRAMES = GAPS + 1 + _REMEMBERED_FRAMES
 
 
 @dataclass(frozen=True, slots=True)
@@ -174,10 +180,13 @@ class Movers:
         moving: how cells moved by themselves in the last frame, a frame, whether or not they did so
             before: shift along x, y and of disparity in px, (rows, columns, 3), NaN = they did not;
             None at first.
+        lately: points of what moved by itself in the last frames, (n, 7) float32: place x, y and
+            nearness in px, how they moved by themselves, a frame, and frames since that was found.
     """
 
     moments: tuple[Moment, ...] = ()
     moving: Real | None = None
+    lately: Real = field(default_factory=lambda: np.empty((0, 7), np.float32))
 
     @property
     def disparity_px(self) -> Real:
@@ -202,10 +211,11 @@ def pyramid(view: Grey, other: Grey) -> tuple[Grey, ...]:
 def see(movers: Movers, now: Moment, eye: Eye) -> tuple[Movers, NDArray[np.bool_], Real]:
     """Return what is known after a frame, where something moved by itself, and how fast.
 
-    The second is (height, width) bool. The third, (rows, columns, 4) m/s, NaN = unknown, is the
-    velocity over ground of cells of :data:`CELL_PX`: to the right of the camera; down, at right
-    angles to the rig's way; ahead; and by how much the last is wrong per px by which the change of
-    disparity is. Down is unknown where the rig does not drive ahead or back.
+    The second is (height, width) bool. The third, (rows, columns, 5), NaN = unknown, has the
+    velocity over ground of cells of :data:`CELL_PX` in m/s: to the right of the camera; down, at
+    right angles to the rig's way; ahead; and by how much the last is wrong per px by which the
+    change of disparity is. Down is unknown where the rig does not drive ahead or back. Last come
+    the frames since a cell was found to move; where that is not in this one, it has no velocity.
 
     Args:
         movers: what was known before.
@@ -215,7 +225,8 @@ def see(movers: Movers, now: Moment, eye: Eye) -> tuple[Movers, NDArray[np.bool_
     shape = now.disparity_px.shape
     rows, columns = (side // CELL_PX for side in shape)
     moving, lasting = None, np.zeros((rows, columns), np.bool_)
-    velocity_mps = np.full((rows, columns, 4), np.nan, np.float32)
+    velocity_mps = np.full((rows, columns, 5), np.nan, np.float32)
+    lately = np.empty((0, 7), np.float32)
     now = now.filled(_filled(now, eye))
     if movers.moments:
         gap, levels = _gap(movers, now, eye), now.levels()
@@ -236,7 +247,7 @@ def see(movers: Movers, now: Moment, eye: Eye) -> tuple[Movers, NDArray[np.bool_
             if not new.any():
                 continue
             shifts[new] = found[new][:, :3] / np.float32(back)
-            velocity_mps[new] = _velocity_mps(
+            velocity_mps[new, :4] = _velocity_mps(
                 new, found[new], near[new], motion, eye, now.time_s - then.time_s
             )
             moved |= new
@@ -247,9 +258,43 @@ def see(movers: Movers, now: Moment, eye: Eye) -> tuple[Movers, NDArray[np.bool_
             step = now.before_from_now
             stood = _places_m(some, near[some], eye) @ step[:3, :3].T + step[:3, 3]
             lasting = _lasting(count, things, moving, movers.moving, eye.in_view_px(stood))
+        velocity_mps[~lasting] = np.nan
+        velocity_mps[lasting, 4] = 0
+        again = _seen_again(movers.lately, now, lasting, eye)
+        column, row = (again[:, :2] / CELL_PX).astype(np.intp).T
+        velocity_mps[row, column, 4] = again[:, 6]
+        lately = np.concatenate([_points(lasting, near, shifts), again])
     kept = (*movers.moments, now)[-GAPS:]
-    velocity_mps[~lasting] = np.nan
-    return Movers(kept, moving), _in_pixels(lasting, shape), velocity_mps
+    return Movers(kept, moving, lately), _in_pixels(lasting, shape), velocity_mps
+
+
+def _points(lasting: NDArray[np.bool_], near: Real, shifts: Real) -> Real:
+    """Return the points of cells that move in this frame, as :class:`Movers` has them."""
+    row, column = np.nonzero(lasting)
+    places = np.stack([column, row], axis=1) * CELL_PX + CELL_PX // 2
+    age_frames = np.zeros(len(row), np.float32)
+    return np.column_stack([places, near[lasting], shifts[lasting], age_frames]).astype(np.float32)
+
+
+def _seen_again(lately: Real, now: Moment, lasting: NDArray[np.bool_], eye: Eye) -> Real:
+    """Return the points of the last frame that go on as they did, where none is found to move."""
+    step = now.before_from_now
+    stand_m = (eye.places_m(*lately[:, :3].T) - step[:3, 3]) @ step[:3, :3]
+    kept = (lately[:, 6] < _REMEMBERED_FRAMES) & (stand_m[:, 2] > 0)
+    lately, stand_m = lately[kept], stand_m[kept]
+    there = np.column_stack([eye.in_view_px(stand_m), eye.focal_baseline / stand_m[:, 2]])
+    there -= lately[:, 3:6]
+    height, width = (side * CELL_PX for side in lasting.shape)
+    x, y = there[:, :2].T
+    inside = (x >= 0) & (y >= 0) & (x < width) & (y < height)
+    there, lately = there[inside], lately[inside]
+    x, y = there[:, :2].astype(np.intp).T
+    near = now.disparity_px[y, x] + np.float32(eye.doffs_px)
+    limit_px = np.maximum(_REMEMBERED_PX, _REMEMBERED_SHARE * near)
+    kept = (np.abs(near - there[:, 2]) <= limit_px) & (near >= _MIN_REMEMBERED_PX)
+    kept &= ~lasting[y // CELL_PX, x // CELL_PX]
+    each = there[kept, :2], near[kept], lately[kept, 3:6], lately[kept, 6] + 1
+    return np.column_stack(each).astype(np.float32)
 
 
 def _gap(movers: Movers, now: Moment, eye: Eye) -> int:

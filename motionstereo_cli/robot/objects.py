@@ -93,8 +93,9 @@ class Region:
         sigma_mps: standard deviation of that.
         nearer, level: rows of cells that are nearer than what is known beside them, and rows that
             are as near.
+        moves: whether it is found to move in this frame, or is remembered from the last ones.
         cells: known share and nearness in px of the cells of its box, and their velocity if it is
-            measured, (2 or 6, height / 4, width / 4) float32, NaN = not in it; None where it is
+            measured, (2 or 7, height / 4, width / 4) float32, NaN = not in it; None where it is
             remembered.
     """
 
@@ -111,6 +112,7 @@ class Region:
     sigma_mps: float = math.inf
     nearer: int = 0
     level: int = 0
+    moves: bool = True
     cells: Reals | None = field(default=None, compare=False, repr=False)
 
 
@@ -140,7 +142,7 @@ class Track:
     Attributes:
         number: its number.
         observations: the last frames that it was seen in, oldest first.
-        seen: frames that it has been seen in.
+        seen: frames that it has been found to move in.
         missed: frames since it was last seen; 0 = it is in the last frame.
     """
 
@@ -165,7 +167,7 @@ def regions(
         nearness_px: disparity + doffs, (height, width) float32, NaN = unknown.
         fresh: where something has just moved, (height, width) bool.
         min_share: share of the image, 0..1, that a region has to have.
-        velocity_mps: of cells over ground, (rows or more, columns or more, 4), as
+        velocity_mps: of cells over ground, (rows or more, columns or more, 5), as
             :func:`~motionstereo_cli.robot.movers.see` has it.
     """
     share, cells = _in_cells(nearness_px, fresh)
@@ -344,7 +346,8 @@ def region_of(left: int, top: int, cells: Reals) -> Region:
     row, column = np.nonzero(~np.isnan(cells[1]))
     weight = cells[0, row, column]
     total = float(weight.sum())
-    speed, sigma_mps = _median_velocity(cells[2:, row, column].T)
+    speed, sigma_mps = _median_velocity(cells[2:6, row, column].T)
+    remembered = np.count_nonzero(cells[6:, row, column] > 0) >= _MIN_CELLS
     return Region(
         x=left * CELL_PX,
         y=top * CELL_PX,
@@ -356,6 +359,7 @@ def region_of(left: int, top: int, cells: Reals) -> Region:
         known=total / len(weight),
         velocity_mps=speed,
         sigma_mps=sigma_mps,
+        moves=speed is not None or not remembered,
         cells=cells,
     )
 
@@ -403,10 +407,14 @@ def follow(
         if index in pairs:
             observation = observations[pairs[index]]
             kept = (*track.observations, observation)[-_FITTED:]
-            result.append(Track(track.number, kept, track.seen + 1))
+            result.append(Track(track.number, kept, track.seen + observation.region.moves))
         elif track.missed < min(_MAX_MISSED, track.seen):
             result.append(replace(track, missed=track.missed + 1))
-    new = (s for index, s in enumerate(observations) if index not in pairs.values())
+    new = (
+        each
+        for index, each in enumerate(observations)
+        if index not in pairs.values() and each.region.moves
+    )
     result += (Track(next_number + i, (o,), 1 + o.region.before) for i, o in enumerate(new))
     return tuple(result)
 
@@ -556,7 +564,7 @@ def _mean_velocity(
     known = [each for each in observations if each.velocity_mps is not None]
     if not known:
         return None
-    age_s = observations[-1].time_s - np.array([each.time_s for each in known])
+    age_s = known[-1].time_s - np.array([each.time_s for each in known])
     sigma_mps = np.array([each.region.sigma_mps for each in known])
     weight = 1 / (sigma_mps**2 + (_ACCELERATION_MPS2 * age_s) ** 2)
     velocity_mps = weight @ np.array([each.velocity_mps for each in known]) / weight.sum()

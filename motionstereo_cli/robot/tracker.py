@@ -47,14 +47,17 @@ MIN_SEEN = 3
 #: Objects out of sight for longer are not expected in a region with others.
 _LATELY_FRAMES = 5
 
-#: Around what moved by itself, so many px belong to it where their depth does. A region that moves
-#: by itself has at least this share of the image.
-_AROUND_PX, _MIN_MOVING_SHARE = 8, 0.0005
-#: Regions of what moves by itself end within so many px of it, gaps that are bridged included.
-_MARGIN_PX = 24
+#: Around what moved by itself, so many cells belong to it where their depth does. A region that
+#: moves by itself has at least this share of the image.
+_AROUND_CELLS, _MIN_MOVING_SHARE = 2, 0.0005
+#: Regions of what moves by itself end within so many cells of it, gaps that are bridged included.
+_MARGIN_CELLS = 6
 #: A region is a part of another one if so much of its box is in the other's, and its nearness
 #: differs by at most this share.
 _PART_INSIDE, _PART_SHARE = 0.8, 0.15
+#: What is remembered has rows that are nearer than what is beside them, at least as this share of
+#: those that are as near, and its place is known if it moves by no larger share of its size.
+_STANDING_OUT, _MAX_STEP = 0.3, 0.5
 #: Nothing that moves by itself has its lower end farther above the camera.
 _MAX_UP_M = 2.0
 
@@ -123,28 +126,31 @@ class Tracker:
             for each in found
         )
 
-    def moving_regions(
-        self, disparity_px: Real, moved: NDArray[np.bool_], velocity_mps: Real
-    ) -> tuple[Region, ...]:
+    def moving_regions(self, disparity_px: Real, velocity_mps: Real) -> tuple[Region, ...]:
         """Return the regions of a frame that moved by themselves, in this frame and the last one.
+
+        Those that are remembered from the last frames are among them.
 
         Args:
             disparity_px: (height, width) float32, NaN = unknown.
-            moved: where something moved by itself, (height, width) bool: parts of it.
-            velocity_mps: of cells over ground, (rows, columns, 4), as
+            velocity_mps: of cells over ground, (rows, columns, 5), as
                 :func:`~motionstereo_cli.robot.movers.see` has it.
         """
-        x, y, width, height = cv2.boundingRect(moved.view(np.uint8))
+        moved = np.isfinite(velocity_mps[..., 4]).view(np.uint8)
+        x, y, width, height = cv2.boundingRect(moved)
         if not width:
             return ()
-        left, top = (max(side - _MARGIN_PX, 0) // CELL_PX * CELL_PX for side in (x, y))
-        part = slice(top, y + height + _MARGIN_PX), slice(left, x + width + _MARGIN_PX)
-        around = np.ones((2 * _AROUND_PX + 1,) * 2, np.uint8)
-        near = np.asarray(cv2.dilate(moved[part].view(np.uint8), around)).view(np.bool_)
-        nearness = np.ascontiguousarray(disparity_px[part])
+        left, top = max(x - _MARGIN_CELLS, 0), max(y - _MARGIN_CELLS, 0)
+        part = slice(top, y + height + _MARGIN_CELLS), slice(left, x + width + _MARGIN_CELLS)
+        around = np.ones((2 * _AROUND_CELLS + 1,) * 2, np.uint8)
+        near = np.asarray(cv2.dilate(moved[part], around)).view(np.bool_)
+        near = near.repeat(CELL_PX, axis=0).repeat(CELL_PX, axis=1)
+        left, top = left * CELL_PX, top * CELL_PX
+        nearness = disparity_px[top : top + near.shape[0], left : left + near.shape[1]]
+        nearness = np.ascontiguousarray(nearness)
         nearness = self.rig.nearness_px(nearness) if self.rig else nearness
-        velocity_mps = velocity_mps[top // CELL_PX :, left // CELL_PX :]
-        found = regions(nearness, near, _MIN_MOVING_SHARE * moved.size / near.size, velocity_mps)
+        min_share = _MIN_MOVING_SHARE * disparity_px.size / near.size
+        found = regions(nearness, near, min_share, velocity_mps[part])
         placed = (
             replace(
                 each,
@@ -155,7 +161,7 @@ class Tracker:
                 before=1,
             )
             for each in found
-            if each.velocity_mps is not None  # else what moved is beside it
+            if each.velocity_mps is not None or _stands_out(each)  # else what moved is beside it
         )
         return _whole(each for each in placed if not self._hangs(each))
 
@@ -193,7 +199,18 @@ class Tracker:
             self._object(track, pose, timed=frame.time_s is not None)
             for track in each
             if not track.missed and track.seen >= MIN_SEEN and moves_surely(track)
+            if track.observations[-1].region.moves or self._is_slow(track)
         )
+
+    def _is_slow(self, track: Track) -> bool:
+        """Return whether an object moves by a small part of its size from frame to frame."""
+        moves, (before, last) = movement(track), track.observations[-2:]
+        if moves is None or self.rig is None:
+            return False
+        region = last.region
+        step_m = math.hypot(*moves.over_ground_mps) * (last.time_s - before.time_s)
+        m_per_px = self.rig.focal_baseline / region.nearness_px / self.rig.focal_px
+        return step_m <= _MAX_STEP * max(region.width, region.height) * m_per_px
 
     def _observation(self, region: Region, time_s: float, pose: Pose | None) -> Observation:
         region = replace(region, cells=None)
@@ -279,6 +296,11 @@ def _whole(found: Iterable[Region]) -> tuple[Region, ...]:
         if not any(_is_part(each, other) for other in kept):
             kept.append(each)
     return tuple(kept)
+
+
+def _stands_out(region: Region) -> bool:
+    """Return whether a region is remembered and does not lie on what is beside it."""
+    return not region.moves and region.nearer >= _STANDING_OUT * region.level
 
 
 def _is_part(region: Region, other: Region) -> bool:
