@@ -46,6 +46,8 @@ BEARINGS = 80
 #: Heights above the cameras of what reaches above them, and of a box of 0.5 m.
 BELOW_M = 1.1
 TALL_M, LOW_M = 0.5, -0.7
+#: Tops above the cameras, distances, and whether that is an obstacle.
+LOW_THINGS = [(-0.95, 3.0, True), (-0.95, 4.0, False), (LOW_M, 4.0, True)]
 
 
 def view(x_m=0.0, y_m=0.0, yaw_rad=0.0):
@@ -181,6 +183,21 @@ class TestMap:
             known = seen(known, stands(wall_ahead(2.0)), view(), SIZE, BELOW_M)
         assert evidence_at(known, 2.0, 0) > CERTAIN
 
+    @pytest.mark.parametrize(("place_m", "at_once"), [(1.0, True), (2.0, False)])
+    def test_what_enters_a_long_free_place_is_counted_and_nearby_believed_at_once(
+        self, place_m, at_once
+    ):
+        known = after(40, wall_ahead(5.0))
+        assert known.entered == 0
+        known = seen(known, stands(wall_ahead(place_m)), view(), SIZE, BELOW_M)
+        assert known.entered >= 5
+        assert (evidence_at(known, place_m, 0) > CERTAIN) == at_once
+
+    @pytest.mark.parametrize(("top_m", "place_m", "counts"), LOW_THINGS)
+    def test_what_is_low_and_far_is_floor(self, top_m, place_m, counts):
+        known = after(3, wall_ahead(place_m), top_m)
+        assert (evidence_at(known, place_m, 0) > CERTAIN) == counts
+
     @pytest.mark.parametrize(("top_m", "stays"), [(LOW_M, True), (TALL_M, False)])
     @pytest.mark.parametrize(("place_m", "over"), [(1.2, True), (3.0, False)])
     def test_what_a_view_passes_over_stays(self, top_m, stays, place_m, over):
@@ -315,12 +332,14 @@ class TestFreeWays:
 
 
 class TestPlan:
-    def planned(self, way, possible=None, course=None, yaw_rad=0.0, turned_rad=0.0, goal_rad=None):
+    def planned(
+        self, way, possible=None, course=None, yaw_rad=0.0, turned_rad=0.0, goal_rad=None, entered=0
+    ):
         way = np.array([way(d) for d in DIRECTIONS_RAD])
         possible = way if possible is None else np.array([possible(d) for d in DIRECTIONS_RAD])
         course = course or Course(0.0, 0.0)
         directions = yaw_rad + DIRECTIONS_RAD
-        turned = {"turned_rad": turned_rad, "goal_rad": goal_rad}
+        turned = {"turned_rad": turned_rad, "goal_rad": goal_rad, "entered": entered}
         return plan(course, yaw_rad, way, possible, directions, **turned)
 
     def test_heads_for_the_longest_way(self):
@@ -356,20 +375,33 @@ class TestPlan:
         assert (course.look, free_m) == (0, 3.0)
         assert course.heading_rad == pytest.approx(-1.4, abs=0.15)
 
-    def test_after_looking_all_around_turns_back(self):
+    @pytest.mark.parametrize(
+        ("open_m", "frames_of_walkers", "turns_deg"),
+        [(0.5, 0, (500, 600)), (5.0, 0, (680, 780)), (0.5, 5, (800, 900))],
+    )
+    def test_after_looking_all_around_turns_back(self, open_m, frames_of_walkers, turns_deg):
+        """Later where nothing known closes the way ahead, and where somebody walks."""
+
+        def way(d):
+            return 5.0 if abs(d) > 2.5 else 0.5
+
         course = Course(0.0, 0.0)
         turned = 0.0
-        for _ in range(200):
+        for n in range(200):
             course, free_m = self.planned(
-                lambda d: 5.0 if abs(d) > 2.5 else 0.5, course=course, turned_rad=0.1
+                way,
+                possible=lambda d: max(way(d), open_m),
+                course=course,
+                turned_rad=0.1,
+                entered=9 if 50 <= n < 50 + frames_of_walkers else 2,
             )
             turned += 0.1
             if free_m is not None:
                 break
-        assert math.radians(500) < turned < math.radians(600)
+        assert turns_deg[0] < math.degrees(turned) < turns_deg[1]
         assert abs(wrapped(np.array(course.heading_rad))) > 2.4
         # And it stays with that.
-        course, free_m = self.planned(lambda d: 5.0 if abs(d) > 2.5 else 0.5, course=course)
+        course, free_m = self.planned(way, course=course)
         assert free_m == 5
 
     def test_the_direction_of_travel_follows_the_way(self):

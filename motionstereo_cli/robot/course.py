@@ -24,6 +24,7 @@ def steadied(before: float | None, target: float, gain: float) -> float:
 
 
 #: Candidate directions about the robot's yaw: a full circle, in steps of 3 degrees.
+_STEP_RAD = math.radians(3)
 DIRECTIONS_RAD = np.radians(np.arange(-180, 180, 3, dtype=np.float64))
 
 #: Limit of distances: beyond it depth is too uncertain, and the map ends at 8 m.
@@ -51,6 +52,8 @@ _FOUND_FREE_M = 1.5
 _AHEAD_RAD = math.radians(35)
 #: After looking around by this angle without success, the direction back is allowed.
 _LOOK_RAD = math.radians(540)
+#: The same where nothing that is known closes the way ahead in so many directions.
+_OPEN_RAD, _LOOK_LONGER_RAD = math.radians(30), math.radians(720)
 #: Where something enters so many free cells in a frame, somebody walks: it looks around for longer.
 _ENTERED, _WAIT_RAD = 3, math.radians(60)
 #: How far a rig has turned is looked at over the first number of frames, what it was asked to do
@@ -153,7 +156,10 @@ def plan(
     # A short free distance is enough to continue, but not to turn to.
     ahead = (np.abs(wrapped(directions_rad - yaw_rad)) <= _AHEAD_RAD) & (course.look == 0)
     allowed = free_m >= np.where(ahead, _MIN_FREE_M, _FOUND_FREE_M)
-    if looked_rad < _LOOK_RAD:
+    ahead_rad = _STEP_RAD * np.count_nonzero(
+        (possible_m >= _FOUND_FREE_M) & (from_travel <= _BACK_RAD)
+    )
+    if looked_rad < (_LOOK_RAD if ahead_rad < _OPEN_RAD else _LOOK_LONGER_RAD):
         allowed &= from_travel <= _BACK_RAD
     if allowed.any():
         best = int(np.argmax(np.where(allowed, worth, -np.inf)))

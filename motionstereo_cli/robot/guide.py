@@ -45,7 +45,6 @@ from motionstereo_cli.robot.local_map import (
     CERTAIN,
     GOAL_HALF_LIFE_FRAMES,
     HALF_LIFE_FRAMES,
-    ONE_HIT,
     Bearings,
     LocalMap,
     moved,
@@ -73,9 +72,6 @@ CONTACT_RADIUS_M = 0.5
 #: a wall that the camera passes always shows new parts, as if it moved along.
 STANDS = 3.0
 STANDS_WITHIN_M = 0.25
-
-#: Up to this distance what one frame sees is an obstacle: who walks is in another cell in the next.
-_NEAR_M = 1.2
 
 #: Rows and columns of an image that are used for guidance: larger images take no longer.
 STEERING_PX = 240
@@ -409,7 +405,6 @@ class MapGuide:
         directions = yaw + DIRECTIONS_RAD
         middle = known.cells_of(pose.x_m, pose.y_m)
         occupied, free = known.evidence > CERTAIN, known.evidence < -CERTAIN
-        occupied |= (known.evidence > ONE_HIT) & cells_within(free.shape, middle, _NEAR_M, CELL_M)
         occupied |= self._foreseen(nearest_contact(objects), known)
         around = middle, directions
         turned = math.remainder(yaw - before.pose.yaw_rad, math.tau)

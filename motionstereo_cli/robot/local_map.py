@@ -38,11 +38,11 @@ _HIT = 0.5
 _MISS = -0.5
 _MOST = 4.0
 CERTAIN = 0.7
-#: More than this is of one frame, at least.
-ONE_HIT = 0.3
 
-#: A cell has been free for long below this evidence. So many cells from the middle are looked at.
-_LONG_FREE, _AROUND = -2.0, 30
+#: A cell has been free for long below this evidence. So many cells from the middle are looked at;
+#: up to the second number from it, what enters one is an obstacle at once, with the evidence of two
+#: frames: who walks is elsewhere in the next.
+_LONG_FREE, _AROUND, _NEAR = -2.0, 30, 12
 
 #: Distance from the robot up to which points are marked as occupied.
 _HIT_REACH_M = 6.0
@@ -237,11 +237,13 @@ def seen(
     top_m = _filled(found.top_m)[sight.bearing]
     hit = sight.hit & ((top_m >= low_m) | (sight.ahead_m < _LOW_REACH_M))
     top_m = np.where(evidence > 0, (known.top_m + top_m) / 2, top_m)
-    around = (slice(CELLS // 2 - _AROUND, CELLS // 2 + _AROUND),) * 2
-    entered = int(np.count_nonzero(hit[around] & (evidence[around] < _LONG_FREE)))
+    enters = hit & (evidence < _LONG_FREE)
+    around, near = ((slice(CELLS // 2 - n, CELLS // 2 + n),) * 2 for n in (_AROUND, _NEAR))
     # An object that enters a long-free cell is believed as soon as any other.
     evidence[hit] = np.maximum(evidence[hit], 0) + np.float32(_HIT)
     top_m = np.where(hit, top_m, known.top_m)
+    evidence[near][enters[near]] = 2 * _HIT
+    entered = int(np.count_nonzero(enters[around]))
     return LocalMap(evidence.clip(-_MOST, _MOST), top_m, known.corner, entered)
 
 

@@ -170,6 +170,13 @@ def _of_map(_: Sequence[Goal], quick: bool) -> dict[str, float]:
     return figures
 
 
+def _of_street_map(_: Sequence[Goal], quick: bool) -> dict[str, float]:
+    """Means over three streets, of which one winds."""
+    seeds, frames = ((0,), 4) if quick else ((0, 1, 2), 50)
+    scores = [asdict(maps.street_score(seed, maps.OBSTACLE_M, frames)) for seed in seeds]
+    return {name: float(np.mean([score[name] for score in scores])) for name in scores[0]}
+
+
 def _of_own_motion(_: Sequence[Goal], quick: bool) -> dict[str, float]:
     """Shares found and false rows a frame over held-out streets; drift in % of their worst."""
     size: dict[str, object] = {"frames": "6", "width": 160, "height": 120} if quick else {}
@@ -217,6 +224,7 @@ MEASURES: dict[str, Callable[[Sequence[Goal], bool], dict[str, float]]] = {
     "objects": _of_objects,
     "drive": _of_drive,
     "map": _of_map,
+    "street_map": _of_street_map,
     "own_motion": _of_own_motion,
     "paths": _of_paths,
     "batch": _of_batch,
