@@ -111,6 +111,8 @@ def test_what_is_stated_and_what_is_given_may_differ(tmp_path: Path) -> None:
         ("col_interleaved_lr", "in alternate columns, .*stereo3d=icl:sbsl"),
         ("checkerboard_rl", "as a checkerboard, .*convert them to views side by side"),
         ("block_lr", "one after the other, frame by frame, .*stereo3d=al:sbsl"),
+        ("anaglyph_cyan_red", r"in the colours of one image \(anaglyph\), .*each view whole"),
+        ("anaglyph_green_magenta", r"in the colours of one image \(anaglyph\)"),
     ],
 )
 def test_ways_of_stating_that_are_not_read(tmp_path: Path, mode: str, said: str) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Mapping
 from fractions import Fraction
 from typing import Any, NamedTuple
 
@@ -29,6 +30,9 @@ _UNREAD = {
     6: ("in alternate rows", ("irl", "irr")),
     7: ("in alternate columns", ("icl", "icr")),
 }
+
+#: How Matroska's stereo modes begin that FFmpeg has no kind for: views in different colours.
+_ANAGLYPH = "anaglyph"
 
 #: The kind of files with two views in an unspecified layout.
 _SOMEHOW = 8
@@ -113,6 +117,16 @@ def said_by(frame: av.VideoFrame, aspect: Fraction | None) -> Said:
     aspect = aspect or Fraction(1)
     squeezed = aspect > _SQUEEZED if kind == 1 else aspect < 1 / _SQUEEZED
     return said._replace(stated=Stated(_LAYOUTS[kind] + "-half" * squeezed, swapped=swapped))
+
+
+def anaglyph(metadata: Mapping[str, str]) -> str:
+    """Return why a video is not read whose container says that it is an anaglyph; else nothing."""
+    if not metadata.get("stereo_mode", "").startswith(_ANAGLYPH):
+        return ""
+    return (
+        "both views lie in the colours of one image (anaglyph), which is not read: give a "
+        "recording that has each view whole"
+    )
 
 
 def view_id(frame: av.VideoFrame) -> int | None:

@@ -30,7 +30,7 @@ from motionstereo_cli.sources.pace import Pace, rhythm
 from motionstereo_cli.sources.pipe import Pipe
 from motionstereo_cli.sources.recording import Image, Recording, images
 from motionstereo_cli.sources.seeking import CodedImage, Entry, entry, numbered
-from motionstereo_cli.sources.stereo3d import said_by, view_id
+from motionstereo_cli.sources.stereo3d import anaglyph, said_by, view_id
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -350,7 +350,8 @@ class VideoRecording(Recording):
         said = said_by(frame, self._stream.sample_aspect_ratio)
         self.said, self.stated, self.sphere = said, said.stated, said.sphere
         self.multiview = view_id(frame) is not None
-        self.unread = said.unread and f"{self._path} says that {said.unread}"
+        unread = said.unread or anaglyph(self._stream.metadata)
+        self.unread = unread and f"{self._path} says that {unread}"
         if self.timeless and self.frame_rate is None:
             self.frame_rate = self._file.stated_rate
             self.time_base = 1 / self.frame_rate if self.frame_rate else None
