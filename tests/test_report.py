@@ -470,7 +470,7 @@ def test_the_way_is_drawn_from_above_with_the_map_and_what_moved(copy):
     assert path[-1] == pytest.approx((-2, -1.3))  # left is left, ahead is up
     # 4 m ahead of where the camera was.
     assert [y for _, y in mover] == pytest.approx([-4.2, -4.3, -4.4], abs=0.01)
-    assert "3.3 m of way, its ends 2.4 m apart; in 1 frame the rig was lost" in page
+    assert "3.3 m of path, its ends 2.4 m apart; in 1 frame the rig was lost" in page
     floor = re.search(r'<image [^>]*x="([^"]*)" y="([^"]*)" width="([^"]*)" height="([^"]*)"', page)
     assert [float(each) for each in floor.groups()] == pytest.approx([-2, -1, 4, 2])
 
@@ -490,7 +490,7 @@ def test_a_damaged_way_or_map_is_left_out(copy, damage):
     with_way(copy)
     (copy / damage).write_text("nonsense\n")
     page = page_of(copy)
-    assert ('id="the-way"' in page) == (damage != "poses.txt")
+    assert ('id="the-path"' in page) == (damage != "poses.txt")
     assert "<image " not in page
 
 

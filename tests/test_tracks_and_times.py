@@ -21,7 +21,7 @@ from test_limits import called, moving
 from motionstereo_cli.errors import InputError, SettingsError
 from motionstereo_cli.sinks.outputs import check_video_size
 from motionstereo_cli.sources import open_stereo, pipe
-from motionstereo_cli.sources.h264 import Head
+from motionstereo_cli.sources.h264 import SliceHeader
 from motionstereo_cli.sources.luma import grey_levels
 from motionstereo_cli.sources.pace import rhythm
 from motionstereo_cli.sources.pipe import Pipe
@@ -213,11 +213,12 @@ def test_a_reference_that_is_gone_tears_what_follows(tmp_path: Path, suffix: str
 
 
 def test_numbers_of_references_follow_one_another() -> None:
-    last = Head(15, 16, is_reference=True, is_idr=False)
-    assert Head(0, 16, is_reference=True, is_idr=False).follows(last)
-    assert not Head(1, 16, is_reference=True, is_idr=False).follows(last)
-    assert Head(7, 16, is_reference=True, is_idr=True).follows(last)
-    assert Head(15, 16, True, False).follows(Head(15, 16, is_reference=False, is_idr=False))
+    last = SliceHeader(15, 16, is_reference=True, is_idr=False)
+    assert SliceHeader(0, 16, is_reference=True, is_idr=False).follows(last)
+    assert not SliceHeader(1, 16, is_reference=True, is_idr=False).follows(last)
+    assert SliceHeader(7, 16, is_reference=True, is_idr=True).follows(last)
+    last = SliceHeader(15, 16, is_reference=False, is_idr=False)
+    assert SliceHeader(15, 16, is_reference=True, is_idr=False).follows(last)
 
 
 # --- White ------------------------------------------------------------------------------------

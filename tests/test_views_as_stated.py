@@ -27,7 +27,7 @@ from motionstereo_cli.sinks.records import InputRecord
 from motionstereo_cli.sources import open_stereo
 from motionstereo_cli.sources.multiview import eyes_in
 from motionstereo_cli.sources.settings import InputSettings
-from motionstereo_cli.sources.stereo3d import Said
+from motionstereo_cli.sources.stereo3d import ViewMetadata
 from motionstereo_cli.types import Rig
 
 LEFTS, RIGHTS = scene(), [255 - image for image in scene()]
@@ -175,12 +175,12 @@ def spatial(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     def view(frame: av.VideoFrame) -> int:
         return (frame.pts or 0) // 512 % 2
 
-    def said(frame: av.VideoFrame, _: object) -> Said:
-        return Said(eye=("right", "left")[view(frame)], baseline_m=0.02, width_deg=60)
+    def said(frame: av.VideoFrame, _: object) -> ViewMetadata:
+        return ViewMetadata(eye=("right", "left")[view(frame)], baseline_m=0.02, width_deg=60)
 
     for module in ("video", "multiview"):
         monkeypatch.setattr(f"motionstereo_cli.sources.{module}.view_id", view)
-        monkeypatch.setattr(f"motionstereo_cli.sources.{module}.said_by", said)
+        monkeypatch.setattr(f"motionstereo_cli.sources.{module}.view_metadata", said)
     return encode(tmp_path / "v.mp4", LEFTS, "libx264", "yuv420p", options={"crf": "1"})
 
 

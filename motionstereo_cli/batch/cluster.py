@@ -19,7 +19,7 @@ from motionstereo_cli.batch.builds import builds_here, difference, own_builds
 from motionstereo_cli.errors import InputError, words_of
 from motionstereo_cli.files.reading import read_bytes
 from motionstereo_cli.runs.cores import usable_cores
-from motionstereo_cli.runs.interrupts import deaf_children
+from motionstereo_cli.runs.interrupts import children_ignoring_interrupts
 from motionstereo_cli.types import Say
 
 if TYPE_CHECKING:
@@ -153,7 +153,7 @@ def _started(cluster: Cluster, tasks: int, say: Say) -> Iterator[Client]:
     silent = logging.CRITICAL  # it would print tracebacks of processes that do not start
     for trial in range(_STARTS):
         try:
-            with deaf_children():
+            with children_ignoring_interrupts():
                 local = LocalCluster(n_workers=workers, silence_logs=silent, **options)
             break
         except Exception as error:  # such as a process that was killed before it was ready

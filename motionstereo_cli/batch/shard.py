@@ -28,7 +28,7 @@ from motionstereo_cli.batch.task import LOCAL, Storage, Task
 from motionstereo_cli.errors import SettingsError
 from motionstereo_cli.files.lock import locked
 from motionstereo_cli.runs.cores import usable_cores
-from motionstereo_cli.runs.interrupts import deaf_children
+from motionstereo_cli.runs.interrupts import children_ignoring_interrupts
 from motionstereo_cli.runs.plan import RunPlan
 from motionstereo_cli.sinks.records import Status
 
@@ -192,7 +192,7 @@ class _Worker:
             initializer=_prepared,
             initargs=(self._stop, dict(os.environ)),
         )
-        with deaf_children():
+        with children_ignoring_interrupts():
             pool.submit(int)  # the first task starts the process
         return pool
 

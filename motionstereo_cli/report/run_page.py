@@ -24,7 +24,7 @@ from motionstereo_cli.report.pictures import (
 from motionstereo_cli.report.render import render
 from motionstereo_cli.report.run_folder import FRAME_S, Results, SteeringTable, read_results
 from motionstereo_cli.report.series import LATER_S, MIN_ROWS, SOON_S, plotted, tracks
-from motionstereo_cli.report.way import way
+from motionstereo_cli.report.trajectory import trajectory
 from motionstereo_cli.report.words import changed, command, troubles
 from motionstereo_cli.sinks.outputs import OUTPUTS
 from motionstereo_cli.sinks.read_back import Maps
@@ -92,7 +92,7 @@ def run_page(out: Path, page: Path, record: RunRecord | None = None) -> str:
         min_rows=MIN_ROWS,
         histogram=_histogram(run, scale),
         map=_map(run),
-        way=way(run, steering),
+        trajectory=trajectory(run, steering),
         troubles=troubles(said),
         changed=list(changed(said)),
         command=command(said, real(out).name),

@@ -12,7 +12,7 @@ _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
 @contextlib.contextmanager
-def deaf_children() -> Iterator[None]:
+def children_ignoring_interrupts() -> Iterator[None]:
     """Make processes started in the block ignore Ctrl-C, which a terminal sends to all of them."""
     former = signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:

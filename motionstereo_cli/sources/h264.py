@@ -16,21 +16,21 @@ _HIGH = {100, 110, 122, 244, 44, 83, 86, 118, 128, 138, 139, 134, 135}
 _SLICE, _IDR_SLICE, _SEQUENCE_SET = 1, 5, 7
 
 
-class Head(NamedTuple):
-    """The slice header of an image: its number modulo ``most``, and whether it is a reference."""
+class SliceHeader(NamedTuple):
+    """An image's slice header: its frame_num modulo ``modulus``, and whether it is a reference."""
 
     number: int
-    most: int
+    modulus: int
     is_reference: bool
     is_idr: bool
 
-    def follows(self, last: Head) -> bool:
+    def follows(self, last: SliceHeader) -> bool:
         """Return whether no reference is missing between an image and this one."""
-        expected = (last.number + last.is_reference) % self.most
+        expected = (last.number + last.is_reference) % self.modulus
         return self.is_idr or self.number in (expected, last.number)
 
 
-class Heads:
+class SliceHeaders:
     """Reads the slice headers of the images in packets.
 
     Args:
@@ -46,7 +46,7 @@ class Heads:
             for part in [extradata[8:]] if in_lengths else _annex_b(extradata):
                 self._note(part)
 
-    def read(self, packet: bytes) -> Head | None:
+    def read(self, packet: bytes) -> SliceHeader | None:
         """Return the slice header of the first image in a packet, None if it cannot be parsed."""
         parts = _lengths(packet, self._length_bytes) if self._length_bytes else _annex_b(packet)
         with contextlib.suppress(IndexError):  # torn
@@ -60,7 +60,7 @@ class Heads:
                     if has_planes:
                         bits.take(2)
                     is_idr = part[0] & 31 == _IDR_SLICE
-                    return Head(bits.take(size), 1 << size, bool(part[0] & 0x60), is_idr)
+                    return SliceHeader(bits.take(size), 1 << size, bool(part[0] & 0x60), is_idr)
         return None
 
     def _note(self, part: bytes) -> None:

@@ -164,7 +164,7 @@ class JoinedRecording(Recording):
         self.time_base, self.frame_rate = first.time_base, first.frame_rate
         self.begin_pts, self.begin_s = first.begin_pts, first.begin_s
         self.timed, self.clock, self.timeless = first.timed, first.clock, first.timeless
-        self.said, self.stated, self.unread = first.said, first.stated, first.unread
+        self.metadata, self.stated, self.unread = first.metadata, first.stated, first.unread
         self.multiview, self.sphere = first.multiview, first.sphere
         self.likely_white, self.warnings = first.likely_white, first.warnings
         self._first_said = first.describe()

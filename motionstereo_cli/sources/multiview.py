@@ -13,7 +13,7 @@ from motionstereo_cli.errors import InputError
 from motionstereo_cli.sources.container import ALL_VIEWS, Container
 from motionstereo_cli.sources.recording import Recording
 from motionstereo_cli.sources.settings import InputSettings
-from motionstereo_cli.sources.stereo3d import said_by, view_id
+from motionstereo_cli.sources.stereo3d import view_id, view_metadata
 
 #: Number of images among which each view occurs.
 _PROBED_IMAGES = 60
@@ -39,7 +39,7 @@ def eyes_in(path: Path | str, settings: InputSettings, track: int) -> dict[str, 
             for frame, _ in zip(frames, range(_PROBED_IMAGES), strict=False):
                 view = view_id(frame)
                 if view is not None and view not in eyes.values():
-                    eyes[said_by(frame, None).eye or f"view {view}"] = view
+                    eyes[view_metadata(frame, None).eye or f"view {view}"] = view
                 if len(eyes) == 2:
                     break
         except (av.FFmpegError, OSError):
@@ -62,15 +62,15 @@ def add_nominal_rig(path: str, left: Recording, right: Recording) -> None:
 
     Without the distance of the cameras and their angle of view they get none.
     """
-    said = left.said
-    if not (said.baseline_m and 0 < said.width_deg < 180):
+    metadata = left.metadata
+    if not (metadata.baseline_m and 0 < metadata.width_deg < 180):
         return
-    for view, offset_m in ((left, 0.0), (right, said.baseline_m)):
-        view.camera_info = _camera_info(view, said.width_deg, offset_m)
+    for view, offset_m in ((left, 0.0), (right, metadata.baseline_m)):
+        view.camera_info = _camera_info(view, metadata.width_deg, offset_m)
         view.rectified = True
     left.calibration_note = (
-        f"{path} says that the cameras are {1000 * said.baseline_m:.4g} mm apart and see "
-        f"{said.width_deg:.4g} degrees: depth follows from these nominal values"
+        f"{path} says that the cameras are {1000 * metadata.baseline_m:.4g} mm apart and see "
+        f"{metadata.width_deg:.4g} degrees: depth follows from these nominal values"
     )
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from motionstereo_cli.errors import InputError
 from motionstereo_cli.files.stills import Stated, pixel_format
 from motionstereo_cli.sources.sphere import Sphere
-from motionstereo_cli.sources.stereo3d import Said
+from motionstereo_cli.sources.stereo3d import ViewMetadata
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -60,7 +60,7 @@ class Recording(ABC):
         names: the images' names without suffix by number, if they are files.
         stated: the layout of both views that it states, None if none.
         unread: a stated layout that is not read, and what to do; empty if none.
-        said: what its first image states about its views.
+        metadata: what its first image states about its views.
         multiview: it is one view of a multiview stream (MV-HEVC).
         sphere: the angles of its rows and columns; None if it is flat.
         rereadable: whether another process can read it again.
@@ -92,7 +92,7 @@ class Recording(ABC):
     names: Sequence[str] = ()
     stated: Stated | None = None
     unread: str = ""
-    said: Said = Said()
+    metadata: ViewMetadata = ViewMetadata()
     multiview: bool = False
     sphere: Sphere | None = None
     rereadable: bool = True

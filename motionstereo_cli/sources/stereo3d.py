@@ -60,7 +60,7 @@ def _unnamed(kinds: Any, value: int) -> Type:
 Type._missing_ = classmethod(_unnamed)  # type: ignore[method-assign, assignment]
 
 
-class Said(NamedTuple):
+class ViewMetadata(NamedTuple):
     """What an image states about its views.
 
     Attributes:
@@ -80,7 +80,7 @@ class Said(NamedTuple):
     width_deg: float = 0.0
 
 
-def said_by(frame: av.VideoFrame, aspect: Fraction | None) -> Said:
+def view_metadata(frame: av.VideoFrame, aspect: Fraction | None) -> ViewMetadata:
     """Return what an image states about its views.
 
     Squeezed views have pixels that are twice as wide or high as others.
@@ -90,33 +90,33 @@ def said_by(frame: av.VideoFrame, aspect: Fraction | None) -> Said:
         aspect: width of a pixel as a share of its height; None = unknown.
     """
     found = _side_data(frame)
-    said = Said(sphere=_sphere(found[_SPHERICAL]) if _SPHERICAL in found else None)
+    metadata = ViewMetadata(sphere=_sphere(found[_SPHERICAL]) if _SPHERICAL in found else None)
     if _STEREO3D not in found:
-        return said
+        return metadata
     kind, flags, view, _, baseline_um, _, _, degrees, divisor = struct.unpack(
         "=iiiiIiiii", found[_STEREO3D][:36].ljust(36, b"\0")
     )
-    said = said._replace(
+    metadata = metadata._replace(
         eye=_EYES.get(view, ""),
         baseline_m=baseline_um / 1e6,
         width_deg=degrees / divisor if divisor > 0 else 0.0,
     )
     swapped = bool(flags & 1)
-    if kind in _UNREAD and not said.eye:  # a view of one eye is a stream of its own
+    if kind in _UNREAD and not metadata.eye:  # a view of one eye is a stream of its own
         how, filters = _UNREAD[kind]
         convert = f"ffmpeg -i IN -vf stereo3d={filters[swapped]}:sbsl OUT makes"
         advice = f"{convert if filters[swapped] else 'convert them to'} views side by side"
-        return said._replace(unread=f"both views lie {how}, which is not read: {advice}")
+        return metadata._replace(unread=f"both views lie {how}, which is not read: {advice}")
     if kind not in _LAYOUTS:
-        if kind == _SOMEHOW and not said.eye:
-            said = said._replace(
+        if kind == _SOMEHOW and not metadata.eye:
+            metadata = metadata._replace(
                 unread="it holds both views, and only one is in it: another program may have lost "
                 "the other one: give the original file"
             )
-        return said
+        return metadata
     aspect = aspect or Fraction(1)
     squeezed = aspect > _SQUEEZED if kind == 1 else aspect < 1 / _SQUEEZED
-    return said._replace(stated=Stated(_LAYOUTS[kind] + "-half" * squeezed, swapped=swapped))
+    return metadata._replace(stated=Stated(_LAYOUTS[kind] + "-half" * squeezed, swapped=swapped))
 
 
 def anaglyph(metadata: Mapping[str, str]) -> str:
@@ -140,9 +140,9 @@ def _side_data(frame: av.VideoFrame) -> dict[int, bytes]:
     return {each.type.value: bytes(each) for each in found}
 
 
-def _sphere(said: bytes) -> Sphere | None:
+def _sphere(data: bytes) -> Sphere | None:
     """Return the angles of FFmpeg's AVSphericalMapping; None if the image is flat."""
-    kind, _, _, _, left, top, right, bottom, _ = struct.unpack("=iiiiIIIII", said[:36])
+    kind, _, _, _, left, top, right, bottom, _ = struct.unpack("=iiiiIIIII", data[:36])
     if kind == _CUBE:
         return Sphere("a cube", 0, 0, 0, 0)
     if kind not in _EQUIRECTANGULAR:

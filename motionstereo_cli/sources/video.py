@@ -17,7 +17,7 @@ import numpy as np
 from motionstereo_cli.errors import is_damage, words_of
 from motionstereo_cli.files.reading import MAX_PIXELS
 from motionstereo_cli.sources.container import Container
-from motionstereo_cli.sources.h264 import Heads
+from motionstereo_cli.sources.h264 import SliceHeaders
 from motionstereo_cli.sources.luma import (
     bits_of,
     brightest,
@@ -30,7 +30,7 @@ from motionstereo_cli.sources.pace import Pace, rhythm
 from motionstereo_cli.sources.pipe import Pipe
 from motionstereo_cli.sources.recording import Image, Recording, images
 from motionstereo_cli.sources.seeking import CodedImage, Entry, entry, numbered
-from motionstereo_cli.sources.stereo3d import anaglyph, said_by, view_id
+from motionstereo_cli.sources.stereo3d import anaglyph, view_id, view_metadata
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -251,7 +251,7 @@ class VideoRecording(Recording):
         if self._file.timecode:
             more["timecode"] = self._file.timecode
         if self.multiview:
-            more["view"] = self.said.eye or "base"
+            more["view"] = self.metadata.eye or "base"
         if self.sphere is not None:
             more["projection"] = str(self.sphere)
         codec, levels = self._stream.codec_context.name, "full" if self._full_range else "limited"
@@ -347,10 +347,10 @@ class VideoRecording(Recording):
         self._quarters = round(frame.rotation / 90) % 4
         self._coloured = has_colour(frame)
         self._pixel_format, self._full_range = frame.format.name, is_full_range(frame)
-        said = said_by(frame, self._stream.sample_aspect_ratio)
-        self.said, self.stated, self.sphere = said, said.stated, said.sphere
+        metadata = view_metadata(frame, self._stream.sample_aspect_ratio)
+        self.metadata, self.stated, self.sphere = metadata, metadata.stated, metadata.sphere
         self.multiview = view_id(frame) is not None
-        unread = said.unread or anaglyph(self._stream.metadata)
+        unread = metadata.unread or anaglyph(self._stream.metadata)
         self.unread = unread and f"{self._path} says that {unread}"
         if self.timeless and self.frame_rate is None:
             self.frame_rate = self._file.stated_rate
@@ -364,7 +364,7 @@ class VideoRecording(Recording):
         """Yield the images, and whether the decoder reported errors only in its log."""
         codec = self._stream.codec_context
         heeded = codec.name == _TELLS_THE_LOG
-        heads = Heads(codec.extradata or b"") if codec.name == "h264" else None
+        heads = SliceHeaders(codec.extradata or b"") if codec.name == "h264" else None
         last: _Packet | None = None
         while True:
             try:
@@ -407,7 +407,7 @@ class VideoRecording(Recording):
         self._usual_ticks = None if leaps else ticks
         return bool(leaps)
 
-    def _look_for_references(self, heads: Heads, last: _Packet, packet: _Packet) -> None:
+    def _look_for_references(self, heads: SliceHeaders, last: _Packet, packet: _Packet) -> None:
         one, other = heads.read(bytes(last)), heads.read(bytes(packet))
         if one and other and not other.follows(one) and packet.pts is not None:
             self._torn_from = packet.pts

@@ -31,7 +31,7 @@ _SHOWN_PX = 460, 620
 _SAME_S = 1e-3
 
 
-def way(run: Results, steering: SteeringTable | None) -> dict[str, Any] | None:
+def trajectory(run: Results, steering: SteeringTable | None) -> dict[str, Any] | None:
     """Return the path for the page, None if the run has no readable poses.
 
     x points up in the picture and y to the left, as seen by the robot at its start.
