@@ -224,7 +224,7 @@ def see(movers: Movers, now: Moment, eye: Eye) -> tuple[Movers, NDArray[np.bool_
     """
     shape = now.disparity_px.shape
     rows, columns = (side // CELL_PX for side in shape)
-    moving, lasting = None, np.zeros((rows, columns), np.bool_)
+    moving, (moved, lasting) = None, np.zeros((2, rows, columns), np.bool_)
     velocity_mps = np.full((rows, columns, 5), np.nan, np.float32)
     lately = np.empty((0, 7), np.float32)
     now = now.filled(_filled(now, eye))
@@ -233,10 +233,7 @@ def see(movers: Movers, now: Moment, eye: Eye) -> tuple[Movers, NDArray[np.bool_
         near = _in_cells(now.disparity_px) + np.float32(eye.doffs_px)
         near[np.isnan(near)] = 0
         farther = min(_FARTHER * gap, len(movers.moments))
-        moved, shifts = (
-            np.zeros((rows, columns), np.bool_),
-            np.empty((rows, columns, 3), np.float32),
-        )
+        moving = np.full((rows, columns, 3), np.nan, np.float32)
         ways_px = {farther: _SHORT_WAY * shape[1], gap: math.inf}
         if _turn_rad(_motion(movers, now, gap)) * eye.focal_px[0] > _FOLLOWING * shape[1]:
             ways_px[1] = math.inf
@@ -246,24 +243,24 @@ def see(movers: Movers, now: Moment, eye: Eye) -> tuple[Movers, NDArray[np.bool_
             new = _moved(found, near) & ~moved
             if not new.any():
                 continue
-            shifts[new] = found[new][:, :3] / np.float32(back)
+            moving[new] = found[new][:, :3] / np.float32(back)
             velocity_mps[new, :4] = _velocity_mps(
                 new, found[new], near[new], motion, eye, now.time_s - then.time_s
             )
             moved |= new
-        count, things = _things(moved, shifts, near)
+        count, things = _things(moved, moving, near)
         some = things > 0
-        moving = np.where(some[..., None], shifts[..., :3], np.float32(np.nan))
+        moving[moved & ~some] = np.nan
         if movers.moving is not None and some.any():
             step = now.before_from_now
             stood = _places_m(some, near[some], eye) @ step[:3, :3].T + step[:3, 3]
             lasting = _lasting(count, things, moving, movers.moving, eye.in_view_px(stood))
-        velocity_mps[~lasting] = np.nan
+        velocity_mps[moved & ~lasting] = np.nan
         velocity_mps[lasting, 4] = 0
         again = _seen_again(movers.lately, now, lasting, eye)
         column, row = (again[:, :2] / CELL_PX).astype(np.intp).T
         velocity_mps[row, column, 4] = again[:, 6]
-        lately = np.concatenate([_points(lasting, near, shifts), again])
+        lately = np.concatenate([_points(lasting, near, moving), again])
     kept = (*movers.moments, now)[-GAPS:]
     return Movers(kept, moving, lately), _in_pixels(lasting, shape), velocity_mps
 
