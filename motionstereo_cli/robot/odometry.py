@@ -510,9 +510,11 @@ def told(error_px: Reals) -> Reals:
 
 def adjoint(motion: Reals) -> Reals:
     """Return the (6, 6) matrix that takes small motions to where a motion (4, 4) takes places."""
-    turn, (x, y, z) = motion[:3, :3], motion[:3, 3]
-    across = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    return np.block([[turn, across @ turn], [np.zeros((3, 3)), turn]])
+    turn, (x, y, z) = motion[:3, :3], motion[:3, 3].tolist()
+    result = np.zeros((6, 6))
+    result[:3, :3] = result[3:, 3:] = turn
+    result[:3, 3:] = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]]) @ turn
+    return result
 
 
 def _small(shift_and_turn: Reals) -> Reals:
