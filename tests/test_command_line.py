@@ -423,6 +423,15 @@ def test_a_folder_with_something_in_it(run_args, capsys):
     assert names(Path("out")) == {"notes.txt"}
 
 
+@pytest.mark.parametrize("option", [[], ["--resume"]])
+def test_resume_is_not_advised_where_nothing_was_begun(run_args, capsys, option):
+    Path("out").mkdir()
+    Path("out/run.json.part").write_text("mine")
+    assert main([*run_args, "-o", "out", *option]) == 1
+    assert capsys.readouterr().err.endswith("is not empty: give another folder, or --overwrite\n")
+    assert Path("out/run.json.part").read_text() == "mine"
+
+
 @pytest.mark.parametrize("out", ["file", "file/out", "/proc/motionstereo"])
 def test_a_folder_that_cannot_be_written(run_args, capsys, out):
     Path("file").touch()
