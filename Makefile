@@ -80,6 +80,7 @@ coverage: $(READY)  ## measure which branches of the package the tests pass thro
 own-motion: $(READY)  ## measure own motion and what moves by itself, and draw the street
 	$(BENCH) own_motion --scenes "straight street" corridor street \
 		--picture sample_data/own_charge.png
+	$(BENCH) own_motion --walkers
 	$(BENCH) own_motion --drives
 
 figures: $(READY)  ## render the paper's figures 2 and 3

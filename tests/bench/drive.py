@@ -45,18 +45,20 @@ def _by_motion(world: RobotWorld) -> Iterator[Steering]:
     return (step.steering for _, step in driven(world, aimed(SETTINGS, world)))
 
 
+def steered(
+    world: RobotWorld, disparity: Callable[[Shot], Real]
+) -> Iterator[tuple[Shot, Steering]]:
+    """Yield the views of a robot that is steered by a disparity that is all of the moment."""
+    guide, state = MapGuide(aimed(SETTINGS, world), world.settings.rig), None
+    for shot in world.shots():
+        disparity_px = disparity(shot)
+        seen = guide.profile(disparity_px, ~np.isnan(disparity_px))
+        state, steering = guide.steer(state, seen, shot.pose)
+        yield shot, steering
+
+
 def _by(disparity: Callable[[Shot], Real]) -> Callable[[RobotWorld], Iterator[Steering]]:
-    """Return a way to steer by a disparity that is all of the moment."""
-
-    def steer(world: RobotWorld) -> Iterator[Steering]:
-        guide, state = MapGuide(aimed(SETTINGS, world), world.settings.rig), None
-        for shot in world.shots():
-            disparity_px = disparity(shot)
-            seen = guide.profile(disparity_px, ~np.isnan(disparity_px))
-            state, steering = guide.steer(state, seen, shot.pose)
-            yield steering
-
-    return steer
+    return lambda world: (steering for _, steering in steered(world, disparity))
 
 
 def _at_random(world: RobotWorld) -> Iterator[Steering]:

@@ -190,6 +190,16 @@ def _of_own_motion(_: Sequence[Goal], quick: bool) -> dict[str, float]:
     }
 
 
+def _of_walkers(_: Sequence[Goal], quick: bool) -> dict[str, float]:
+    """Of held-out drives past walkers: the share found, and false rows a frame."""
+    seeds, frames = (own_motion.WALKER_SEEDS[:1], 3) if quick else (own_motion.WALKER_SEEDS, 200)
+    scores = [own_motion.measure_walkers(seed, frames) for seed in seeds]
+    return {
+        "found": sum(s.found for s in scores) / max(sum(s.walking for s in scores), 1),
+        "false rows a frame": sum(s.false for s in scores) / sum(s.frames for s in scores),
+    }
+
+
 def _of_paths(_: Sequence[Goal], quick: bool) -> dict[str, float]:
     """Of drives of a held-out seed: means over those that tell, and the share of wrong motions."""
     settings = [each for kind in own_motion.drives([9]).values() for each in kind]
@@ -226,6 +236,7 @@ MEASURES: dict[str, Callable[[Sequence[Goal], bool], dict[str, float]]] = {
     "map": _of_map,
     "street_map": _of_street_map,
     "own_motion": _of_own_motion,
+    "walkers": _of_walkers,
     "paths": _of_paths,
     "batch": _of_batch,
     "given": _of_given,
