@@ -183,15 +183,15 @@ class TestMap:
             known = seen(known, stands(wall_ahead(2.0)), view(), SIZE, BELOW_M)
         assert evidence_at(known, 2.0, 0) > CERTAIN
 
-    @pytest.mark.parametrize(("place_m", "at_once"), [(1.0, True), (2.0, False)])
-    def test_what_enters_a_long_free_place_is_counted_and_nearby_believed_at_once(
-        self, place_m, at_once
-    ):
+    def test_who_enters_a_long_free_place_is_noticed_and_remembered_for_a_while(self):
         known = after(40, wall_ahead(5.0))
-        assert known.entered == 0
-        known = seen(known, stands(wall_ahead(place_m)), view(), SIZE, BELOW_M)
-        assert known.entered >= 5
-        assert (evidence_at(known, place_m, 0) > CERTAIN) == at_once
+        assert known.walks_frames == 0
+        known = seen(known, stands(wall_ahead(2.0)), view(), SIZE, BELOW_M)
+        remembered = known.walks_frames
+        known = moved(known, 0.3, 0.0)
+        for _ in range(3):
+            known = seen(known, stands(wall_ahead(2.0)), view(0.3), SIZE, BELOW_M)
+        assert 0 < known.walks_frames < remembered
 
     @pytest.mark.parametrize(("top_m", "place_m", "counts"), LOW_THINGS)
     def test_what_is_low_and_far_is_floor(self, top_m, place_m, counts):
@@ -333,13 +333,20 @@ class TestFreeWays:
 
 class TestPlan:
     def planned(
-        self, way, possible=None, course=None, yaw_rad=0.0, turned_rad=0.0, goal_rad=None, entered=0
+        self,
+        way,
+        possible=None,
+        course=None,
+        yaw_rad=0.0,
+        turned_rad=0.0,
+        goal_rad=None,
+        walks=False,
     ):
         way = np.array([way(d) for d in DIRECTIONS_RAD])
         possible = way if possible is None else np.array([possible(d) for d in DIRECTIONS_RAD])
         course = course or Course(0.0, 0.0)
         directions = yaw_rad + DIRECTIONS_RAD
-        turned = {"turned_rad": turned_rad, "goal_rad": goal_rad, "entered": entered}
+        turned = {"turned_rad": turned_rad, "goal_rad": goal_rad, "walks": walks}
         return plan(course, yaw_rad, way, possible, directions, **turned)
 
     def test_heads_for_the_longest_way(self):
@@ -376,10 +383,10 @@ class TestPlan:
         assert course.heading_rad == pytest.approx(-1.4, abs=0.15)
 
     @pytest.mark.parametrize(
-        ("open_m", "frames_of_walkers", "turns_deg"),
-        [(0.5, 0, (500, 600)), (5.0, 0, (680, 780)), (0.5, 5, (800, 900))],
+        ("open_m", "walks", "turns_deg"),
+        [(0.5, False, (500, 600)), (5.0, False, (680, 780)), (0.5, True, (1040, 1130))],
     )
-    def test_after_looking_all_around_turns_back(self, open_m, frames_of_walkers, turns_deg):
+    def test_after_looking_all_around_turns_back(self, open_m, walks, turns_deg):
         """Later where nothing known closes the way ahead, and where somebody walks."""
 
         def way(d):
@@ -387,13 +394,13 @@ class TestPlan:
 
         course = Course(0.0, 0.0)
         turned = 0.0
-        for n in range(200):
+        for _ in range(200):
             course, free_m = self.planned(
                 way,
                 possible=lambda d: max(way(d), open_m),
                 course=course,
                 turned_rad=0.1,
-                entered=9 if 50 <= n < 50 + frames_of_walkers else 2,
+                walks=walks,
             )
             turned += 0.1
             if free_m is not None:

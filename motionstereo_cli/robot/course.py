@@ -54,8 +54,8 @@ _AHEAD_RAD = math.radians(35)
 _LOOK_RAD = math.radians(540)
 #: The same where nothing that is known closes the way ahead in so many directions.
 _OPEN_RAD, _LOOK_LONGER_RAD = math.radians(30), math.radians(720)
-#: Where something enters so many free cells in a frame, somebody walks: it looks around for longer.
-_ENTERED, _WAIT_RAD = 3, math.radians(60)
+#: The same where somebody walks.
+_WAIT_RAD = math.radians(1080)
 #: How far a rig has turned is looked at over the first number of frames, what it was asked to do
 #: over the second, as it may be late. In each it turns by the angle that it is asked, at most.
 TURN_FRAMES, ASKED_FRAMES = 8, 12
@@ -131,7 +131,7 @@ def plan(
     *,
     turned_rad: float,
     goal_rad: float | None = None,
-    entered: int = 0,
+    walks: bool = False,
 ) -> tuple[Course, float | None]:
     """Return the next course and the free distance on it in m, None while looking around.
 
@@ -142,11 +142,9 @@ def plan(
         directions_rad: their yaws in the world.
         turned_rad: how far the robot has turned since the last frame.
         goal_rad: yaw in the world of the way to a goal, if there is one.
-        entered: number of cells that had been free for long, in which something is now.
+        walks: whether somebody may walk there.
     """
     looked_rad = course.looked_rad + abs(turned_rad) if course.look else 0.0
-    if entered >= _ENTERED:
-        looked_rad = max(looked_rad - _WAIT_RAD, 0.0)
     from_travel = np.abs(wrapped(directions_rad - course.travel_rad))
     smooth_m = np.mean([np.roll(free_m, k) for k in (-2, -1, 0, 1, 2)], axis=0)
     worth = np.minimum(free_m, smooth_m) - _TRAVEL_COST_M * from_travel
@@ -159,7 +157,8 @@ def plan(
     ahead_rad = _STEP_RAD * np.count_nonzero(
         (possible_m >= _FOUND_FREE_M) & (from_travel <= _BACK_RAD)
     )
-    if looked_rad < (_LOOK_RAD if ahead_rad < _OPEN_RAD else _LOOK_LONGER_RAD):
+    look_rad = _LOOK_RAD if ahead_rad < _OPEN_RAD else _LOOK_LONGER_RAD
+    if looked_rad < (_WAIT_RAD if walks else look_rad):
         allowed &= from_travel <= _BACK_RAD
     if allowed.any():
         best = int(np.argmax(np.where(allowed, worth, -np.inf)))

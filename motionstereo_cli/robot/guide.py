@@ -45,6 +45,7 @@ from motionstereo_cli.robot.local_map import (
     CERTAIN,
     GOAL_HALF_LIFE_FRAMES,
     HALF_LIFE_FRAMES,
+    ONE_HIT,
     Bearings,
     LocalMap,
     moved,
@@ -72,6 +73,10 @@ CONTACT_RADIUS_M = 0.5
 #: a wall that the camera passes always shows new parts, as if it moved along.
 STANDS = 3.0
 STANDS_WITHIN_M = 0.25
+
+#: Where somebody walks, what one frame sees is an obstacle up to this distance: it is elsewhere in
+#: the next.
+_NEAR_M = 1.2
 
 #: Rows and columns of an image that are used for guidance: larger images take no longer.
 STEERING_PX = 240
@@ -405,6 +410,9 @@ class MapGuide:
         directions = yaw + DIRECTIONS_RAD
         middle = known.cells_of(pose.x_m, pose.y_m)
         occupied, free = known.evidence > CERTAIN, known.evidence < -CERTAIN
+        if known.walks_frames:
+            near = cells_within(free.shape, middle, _NEAR_M, CELL_M)
+            occupied |= near & (known.evidence > ONE_HIT)
         occupied |= self._foreseen(nearest_contact(objects), known)
         around = middle, directions
         turned = math.remainder(yaw - before.pose.yaw_rad, math.tau)
@@ -413,7 +421,7 @@ class MapGuide:
                 *(occupied, free, *around), cell_m=CELL_M, radius_m=s.robot_radius_m
             )
             course, free_m = plan(
-                *(course, yaw, *ways, directions), turned_rad=turned, entered=known.entered
+                *(course, yaw, *ways, directions), turned_rad=turned, walks=known.walks_frames > 0
             )
         else:
             course, free_m = toward(

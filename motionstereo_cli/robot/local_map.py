@@ -14,7 +14,7 @@ is occupied, too.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import cv2
@@ -39,10 +39,11 @@ _MISS = -0.5
 _MOST = 4.0
 CERTAIN = 0.7
 
-#: A cell has been free for long below this evidence. So many cells from the middle are looked at;
-#: up to the second number from it, what enters one is an obstacle at once, with the evidence of two
-#: frames: who walks is elsewhere in the next.
-_LONG_FREE, _AROUND, _NEAR = -2.0, 30, 12
+#: Evidence of one frame, at least, that is not freed again.
+ONE_HIT = 0.3
+#: A cell has been free for long below this evidence. Where something enters so many of these, less
+#: than so many cells from the middle, somebody walks, and may for so many frames more.
+_LONG_FREE, _ENTERED, _AROUND, _WALKS_FRAMES = -2.0, 3, 30, 50
 
 #: Distance from the robot up to which points are marked as occupied.
 _HIT_REACH_M = 6.0
@@ -81,14 +82,14 @@ class LocalMap:
         evidence: (CELLS, CELLS) float32, axis 0 along the world's x, axis 1 along its y.
         top_m: (CELLS, CELLS) float32, height above the cameras of what stands in the cell.
         corner: world cell of ``evidence[0, 0]``; world cell i spans i..i+1 times CELL_M.
-        entered: number of cells around the middle that had been free for long, in which the last
-            frame saw something.
+        walks_frames: for so many frames more somebody may walk there, who entered cells that had
+            been free for long.
     """
 
     evidence: Reals
     top_m: Reals
     corner: tuple[int, int]
-    entered: int = 0
+    walks_frames: int = 0
 
     @classmethod
     def unknown(cls, x_m: float, y_m: float) -> LocalMap:
@@ -191,7 +192,7 @@ def moved(known: LocalMap, x_m: float, y_m: float) -> LocalMap:
     evidence, top_m = (
         window(each, known.corner, corner, each.shape) for each in (known.evidence, known.top_m)
     )
-    return LocalMap(evidence, top_m, corner)
+    return replace(known, evidence=evidence, top_m=top_m, corner=corner)
 
 
 def seen(
@@ -237,14 +238,14 @@ def seen(
     top_m = _filled(found.top_m)[sight.bearing]
     hit = sight.hit & ((top_m >= low_m) | (sight.ahead_m < _LOW_REACH_M))
     top_m = np.where(evidence > 0, (known.top_m + top_m) / 2, top_m)
-    enters = hit & (evidence < _LONG_FREE)
-    around, near = ((slice(CELLS // 2 - n, CELLS // 2 + n),) * 2 for n in (_AROUND, _NEAR))
+    around = (slice(CELLS // 2 - _AROUND, CELLS // 2 + _AROUND),) * 2
+    entered = np.count_nonzero((hit & (evidence < _LONG_FREE))[around]) >= _ENTERED
+    walks_frames = _WALKS_FRAMES if entered else max(known.walks_frames - 1, 0)
     # An object that enters a long-free cell is believed as soon as any other.
     evidence[hit] = np.maximum(evidence[hit], 0) + np.float32(_HIT)
     top_m = np.where(hit, top_m, known.top_m)
-    evidence[near][enters[near]] = 2 * _HIT
-    entered = int(np.count_nonzero(enters[around]))
-    return LocalMap(evidence.clip(-_MOST, _MOST), top_m, known.corner, entered)
+    evidence = evidence.clip(-_MOST, _MOST)
+    return LocalMap(evidence, top_m, known.corner, walks_frames)
 
 
 def _corner(x_m: float, y_m: float) -> tuple[int, int]:
