@@ -181,6 +181,27 @@ class TestMotion:
             wanted = np.linalg.inv(true[number - 3]) @ true[number - 2]
             assert np.allclose(found[number].before_from_now, wanted, atol=0.03)
 
+    def test_is_doubtful_where_another_agrees_nearly_as_well(self, street, monkeypatch):
+        rig, pairs, _ = street
+        lens = lens_of(rig)
+        state = None
+        for number in range(3):
+            last = pairs[max(number - 1, 0)] if number else None
+            state, motion = step(state, last, pairs[number], number, lens, RANGE_PX)
+        assert not motion.vague
+        for turn_rad, vague in ((0.005, False), (0.02, True)):
+            turn = np.eye(4)
+            turn[:3, :3] = cv2.Rodrigues(np.array([0.0, turn_rad, 0.0]))[0]
+            scores = iter([0.5, 0.45, *[0.1] * 20])  # the first two are near
+
+            def found(*args, turn=turn, scores=scores, **options):
+                aligned, score = align(*args, **options), next(scores)
+                there = aligned.motion if score != 0.45 else turn @ aligned.motion
+                return replace(aligned, score=score, motion=there)
+
+            monkeypatch.setattr("motionstereo_cli.robot.odometry.align", found)
+            assert step(state, pairs[2], pairs[3], 3, lens, RANGE_PX)[1].vague == vague
+
     def test_a_vague_motion_goes_into_the_path_and_is_said_to_be_lost(self, street):
         rig, pairs, _ = street
         found = motions(pairs[:4], lens_of(rig))

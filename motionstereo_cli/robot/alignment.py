@@ -126,6 +126,7 @@ class Alignment:
             They hold no prior of the error.
         by_corners: it is from matched corners, not from grey, so that its normal equations are a
             mere guess.
+        doubtful: another motion agrees nearly as well.
     """
 
     motion: Reals
@@ -135,6 +136,7 @@ class Alignment:
     seen: float
     normal: Reals
     by_corners: bool = False
+    doubtful: bool = False
 
 
 def pyramid(image: NDArray[np.uint8]) -> list[Real]:

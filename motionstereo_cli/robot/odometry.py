@@ -57,6 +57,10 @@ _TRIED = 4
 #: px they move the image.
 _NEAR_TURNS_PX = np.array([-10.0, -8.0, -6.0, -4.0, -2.0, 2.0, 4.0, 6.0, 8.0, 10.0])
 
+#: An alignment is doubtful if another has this share of its score, and directions to points differ
+#: by such an angle, the median: something large that moves by itself may have drawn it away.
+_RIVAL_SCORE, _RIVAL_RAD = 0.8, 0.01
+
 #: Limits of the motion in a frame: rotation, and translation as a share of the points' depth.
 _MAX_TURN_RAD, _MAX_AHEAD = float(np.radians(15)), 0.5
 
@@ -221,15 +225,18 @@ def _aligned(
     key = before.key
     assert key is not None
     best: Alignment | None = None
+    others: list[Alignment] = []
     depth_m = _depth_m(key, lens)
 
     def attempt(start: Reals, *, near: bool = False) -> None:
         nonlocal best
         found = align(key, right, left, lens, start, with_error=with_error, near=near)
-        if found is None or (best is not None and found.score <= best.score):
+        if found is None or not _plausible(before.motion @ _inverse(found.motion), depth_m):
             return
-        if _plausible(before.motion @ _inverse(found.motion), depth_m):
-            best = found
+        if best is None or found.score > best.score:
+            best, found = found, best
+        if found is not None:
+            others.append(found)
 
     usual = float(np.median(before.scores)) if len(before.scores) > 2 else _USUAL_SCORE
 
@@ -263,7 +270,13 @@ def _aligned(
                 shift, turn = (_COVARIANCE / sigma**2 for sigma in (_LOST_M, _LOST_RAD))
                 unknown = np.diag([shift] * 3 + [turn] * 3 + [1.0] * 7 + [0.0])[:13]
                 there, quality = motion @ before.motion, (np.zeros(3), _MIN_SCORE, 0.0)
-                best = Alignment(there, key.light, *quality, unknown, by_corners=True)
+                return Alignment(there, key.light, *quality, unknown, by_corners=True)
+    if best is not None:
+        back, enough = _inverse(best.motion), _RIVAL_SCORE * best.score
+        rivals = (each.motion @ back for each in others if each.score > enough)
+        most_px = _RIVAL_RAD * lens.focal_px[0]
+        if any(_flow_px(key, motion, lens) > most_px for motion in rivals):
+            best = replace(best, doubtful=True)
     return best
 
 
@@ -352,7 +365,7 @@ def _motion(before: Odometry, found: Alignment, lens: Lens) -> tuple[Motion, Rea
     )
     unsure |= sigma_rad > max(_VAGUE_RAD, seen_rad)
     # Corners do not say how sure they are, but enough of them agree.
-    vague = moves and unsure and not found.by_corners
+    vague = (moves and unsure and not found.by_corners) or found.doubtful
     motion = Motion(
         before_from_now=step_back,
         covariance=covariance,
