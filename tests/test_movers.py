@@ -369,12 +369,13 @@ def test_a_thing_has_to_move_on_as_it_did(places, size, wall_px, even):
     assert found[2].any() == even
     if even:  # at 1.25 m, with 150 px a radian
         across_mps = 10 * (places[1] - places[0]) * 1.25 / 150
-        right, down, ahead, per_px = np.median(told[:, :4], axis=0)
+        right, down, ahead, per_px, age_s = np.median(told[:, :5], axis=0)
         assert (right, ahead) == pytest.approx((across_mps, 0), rel=0.03, abs=0.02)
         assert np.isnan(down)  # the rig does not drive ahead
         back = round(1.25 / 12 / (0.1 * per_px))
         assert per_px == pytest.approx(1.25 / 12 / (0.1 * back), rel=1e-4)
         assert back in (1, 2, 3)
+        assert age_s == pytest.approx(0.1 * back / 2)
 
 
 @pytest.mark.parametrize("is_there", [True, False])
@@ -397,13 +398,13 @@ def test_what_moved_is_remembered_where_it_is_expected(is_there):
                 disparity[40:80, place : place + 40] = 12
         now = Moment(pyramid(view, other), disparity, np.eye(4), 0.1 * number)
         movers, moved, velocity_mps = see(movers, now, eye)
-        known = np.isfinite(velocity_mps[..., 4])
+        known = np.isfinite(velocity_mps[..., 5])
         inside = np.zeros(wall.shape, np.bool_)
         inside[36:84, place - 4 : place + 44] = True
         assert inside[2::4, 2::4][known].all()
         assert number < 4 or not moved.any()
         assert np.isnan(velocity_mps[..., 0][known]).all() == (number >= 4) or not known.any()
-        ages.append(set(velocity_mps[..., 4][known].astype(int)))
+        ages.append(set(velocity_mps[..., 5][known].astype(int)))
     assert 0 in ages[3]
     later = [{age} for age in range(1, 7)] + [set()] * 2
     if is_there:

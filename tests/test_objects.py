@@ -29,6 +29,7 @@ from motionstereo_cli.robot.objects import (
     Observation,
     Region,
     Track,
+    by_itself,
     follow,
     movement,
     moves_surely,
@@ -276,7 +277,7 @@ class TestMovement:
         observations = tuple(
             Observation(
                 time_s,
-                replace(region(60), sigma_mps=sigma_mps),
+                replace(region(60), sigma_mps=sigma_mps, age_s=0.05),
                 (2.0 - 3 * time_s, 0.0),
                 (4.0 - 5 * time_s, 0.0),
                 velocity_mps,
@@ -284,13 +285,36 @@ class TestMovement:
             for velocity_mps, sigma_mps, time_s in told
         )
         moves = movement(Track(1, observations, 3))
-        older, newer = 1 / (0.1**2 + (2.0 * 0.1) ** 2), 1 / 0.2**2
-        ahead = (older + 2 * newer) / (older + newer)
-        assert moves.over_ground_mps == pytest.approx((ahead, newer / (older + newer)))
+        # Half the time that each took, and the time since: it changes by 3 m/s in a second.
+        changed = np.array([0.15, 0.05]) * 3
+        weight = 1 / (np.square([0.1, 0.2]) + changed**2)
+        older, newer = weight / weight.sum()
+        ahead = older + 2 * newer
+        assert moves.over_ground_mps == pytest.approx((ahead, newer))
         # The camera goes back at 2 m/s.
-        assert moves.from_camera_mps == pytest.approx((ahead + 2, newer / (older + newer)))
-        assert moves.sigma_mps == pytest.approx((older + newer) ** -0.5)
+        assert moves.from_camera_mps == pytest.approx((ahead + 2, newer))
+        sigmas = older * 0.1, newer * 0.2, older * changed[0] + newer * changed[1]
+        assert moves.sigma_mps == pytest.approx(math.hypot(*sigmas))
         assert movement(Track(1, observations[:1], 2)) is None
+
+    @pytest.mark.parametrize("hidden", ["left", "right", "inside"])
+    def test_what_something_before_it_hides_moves_no_speed_by_more_than_sigma(self, hidden):
+        """Its right end moves on by 0.02 m a frame; a half of what is seen of it does not."""
+        observations = []
+        for number in range(12):
+            ends = np.array([0.5, -0.5]) - 0.02 * number
+            if hidden == "left":
+                ends[0] = 0.5
+            elif hidden == "right":
+                ends[1] = -0.5
+            middle = ends.mean() if hidden != "inside" else -0.04 * number
+            offs = (0.0, ends[0] - middle, 0.0, ends[1] - middle)
+            place = (4.0, middle)
+            observations.append(replace(observation(0.1 * number, place), ends_m=offs))
+        moves = movement(Track(1, tuple(observations), 12))
+        off_mps = abs(moves.over_ground_mps[1] + 0.2)
+        assert off_mps == pytest.approx(0 if hidden == "inside" else 0.1, abs=1e-6)
+        assert moves.sigma_mps == pytest.approx(0.1, rel=0.01)
 
     @pytest.mark.parametrize(("sigma_mps", "sure"), [(0.9, True), (1.1, False)])
     def test_what_moves_surely_does_so_in_the_median(self, sigma_mps, sure):
@@ -309,6 +333,19 @@ class TestMovement:
             for n, speed in enumerate([(1.0, 0.0), (-1.0, 0.0), (1.0, 0.0), (-1.0, 0.0)])
         )
         assert not moves_surely(Track(1, observations, 4))
+
+    @pytest.mark.parametrize(("speed_mps", "possible"), [(49.0, True), (51.0, False)])
+    def test_nothing_on_the_ground_is_faster_than_50_m_per_s(self, speed_mps, possible):
+        fast = Observation(0.0, replace(region(60), sigma_mps=5.0), (2, 0), (2, 0), (speed_mps, 0))
+        assert moves_surely(Track(1, (fast,), 3)) == possible
+
+    def test_what_single_frames_show_is_by_itself_at_one_standard_deviation(self):
+        moves = objects.Movement((0.0, 0.0), (1.5, 0.0), 0.0, 1.0)
+        places = self.track([(1.0, 0.0)] * 6)
+        assert not by_itself(places, moves)
+        last = places.observations[-1]
+        shown = replace(last, velocity_mps=(1.5, 0.0), region=replace(last.region, sigma_mps=1.0))
+        assert by_itself(Track(1, (*places.observations, shown), 7), moves)
 
     def test_trust_by_hand(self):
         half_known = Region(0, 0, 20, 20, 10, 10, 10.0, 0.5)
@@ -657,7 +694,7 @@ def test_what_moves_by_itself_stands_on_ground(top, stands):
     disparity, moved = np.full((120, 160), NAN), np.zeros((120, 160), np.bool_)
     disparity[top : top + 24, 40:64] = 1.5
     moved[top : top + 24, 40:64] = True
-    velocity_mps = np.full((30, 40, 4), np.float32([1, 0, 1, 1]))
+    velocity_mps = np.full((30, 40, 5), np.float32([1, 0, 1, 1, 0]))
     found = Tracker(Settings(), rig).moving_regions(disparity, moving(velocity_mps, moved))
     assert [(each.x, each.y, each.width, each.height) for each in found] == (
         [(40, top, 24, 24)] if stands else []
@@ -675,15 +712,16 @@ def test_the_velocity_of_a_region_is_the_median_of_its_cells(driven_m):
     moved[40:80, 40:100] = True
     disparity[40:80, 120:140] = 3  # beside it, but not of it
     moved[40:80, 120:140] = True
-    velocity_mps = np.full((HEIGHT // 4, WIDTH // 4, 4), NAN)
-    velocity_mps[10:20, 10:25:2] = (-0.5, 0.02, 1.0, 2.0)
-    velocity_mps[10:20, 10] = (3.0, 0.0, 4.0, 2.0)
+    velocity_mps = np.full((HEIGHT // 4, WIDTH // 4, 5), NAN)
+    velocity_mps[10:20, 10:25:2] = (-0.5, 0.02, 1.0, 2.0, 0.1)
+    velocity_mps[10:20, 10] = (3.0, 0.0, 4.0, 2.0, 0.1)
     tracker, tracks = Tracker(Settings(), RIG), Tracks()
     for number in range(2):
         found = tracker.moving_regions(disparity, moving(velocity_mps, moved))
         assert [each.velocity_mps for each in found] == [(1.0, 0.5)]
         # A tenth of a px in each of 80 cells, of which five show the same.
         assert found[0].sigma_mps == pytest.approx(0.2 / math.sqrt(80 / 5))
+        assert found[0].age_s == pytest.approx(0.1)
         pose = Pose(0, driven_m * number, 0, 0, 0, math.sqrt(0.5), math.sqrt(0.5))
         tracks, seen = tracker.follow(tracks, found, FrameTime(number, number, number / 10), pose)
     assert seen[0].velocity_mps == pytest.approx((-0.5, 1.0))
@@ -699,8 +737,8 @@ def test_what_leaves_the_ground_is_no_mover(sinks_mps, ahead_mps, count):
     disparity, moved = np.full((HEIGHT, WIDTH), NAN), np.zeros((HEIGHT, WIDTH), np.bool_)
     disparity[40:60, 40:60] = 6
     moved[40:60, 40:60] = True
-    velocity_mps = np.full((HEIGHT // 4, WIDTH // 4, 4), NAN)
-    velocity_mps[10:15, 10:15] = (0.0, sinks_mps, ahead_mps, 2.0)
+    velocity_mps = np.full((HEIGHT // 4, WIDTH // 4, 5), NAN)
+    velocity_mps[10:15, 10:15] = (0.0, sinks_mps, ahead_mps, 2.0, 0.1)
     found = Tracker(Settings(), RIG).moving_regions(disparity, moving(velocity_mps, moved))
     assert len(found) == count
 
@@ -725,11 +763,11 @@ def test_what_is_remembered_goes_on_but_does_not_begin(beside_px, speed_mps, row
         disparity = np.full((HEIGHT, WIDTH), NAN)
         disparity[40:60, 20:80] = beside_px
         disparity[moved | other] = 8
-        velocity_mps = np.full((HEIGHT // 4, WIDTH // 4, 4), NAN)
+        velocity_mps = np.full((HEIGHT // 4, WIDTH // 4, 5), NAN)
         if number < 4:
-            velocity_mps[10:15, 10:15] = (0.0, 0.0, speed_mps, 0.1)
+            velocity_mps[10:15, 10:15] = (0.0, 0.0, speed_mps, 0.1, 0.05)
         cells = moving(velocity_mps, moved, max(number - 3, 0))
-        cells[10:15, 30:35, 4] = 3
+        cells[10:15, 30:35, 5] = 3
         found = tracker.moving_regions(disparity, cells)
         pose = Pose(0, 0, 0, 0, 0, 0, 1)
         tracks, seen = tracker.follow(tracks, found, FrameTime(number, number, number / 10), pose)
@@ -745,7 +783,7 @@ def test_a_mover_beside_nearer_ones_is_found():
     disparity[40:60, 40:60] = 6
     disparity[40:60, 20:40] = disparity[40:60, 60:80] = 12
     moved[40:60, 20:80] = True
-    velocity_mps = np.full((HEIGHT // 4, WIDTH // 4, 4), np.float32([2, 0, 2, 1]))
+    velocity_mps = np.full((HEIGHT // 4, WIDTH // 4, 5), np.float32([2, 0, 2, 1, 0]))
     found = Tracker(Settings(), RIG).moving_regions(disparity, moving(velocity_mps, moved))
     assert sorted(each.nearness_px for each in found) == [6, 12, 12]
 
@@ -756,7 +794,7 @@ def test_a_part_of_what_moves_is_no_other_thing(inner_px, count):
     moved[40:80, 40:100] = True
     disparity[:40] = disparity[80:] = disparity[:, :40] = disparity[:, 100:] = np.nan
     disparity[52:68, 60:76] = inner_px
-    velocity_mps = np.full((HEIGHT // 4, WIDTH // 4, 4), np.float32([1, 0, 1, 1]))
+    velocity_mps = np.full((HEIGHT // 4, WIDTH // 4, 5), np.float32([1, 0, 1, 1, 0]))
     found = Tracker(Settings(), RIG).moving_regions(disparity, moving(velocity_mps, moved))
     assert [each.width for each in found] == [60, 16][:count]
 
@@ -778,3 +816,19 @@ def test_things_that_pass_each_other_at_one_depth_stay_two(behind_px):
             off = standing.x - 64, standing.width - 32, crossing.x - 4 * index, crossing.width - 32
             assert np.abs(off).max() <= 8
     assert len(set(ids)) == 1
+
+
+def test_sigma_covers_the_error_of_speeds_where_things_cross():
+    settings = SimulateSettings("cards", width=320, height=240, frames="36", noise_sigma=1.5)
+    shots = list(render_scene(settings))
+    frames = (StereoFrame(n, n, n / 30, shot.left, shot.right) for n, shot in enumerate(shots))
+    results = process(frames, None, settings.rig, "auto", extras=())
+    sigmas = [
+        math.hypot(*np.subtract(row.velocity_mps, true.velocity_mps)) / row.sigma_mps
+        for shot, result in zip(shots, results, strict=True)
+        for row, true in itertools.product(result.objects, shot.objects)
+        if row.velocity_mps is not None
+        and bench.overlap((row.x, row.y, row.width, row.height), true) > 0.4
+    ]
+    assert len(sigmas) > 100
+    assert np.mean(np.array(sigmas) < 2) > 0.85

@@ -211,11 +211,12 @@ def pyramid(view: Grey, other: Grey) -> tuple[Grey, ...]:
 def see(movers: Movers, now: Moment, eye: Eye) -> tuple[Movers, NDArray[np.bool_], Real]:
     """Return what is known after a frame, where something moved by itself, and how fast.
 
-    The second is (height, width) bool. The third, (rows, columns, 5), NaN = unknown, has the
+    The second is (height, width) bool. The third, (rows, columns, 6), NaN = unknown, has the
     velocity over ground of cells of :data:`CELL_PX` in m/s: to the right of the camera; down, at
     right angles to the rig's way; ahead; and by how much the last is wrong per px by which the
-    change of disparity is. Down is unknown where the rig does not drive ahead or back. Last come
-    the frames since a cell was found to move; where that is not in this one, it has no velocity.
+    change of disparity is. Down is unknown where the rig does not drive ahead or back. Then comes
+    how long ago that was, in s; last, the frames since a cell was found to move; where that is not
+    in this one, it has no velocity.
 
     Args:
         movers: what was known before.
@@ -225,7 +226,7 @@ def see(movers: Movers, now: Moment, eye: Eye) -> tuple[Movers, NDArray[np.bool_
     shape = now.disparity_px.shape
     rows, columns = (side // CELL_PX for side in shape)
     moving, (moved, lasting) = None, np.zeros((2, rows, columns), np.bool_)
-    velocity_mps = np.full((rows, columns, 5), np.nan, np.float32)
+    velocity_mps = np.full((rows, columns, 6), np.nan, np.float32)
     lately = np.empty((0, 7), np.float32)
     now = now.filled(_filled(now, eye))
     if movers.moments:
@@ -244,7 +245,7 @@ def see(movers: Movers, now: Moment, eye: Eye) -> tuple[Movers, NDArray[np.bool_
             if not new.any():
                 continue
             moving[new] = found[new][:, :3] / np.float32(back)
-            velocity_mps[new, :4] = _velocity_mps(
+            velocity_mps[new, :5] = _velocity_mps(
                 new, found[new], near[new], motion, eye, now.time_s - then.time_s
             )
             moved |= new
@@ -256,10 +257,10 @@ def see(movers: Movers, now: Moment, eye: Eye) -> tuple[Movers, NDArray[np.bool_
             stood = _places_m(some, near[some], eye) @ step[:3, :3].T + step[:3, 3]
             lasting = _lasting(count, things, moving, movers.moving, eye.in_view_px(stood))
         velocity_mps[moved & ~lasting] = np.nan
-        velocity_mps[lasting, 4] = 0
+        velocity_mps[lasting, 5] = 0
         again = _seen_again(movers.lately, now, lasting, eye)
         column, row = (again[:, :2] / CELL_PX).astype(np.intp).T
-        velocity_mps[row, column, 4] = again[:, 6]
+        velocity_mps[row, column, 5] = again[:, 6]
         lately = np.concatenate([_points(lasting, near, moving), again])
     kept = (*movers.moments, now)[-GAPS:]
     return Movers(kept, moving, lately), _in_pixels(lasting, shape), velocity_mps
@@ -422,7 +423,7 @@ def _moved(shifts: Real, near: Real) -> NDArray[np.bool_]:
 def _velocity_mps(
     where: NDArray[np.bool_], shift: Real, near: Real, motion: Reals, eye: Eye, apart_s: float
 ) -> Reals:
-    """Return how fast cells moved over ground, (n, 4) m/s, as :func:`see` has it.
+    """Return how fast cells moved over ground, (n, 5), as :func:`see` has it.
 
     A patch is a place in space now by its disparity, and another one then by where its grey was and
     the disparity that it had there.
@@ -440,9 +441,10 @@ def _velocity_mps(
     there = eye.places_m(x_px, y_px, eye.focal_baseline / stood[:, 2] + shift[:, 2])
     moved_m = here - (there - motion[:3, 3]) @ motion[:3, :3]
     moved_m[:, 1] = moved_m @ _down(motion)
-    moved_m = np.column_stack([moved_m, here[:, 2] / near])
+    rates = np.column_stack([moved_m, here[:, 2] / near]) / (apart_s or 1)
     known = (there[:, 2] > 0) & (apart_s > 0)
-    return np.where(known[:, None], moved_m / (apart_s or 1), np.nan)
+    # It is the mean of all the time since then.
+    return np.where(known[:, None], np.insert(rates, 4, apart_s / 2, axis=1), np.nan)
 
 
 def _down(motion: Reals) -> Reals:

@@ -65,10 +65,11 @@ _LATER, _EARLIER = np.tril_indices(_FITTED, -1)
 #: Of velocities by single frames: fewest cells that tell one; cells whose patches overlap; least
 #: standard deviation of a change of disparity; how much a velocity may change in a second.
 _MIN_CELLS, _CELLS_ALIKE = 3, 5.0
-_CELL_SIGMA_PX, _ACCELERATION_MPS2 = 0.1, 2.0
-#: What moves by itself is faster than this over ground, and than so many standard deviations; by
-#: single frames, than so many in the median.
-_MIN_OVER_GROUND_MPS, _SIGMAS, _SURE_SIGMAS = 0.2, 2.0, 0.5
+_CELL_SIGMA_PX, _ACCELERATION_MPS2 = 0.1, 3.0
+#: What moves by itself is faster than the first over ground, and nothing than the second.
+_MIN_OVER_GROUND_MPS, _MAX_OVER_GROUND_MPS = 0.2, 50.0
+#: And than so many standard deviations by its places; by single frames, in mean and median.
+_SIGMAS, _MEAN_SIGMAS, _SURE_SIGMAS = 2.0, 1.0, 0.5
 #: It moves along the ground: by a single frame it rises or sinks by no larger share of its speed,
 #: or of a speed that is not significant.
 _SLOPE, _LEAST_SLOPE = 0.1, 0.03
@@ -91,11 +92,12 @@ class Region:
         velocity_mps: over ground, ahead and to the left of the camera; None where it is not
             measured in this frame alone.
         sigma_mps: standard deviation of that.
+        age_s: how long before the frame it moved so.
         nearer, level: rows of cells that are nearer than what is known beside them, and rows that
             are as near.
         moves: whether it is found to move in this frame, or is remembered from the last ones.
         cells: known share and nearness in px of the cells of its box, and their velocity if it is
-            measured, (2 or 7, height / 4, width / 4) float32, NaN = not in it; None where it is
+            measured, (2 or 8, height / 4, width / 4) float32, NaN = not in it; None where it is
             remembered.
     """
 
@@ -110,6 +112,7 @@ class Region:
     before: int = 0
     velocity_mps: tuple[float, float] | None = None
     sigma_mps: float = math.inf
+    age_s: float = 0.0
     nearer: int = 0
     level: int = 0
     moves: bool = True
@@ -126,6 +129,7 @@ class Observation:
         offset_m: from the camera to it, along the x and y axes of the world.
         place_m: its position in the world, x and y.
         velocity_mps: over ground along these axes, by this frame alone; None if unknown.
+        ends_m: from its place to the left end of its box and to the right one, x, y, x, y.
     """
 
     time_s: float
@@ -133,6 +137,7 @@ class Observation:
     offset_m: tuple[float, float]
     place_m: tuple[float, float]
     velocity_mps: tuple[float, float] | None = None
+    ends_m: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,7 +172,7 @@ def regions(
         nearness_px: disparity + doffs, (height, width) float32, NaN = unknown.
         fresh: where something has just moved, (height, width) bool.
         min_share: share of the image, 0..1, that a region has to have.
-        velocity_mps: of cells over ground, (rows or more, columns or more, 5), as
+        velocity_mps: of cells over ground, (rows or more, columns or more, 6), as
             :func:`~motionstereo_cli.robot.movers.see` has it.
     """
     share, cells = _in_cells(nearness_px, fresh)
@@ -193,14 +198,10 @@ def regions(
         *(np.ascontiguousarray(labels), known, _BESIDE_GAP, _BESIDE_CELLS, _JUMP_PX, _JUMP_SHARE),
         *(_MIN_ALIKE_PX, np.empty((count, 4)), beside),
     )
-    return tuple(
-        replace(
-            _region(labels, label, boxes[label].tolist(), each),
-            nearer=int(beside[label, 0]),
-            level=int(beside[label, 1]),
-        )
-        for label in np.flatnonzero(wanted).tolist()
-    )
+    numbers = np.flatnonzero(wanted).tolist()
+    rows = [dict(zip(("nearer", "level"), beside[n].tolist(), strict=True)) for n in numbers]
+    found = [_region(labels, n, boxes[n].tolist(), each) for n in numbers]
+    return tuple(replace(one, **of) for one, of in zip(found, rows, strict=True))
 
 
 def uncovered(
@@ -283,8 +284,7 @@ def _labelled(near: Reals) -> tuple[int, NDArray[np.int32]]:
 def _linked(a: Reals, b: Reals) -> NDArray[np.bool_]:
     least = np.minimum(a, b)
     jump = np.maximum(np.float32(_JUMP_PX), np.float32(_JUMP_SHARE) * least)
-    linked: NDArray[np.bool_] = (least > 0) & (np.abs(a - b) <= jump)
-    return linked
+    return np.asarray((least > 0) & (np.abs(a - b) <= jump))
 
 
 def _around(cells: Reals, nearness_px: Reals) -> Reals:
@@ -319,21 +319,18 @@ def _boxes(labels: NDArray[np.int32], count: int) -> tuple[NDArray[np.int32], ND
 
     Right and bottom are those of the first cell outside.
     """
-    size, boxes = np.zeros(count, np.int32), np.empty((count, 4), np.int32)
-    loops.boxes(np.ascontiguousarray(labels), size, boxes)
-    return size, boxes
+    found = np.zeros(count, np.int32), np.empty((count, 4), np.int32)
+    loops.boxes(np.ascontiguousarray(labels), *found)
+    return found
 
 
 def _region(
-    labels: NDArray[np.int32],
-    label: int,
-    box: tuple[int, int, int, int],
-    measured: Reals,
+    labels: NDArray[np.int32], label: int, box: tuple[int, int, int, int], measured: Reals
 ) -> Region:
     left, top, right, bottom = box
-    inside = slice(top, bottom), slice(left, right)
-    mine = labels[inside] == label
-    return region_of(left, top, np.where(mine, measured[:, *inside], np.float32(np.nan)))
+    cells = measured[:, top:bottom, left:right]
+    mine = labels[top:bottom, left:right] == label
+    return region_of(left, top, np.where(mine, cells, np.float32(np.nan)))
 
 
 def region_of(left: int, top: int, cells: Reals) -> Region:
@@ -346,8 +343,8 @@ def region_of(left: int, top: int, cells: Reals) -> Region:
     row, column = np.nonzero(~np.isnan(cells[1]))
     weight = cells[0, row, column]
     total = float(weight.sum())
-    speed, sigma_mps = _median_velocity(cells[2:6, row, column].T)
-    remembered = np.count_nonzero(cells[6:, row, column] > 0) >= _MIN_CELLS
+    speed, sigma_mps, age_s = _median_velocity(cells[2:7, row, column].T)
+    remembered = np.count_nonzero(cells[7:, row, column] > 0) >= _MIN_CELLS
     return Region(
         x=left * CELL_PX,
         y=top * CELL_PX,
@@ -359,21 +356,22 @@ def region_of(left: int, top: int, cells: Reals) -> Region:
         known=total / len(weight),
         velocity_mps=speed,
         sigma_mps=sigma_mps,
+        age_s=age_s,
         moves=speed is not None or not remembered,
         cells=cells,
     )
 
 
-def _median_velocity(velocity_mps: Reals) -> tuple[tuple[float, float] | None, float]:
-    """Return the velocity ahead and to the left that cells (n, 4) agree on, and its sigma.
+def _median_velocity(velocity_mps: Reals) -> tuple[tuple[float, float] | None, float, float]:
+    """Return the velocity ahead and to the left that cells (n, 5) agree on, its sigma and age.
 
     None where they significantly leave the ground: they are no mover.
     """
     if not velocity_mps.size:
-        return None, math.inf
+        return None, math.inf, 0.0
     known = velocity_mps[np.isfinite(velocity_mps[:, 0])].astype(np.float64)
     if len(known) < _MIN_CELLS:
-        return None, math.inf
+        return None, math.inf, 0.0
     each = known[:, [2, 0]] * (1, -1)
     middle = _median(each)
     spread = np.hypot(*(_NORMAL * _median(np.abs(each - middle))))
@@ -386,8 +384,8 @@ def _median_velocity(velocity_mps: Reals) -> tuple[tuple[float, float] | None, f
     sinks_sigma = float(_NORMAL * _median(np.abs(down - sinks))) / own
     slope = _SLOPE if speed_mps > _SIGMAS * sigma_mps else _LEAST_SLOPE
     if abs(sinks) > max(slope * speed_mps, sinks_sigma):
-        return None, math.inf
-    return (ahead, left), sigma_mps
+        return None, math.inf, 0.0
+    return (ahead, left), sigma_mps, float(_median(known[:, 4]))
 
 
 def follow(
@@ -405,9 +403,8 @@ def follow(
     result = []
     for index, track in enumerate(tracks):
         if index in pairs:
-            observation = observations[pairs[index]]
-            kept = (*track.observations, observation)[-_FITTED:]
-            result.append(Track(track.number, kept, track.seen + observation.region.moves))
+            kept = (*track.observations, observations[pairs[index]])[-_FITTED:]
+            result.append(Track(track.number, kept, track.seen + kept[-1].region.moves))
         elif track.missed < min(_MAX_MISSED, track.seen):
             result.append(replace(track, missed=track.missed + 1))
     new = (
@@ -436,10 +433,8 @@ def _assigned(tracks: Sequence[Track], found: Sequence[Region], time_s: float) -
 
 
 def _measures(region: Region) -> tuple[float, ...]:
-    return (
-        *(region.middle_x, region.middle_y, region.width, region.height),
-        region.nearness_px,
-    )
+    box = region.middle_x, region.middle_y, region.width, region.height
+    return (*box, region.nearness_px)
 
 
 def _expected(track: Track, time_s: float) -> tuple[float, ...]:
@@ -471,10 +466,9 @@ def expected_box(track: Track, time_s: float) -> tuple[float, ...]:
     grown = last.nearness_px / whole.nearness_px
     x, y, *_ = _expected(track, time_s)
     measures = []
-    for at, now, start, size, span in (
-        (x - last.middle_x, last.x, whole.x, whole.width, last.width),
-        (y - last.middle_y, last.y, whole.y, whole.height, last.height),
-    ):
+    across = x - last.middle_x, last.x, whole.x, whole.width, last.width
+    down = y - last.middle_y, last.y, whole.y, whole.height, last.height
+    for at, now, start, size, span in (across, down):
         half = grown * size / 2
         middle = sorted((now + half, now + span - half, start + size / 2))[1]
         measures.append((middle + at, 2 * half))
@@ -503,7 +497,8 @@ def movement(track: Track) -> Movement | None:
     """Return the motion of an object; None while unknown.
 
     The mean of its velocities by single frames, the less weight the older; where there are none,
-    the median of the slopes between all pairs of observations (Theil and Sen).
+    the median of the slopes between all pairs of observations (Theil and Sen), of the middle and
+    of both ends of the box: what something before it hides moves one of these.
     """
     time_s = np.array([observation.time_s for observation in track.observations])
     places = np.array([(*s.offset_m, *s.place_m) for s in track.observations])
@@ -517,8 +512,12 @@ def movement(track: Track) -> Movement | None:
         count = len(time_s) * (len(time_s) - 1) // 2
         later, earlier = _LATER[:count], _EARLIER[:count]
         apart_s = (time_s[later] - time_s[earlier])[:, None]
-        speed = _median((places[later] - places[earlier]) / apart_s)
-        sigma = _slope_sigma(time_s, places[:, 2:] - speed[2:] * time_s[:, None])
+        ends = np.array([(0, 0, *each.ends_m) for each in track.observations]).reshape(-1, 3, 2)
+        each = places[:, None] + np.tile(ends, 2)
+        speeds = _median((each[later] - each[earlier]) / apart_s[..., None])
+        speed = _median(speeds)
+        sigma = _slope_sigma(time_s, places[:, 2:] - speeds[0, 2:] * time_s[:, None])
+        sigma = math.hypot(sigma, *(np.ptp(speeds[:, 2:], axis=0) / 2))
     else:
         return None
     offset = places[:, :2]
@@ -530,24 +529,25 @@ def movement(track: Track) -> Movement | None:
 
 
 def moves_surely(track: Track) -> bool:
-    """Return whether velocities by single frames are significant, where there are any.
+    """Return whether velocities by single frames are significant and possible, where there are any.
 
     Not only their mean, which a single frame that is wrong may decide, but also their median.
     """
-    sigmas = [
-        math.hypot(*each.velocity_mps) / each.region.sigma_mps
-        for each in track.observations
-        if each.velocity_mps is not None
-    ]
     mean = _mean_velocity(track.observations)
     if mean is None:
         return True
-    return float(_median(np.array(sigmas))) > _SURE_SIGMAS and by_itself(*mean)
+    told = ((each.velocity_mps, each.region.sigma_mps) for each in track.observations)
+    sigmas = [math.hypot(*velocity) / sigma for velocity, sigma in told if velocity is not None]
+    speed_mps = math.hypot(*mean[0])
+    fast = max(_MIN_OVER_GROUND_MPS, _MEAN_SIGMAS * mean[1]) < speed_mps < _MAX_OVER_GROUND_MPS
+    return fast and float(_median(np.array(sigmas))) > _SURE_SIGMAS
 
 
-def by_itself(over_ground_mps: Sequence[float] | NDArray[np.float64], sigma_mps: float) -> bool:
-    """Return whether an object of a velocity (2,) moves over ground significantly."""
-    return math.hypot(*over_ground_mps) > max(_MIN_OVER_GROUND_MPS, _SIGMAS * sigma_mps)
+def by_itself(track: Track, moves: Movement) -> bool:
+    """Return whether an object moves over ground significantly."""
+    sigmas = _SIGMAS if _mean_velocity(track.observations) is None else _MEAN_SIGMAS
+    speed_mps = math.hypot(*moves.over_ground_mps)
+    return speed_mps > max(_MIN_OVER_GROUND_MPS, sigmas * moves.sigma_mps)
 
 
 def lies(track: Track) -> bool | None:
@@ -560,15 +560,20 @@ def lies(track: Track) -> bool | None:
 def _mean_velocity(
     observations: Sequence[Observation],
 ) -> tuple[NDArray[np.float64], float] | None:
-    """Return the weighted mean of the velocities by single frames, (2,), and its sigma."""
+    """Return the weighted mean of the velocities by single frames, (2,), and its sigma.
+
+    Errors of single frames are independent; an acceleration since then is common to all.
+    """
     known = [each for each in observations if each.velocity_mps is not None]
     if not known:
         return None
-    age_s = known[-1].time_s - np.array([each.time_s for each in known])
+    last_s = known[-1].time_s
+    changed_mps = _ACCELERATION_MPS2 * np.array([last_s - k.time_s + k.region.age_s for k in known])
     sigma_mps = np.array([each.region.sigma_mps for each in known])
-    weight = 1 / (sigma_mps**2 + (_ACCELERATION_MPS2 * age_s) ** 2)
-    velocity_mps = weight @ np.array([each.velocity_mps for each in known]) / weight.sum()
-    return velocity_mps, 1 / math.sqrt(weight.sum())
+    weight = 1 / np.square([sigma_mps, changed_mps]).sum(axis=0)
+    weight = weight / weight.sum()
+    velocity_mps = weight @ np.array([each.velocity_mps for each in known])
+    return velocity_mps, math.hypot(*(weight * sigma_mps), weight @ changed_mps)
 
 
 def _slope_sigma(time_s: NDArray[np.float64], left_m: NDArray[np.float64]) -> float:
@@ -592,5 +597,4 @@ def trust(track: Track, moves: Movement | None) -> float:
 
 def _median(values: NDArray[Any]) -> NDArray[Any]:
     """Return the median along the first axis, of an even number the lower; np.median is slow."""
-    ordered: NDArray[Any] = np.sort(values, axis=0)[(len(values) - 1) // 2]
-    return ordered
+    return np.asarray(np.sort(values, axis=0)[(len(values) - 1) // 2])

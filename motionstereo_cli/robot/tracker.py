@@ -133,10 +133,10 @@ class Tracker:
 
         Args:
             disparity_px: (height, width) float32, NaN = unknown.
-            velocity_mps: of cells over ground, (rows, columns, 5), as
+            velocity_mps: of cells over ground, (rows, columns, 6), as
                 :func:`~motionstereo_cli.robot.movers.see` has it.
         """
-        moved = np.isfinite(velocity_mps[..., 4]).view(np.uint8)
+        moved = np.isfinite(velocity_mps[..., 5]).view(np.uint8)
         x, y, width, height = cv2.boundingRect(moved)
         if not width:
             return ()
@@ -220,14 +220,19 @@ class Tracker:
         ahead_m = self.rig.focal_baseline / region.nearness_px
         cx_px = self.rig.cx_of(self.settings.reference)
         left_m = (cx_px - region.middle_x) / self.rig.focal_px * ahead_m
+        ends_px = region.x, region.x + region.width
+        ends = [(region.middle_x - end_px) / self.rig.focal_px * ahead_m for end_px in ends_px]
         if pose is None:
-            return Observation(time_s, region, (ahead_m, left_m), (ahead_m, left_m))
+            ends_m = 0.0, ends[0], 0.0, ends[1]
+            place = ahead_m, left_m
+            return Observation(time_s, region, place, place, ends_m=ends_m)
         x_m, y_m = _turned(ahead_m, left_m, pose)
+        ends_m = (*_turned(0.0, ends[0], pose), *_turned(0.0, ends[1], pose))
         camera_x_m, camera_y_m = self.rig.camera_on_floor(pose, self.settings.reference)
         place_m = camera_x_m + x_m, camera_y_m + y_m
         speed = region.velocity_mps
         velocity_mps = None if speed is None else _turned(*speed, pose)
-        return Observation(time_s, region, (x_m, y_m), place_m, velocity_mps)
+        return Observation(time_s, region, (x_m, y_m), place_m, velocity_mps, ends_m)
 
     def _object(self, track: Track, pose: Pose | None, *, timed: bool) -> MovingObject:
         last, moves = track.observations[-1], movement(track) if timed else None
@@ -250,9 +255,7 @@ class Tracker:
             place_m=last.place_m if in_world else None,
             velocity_mps=moves.over_ground_mps if in_world and moves else None,
             sigma_mps=moves.sigma_mps if in_world and moves else None,
-            by_itself=(
-                by_itself(moves.over_ground_mps, moves.sigma_mps) if in_world and moves else None
-            ),
+            by_itself=by_itself(track, moves) if in_world and moves else None,
             shadow=lies(track),
         )
 

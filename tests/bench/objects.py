@@ -171,11 +171,11 @@ def _of(box: Box, depth_m: float, objects: Sequence[MovingObject]) -> MovingObje
         for thing in objects
         if thing.depth_m is not None and abs(thing.depth_m / depth_m - 1) <= _MAX_OFF
     ]
-    best = max(near, key=lambda thing: _overlap(box, thing), default=None)
-    return best if best is not None and _overlap(box, best) >= _MIN_OVERLAP else None
+    best = max(near, key=lambda thing: overlap(box, thing), default=None)
+    return best if best is not None and overlap(box, best) >= _MIN_OVERLAP else None
 
 
-def _overlap(box: Box, thing: MovingObject) -> float:
+def overlap(box: Box, thing: MovingObject) -> float:
     x, y, width, height = box
     across = min(x + width, thing.x + thing.width) - max(x, thing.x)
     down = min(y + height, thing.y + thing.height) - max(y, thing.y)
