@@ -133,6 +133,14 @@ def test_tables_and_substitutes_are_known():
         del MATCHERS["of-another"]
 
 
+def test_what_a_preset_sets_is_not_said():
+    words = ["left.mp4", "right.mp4", "--preset", "paper", "--matcher", "sgbm"]
+    assert plan_of(words).idle() == []
+    flag = "--match-on has no effect without --matcher trails, dense or regions"
+    assert plan_of([*words, "--match-on", "charge"]).idle() == [flag]
+    assert plan_of(words[:4]).settings.match_on == "charge"
+
+
 def idle_of(**values):
     settings = Settings(**values)
     return list(idle(settings, settings.options))

@@ -12,7 +12,7 @@ from functools import cache
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from motionstereo_cli.errors import SettingsError
-from motionstereo_cli.params import checked, options_of, param
+from motionstereo_cli.params import checked, options_of, param, params
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
@@ -400,12 +400,17 @@ class Settings:
     def preset(cls, name: str, **overrides: Any) -> Settings:
         """Return a named preset, with some values replaced.
 
+        What it has without an effect beside these keeps its default.
+
         Raises:
             SettingsError: no such preset, or a value is out of range.
         """
         if name not in PRESETS:
             raise SettingsError(f"there is no preset {name!r}: choose {' | '.join(PRESETS)}")
-        return cls(**{**PRESETS[name], **overrides})
+        values = {**PRESETS[name], **overrides}
+        present = cls(**values).options
+        idle = {item.name for item in params(cls) if item.missing(present)}
+        return cls(**{key: values[key] for key in values if key in overrides or key not in idle})
 
 
 #: Named sets of values; what they leave out keeps its default.
