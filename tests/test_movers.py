@@ -194,6 +194,17 @@ def test_the_steepest_unknown_pixel_of_each_square_is_taken():
     assert count > 6
 
 
+@pytest.mark.parametrize("size", [(1, 1), (5, 40), (40, 5), (8, 8)])
+def test_nothing_is_found_in_views_that_hold_hardly_a_patch(size):
+    view = np.random.default_rng(1).integers(0, 256, size, np.uint8)
+    known = Movers()
+    for time_s in (0.0, 0.1):
+        now = Moment(pyramid(view, view), np.full(size, 4, np.float32), np.eye(4), time_s)
+        known, found, _ = see(known, now, EYE)
+        assert found.shape == size
+        assert not found.any()
+
+
 def test_what_stands_or_was_hidden_or_is_not_asked_for_has_no_shift():
     shape = 16, 24, loops.FIELDS
     camera = Eye((90.0, 90.0), 47.5, 31.5, 47.5, 1, 9.0, 0.0, 16).at(0)

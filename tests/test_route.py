@@ -115,6 +115,52 @@ def test_a_goal_beyond_the_grid_is_headed_for():
     assert np.abs(way[:, 1] - 40).max() < 4
 
 
+def once(occupied, free, goal, *, place=(40.5, 40.5), look=0, radius_m=RADIUS_M):
+    """The course and free distance after one frame of a robot that turned to 0.3 rad."""
+    return toward(
+        *(Course(0.3, 0.3, look), 0.3, occupied, free, place, 0.3 + DIRECTIONS_RAD, goal),
+        corner=(0, 0),
+        turned_rad=0.0,
+        cell_m=CELL_M,
+        radius_m=radius_m,
+    )
+
+
+@pytest.mark.parametrize("radius_m", [0.05, 0.25])
+@pytest.mark.parametrize("stands", [False, True])
+def test_where_nothing_is_known_to_be_free_it_looks(radius_m, stands):
+    """Even if it is smaller than a cell and stands at its corner."""
+    occupied = np.full((SIZE, SIZE), stands)
+    course, free_m = once(
+        *(occupied, np.zeros_like(occupied), (70.5, 40.0)), place=(40.0, 40.0), radius_m=radius_m
+    )
+    assert free_m is None
+    assert course.look != 0
+
+
+@pytest.mark.parametrize("look", [0, 1])
+@pytest.mark.parametrize("ahead", [6, 9])
+def test_a_goal_near_by_on_free_ground_is_driven_to(look, ahead):
+    free = np.ones((SIZE, SIZE), bool)
+    course, free_m = once(~free, free, (40.5 + ahead, 40.5), look=look)
+    assert free_m > ahead * CELL_M
+    assert course.heading_rad == pytest.approx(0, abs=0.3)
+
+
+def test_at_the_goal_it_keeps_its_heading():
+    free = np.ones((SIZE, SIZE), bool)
+    course, free_m = once(~free, free, (40.5, 40.5))
+    assert (course.heading_rad, free_m) == (0.3, None)
+
+
+def test_a_goal_in_what_stands_is_headed_for():
+    free = np.ones((SIZE, SIZE), bool)
+    free[60:70, 35:46] = False
+    course, free_m = once(~free, free, (65.5, 40.5))
+    assert free_m > 1
+    assert abs(course.heading_rad) < 0.6
+
+
 def test_the_first_unknown_place_of_a_way_is_not_one_behind_a_wall():
     occupied, free = room()
     way = np.array([[20.5, 20.5], [40.5, 20.5], [41.5, 20.5]])

@@ -32,9 +32,6 @@ _LONGEST_M = 7.0
 _STEP_M = 0.05
 #: Clearance beside the robot, and how fast it has to grow where it is less.
 CLEARANCE_M = 0.2
-#: The same on the way to a goal where it leads through a narrow place, and the least free distance
-#: there.
-NARROW_M = 0.08
 _WIDENING = 0.35
 #: Half the width of the strip that has to be free; beside it nothing may be occupied.
 _KNOWN_M = 0.15

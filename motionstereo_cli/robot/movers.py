@@ -362,6 +362,8 @@ def _shifts(now: list[Any], motion: Reals, then: Moment, eye: Eye, way_px: float
     moments = list(zip(now, then.levels(), strict=True))
     limits = [_limits(level) for level in range(LEVELS)]
     wanted = np.zeros((height // CELL_PX // 2, width // CELL_PX // 2), np.uint8)
+    if not wanted.size:  # OpenCV resizes no empty image
+        return np.full((height // CELL_PX, width // CELL_PX, loops.FIELDS), np.nan, np.float32)
     work: Any = reused(loops.Workspace)
     loops.find(*moments[1], eye.at(1), motion, limits[1], way_px / 2, work, wanted)
     asked_at = {1: wanted}

@@ -109,7 +109,8 @@ def toward(
                 course, heading_rad=heading_rad, travel_rad=heading_rad, look=0, looked_rad=0.0
             )
             return course, float(min(free_m[best], ahead_m))
-    on_way_rad = ahead(found.way, place, cell_m)
+    # At the goal there is no way: it stays as it is.
+    on_way_rad = ahead(found.way, place, cell_m) if len(found.way) else yaw_rad
     looked_rad = course.looked_rad + max(abs(turned_rad), _LEAST_RAD) if course.look else 0.0
     if looked_rad >= _LOOK_RAD:
         unknown = first_unknown(found.way, occupied, free)
@@ -196,6 +197,8 @@ def aim(
     """
     to_m = found.to_m
     step_m = np.arange(cell_m, free_m.max() + cell_m, cell_m)
+    if not len(step_m):
+        return None
     x, y = (
         np.floor(at + np.outer(part(directions_rad), step_m / cell_m)).astype(np.intp)
         for at, part in zip(place, (np.cos, np.sin), strict=True)
@@ -208,6 +211,8 @@ def aim(
     best, step = np.unravel_index(int(cost_m.argmin()), cost_m.shape)
     here_m = to_m[int(place[0]), int(place[1])]
     nearer_m = _SEEN_M if looking else _NEARER_M
+    if here_m >= cell_m:  # the goal itself is near enough, even where it is nearer than that
+        nearer_m = min(nearer_m, here_m - cell_m)
     return int(best) if can[best, step] and left_m[best, step] < here_m - nearer_m else None
 
 
@@ -215,12 +220,10 @@ def ahead(way: NDArray[np.float64], place: tuple[float, float], cell_m: float) -
     """Return the yaw of what lies a little ahead on a way, along the axes of the cells.
 
     Args:
-        way: places in cells, (n, 2).
+        way: places in cells, (n, 2), one at least.
         place: the robot's middle in cells.
         cell_m: size of a cell in m.
     """
-    if not len(way):
-        return 0.0
     x_m, y_m = ((way - place) * cell_m).T
     far = np.flatnonzero(np.hypot(x_m, y_m) >= _TURN_M)
     there = far[0] if len(far) else -1

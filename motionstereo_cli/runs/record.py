@@ -12,7 +12,7 @@ import re
 import time
 from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import av
 import cv2
@@ -43,9 +43,6 @@ from motionstereo_cli.sinks.records import (
     WarningRecord,
 )
 from motionstereo_cli.sources import StereoSource
-
-if TYPE_CHECKING:
-    pass
 
 GREY = (
     "luma of the decoded video, expanded to 0..255 where the stream is limited range; "

@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO
+from typing import Any, BinaryIO
 
 from motionstereo_cli.check.measure import watched
 from motionstereo_cli.check.shortfall import (
@@ -57,9 +57,6 @@ from motionstereo_cli.sinks.sink import RunContext, Sink
 from motionstereo_cli.sinks.steering_table import SteeringCopy, SteeringStream
 from motionstereo_cli.sources import open_stereo
 from motionstereo_cli.types import Say, Step, StereoFrame
-
-if TYPE_CHECKING:
-    pass
 
 _Step = tuple[StereoFrame, Step, State]
 
