@@ -11,12 +11,12 @@ from motionstereo_cli.compiled import movers as loops
 from motionstereo_cli.compiled import patches, point_disparity
 from motionstereo_cli.method.settings import Settings
 from motionstereo_cli.pipeline import StreamContext, process, steps
-from motionstereo_cli.robot.movers import Eye, Moment, Movers, _down, pyramid, see
+from motionstereo_cli.robot.movers import Moment, Movers, ReferenceCamera, _down, pyramid, see
 from motionstereo_cli.simulate.scenes import render_scene
 from motionstereo_cli.simulate.settings import SimulateSettings
 from motionstereo_cli.types import StereoFrame
 
-EYE = Eye((60.0, 55.0), 31.2, 23.7, 30.0, 1, 12.0, 1.2, 16)
+CAMERA = ReferenceCamera((60.0, 55.0), 31.2, 23.7, 30.0, 1, 12.0, 1.2, 16)
 LIMITS = loops.Limits(2.0, 0.05, 3.0, 0.5, 0.06, 0.25, 0.02, 16.0, 1.5, 0.25)
 
 
@@ -32,27 +32,27 @@ def unexplained_slowly(now, then, motion, cell):
     (view, other, disparity), (old_view, old_other, _) = now, then
     height, width = view.shape
     result = np.zeros((height // cell, width // cell), np.uint8)
-    fx, fy = EYE.focal_px
+    fx, fy = CAMERA.focal_px
     for row, column in np.ndindex(result.shape):
         middle = disparity[row * cell + cell // 2, column * cell + cell // 2]
-        if not middle + EYE.doffs_px > 0:
+        if not middle + CAMERA.doffs_px > 0:
             continue
         offs, slopes = ([], []), 0
         for y, x in np.ndindex(cell, cell):
             y, x = y + row * cell, x + column * cell  # noqa: PLW2901
-            near = disparity[y, x] + EYE.doffs_px
+            near = disparity[y, x] + CAMERA.doffs_px
             if (x + y) % 2:
                 continue  # every second pixel, as on a chessboard
             edge = not (0 < x < width - 1 and 0 < y < height - 1)
-            jump = max(0.5, 0.06 * (middle + EYE.doffs_px))
+            jump = max(0.5, 0.06 * (middle + CAMERA.doffs_px))
             if edge or not abs(disparity[y, x] - middle) <= jump:
                 continue
             place = x + float(disparity[y, x])
-            depth = EYE.focal_baseline / near
-            here = [(x - EYE.cx_px) / fx * depth, (y - EYE.cy_px) / fy * depth, depth, 1]
+            depth = CAMERA.focal_baseline / near
+            here = [(x - CAMERA.cx_px) / fx * depth, (y - CAMERA.cy_px) / fy * depth, depth, 1]
             X, Y, Z, _ = motion @ here
-            u, v = EYE.cx_px + fx * X / Z, EYE.cy_px + fy * Y / Z
-            w = u - EYE.doffs_px + EYE.focal_baseline / Z
+            u, v = CAMERA.cx_px + fx * X / Z, CAMERA.cy_px + fy * Y / Z
+            w = u - CAMERA.doffs_px + CAMERA.focal_baseline / Z
             inside = 0 <= u < width and 0 <= w < width and 0 <= v < height
             if not (2 <= place < width - 3 and inside):
                 continue
@@ -90,7 +90,7 @@ def test_the_search_for_what_is_not_explained_does_what_is_said():
     result = np.full((12, 16), 99, np.uint8)
     work = loops.Workspace()
     moments = [moment(*each) for each in (now, then)]
-    loops.find(*moments, EYE.at(0), motion, LIMITS, math.inf, work, result)
+    loops.find(*moments, CAMERA.at(0), motion, LIMITS, math.inf, work, result)
     wanted = unexplained_slowly(now, then, motion, 4)
     assert np.array_equal(result, wanted)
     assert 0.1 < wanted.mean() < 0.6
@@ -98,7 +98,9 @@ def test_the_search_for_what_is_not_explained_does_what_is_said():
 
 def moment(view, other, disparity):
     """A moment for the loops."""
-    return patches.Moment(*(np.ravel(each) for each in (view, other, disparity)), *disparity.shape)
+    return patches.FrameLevel(
+        *(np.ravel(each) for each in (view, other, disparity)), *disparity.shape
+    )
 
 
 def moved_scene(rng, shift, change, shape=(64, 96), disparity=6.0):
@@ -122,7 +124,7 @@ def moved_scene(rng, shift, change, shape=(64, 96), disparity=6.0):
 def test_a_shift_is_measured_in_both_views(shift, change):
     now, then = moved_scene(np.random.default_rng(5), shift, change)
     result = np.zeros((16, 24, loops.FIELDS), np.float32)
-    camera = Eye((90.0, 90.0), 47.5, 31.5, 47.5, 1, 9.0, 0.0, 16).at(0)
+    camera = ReferenceCamera((90.0, 90.0), 47.5, 31.5, 47.5, 1, 9.0, 0.0, 16).at(0)
     wanted, coarse = np.ones((16, 24), np.uint8), np.empty((0, 0, loops.FIELDS), np.float32)
     work = loops.Workspace()
     loops.align(now, then, camera, np.eye(4), LIMITS, wanted, coarse, 0.0, work, result)
@@ -138,7 +140,7 @@ def test_what_the_camera_follows_by_a_turn_is_found_where_it_stays_in_the_image(
     """The turn takes what stands 23 px and more across the image, farther than patches reach."""
     now, then = moved_scene(np.random.default_rng(5), (1.0, 0.0), 0.0)
     focal_px, middle_x, turn = 90.0, 47.5, 0.25
-    camera = Eye((focal_px, focal_px), middle_x, 31.5, middle_x, 1, 9.0, 0.0, 16).at(0)
+    camera = ReferenceCamera((focal_px, focal_px), middle_x, 31.5, middle_x, 1, 9.0, 0.0, 16).at(0)
     motion = np.eye(4)
     motion[:3, :3] = cv2.Rodrigues(np.array([0, -turn, 0]))[0]
     limits = loops.Limits(2.0, 0.05, 3.0, 0.5, 0.06, 0.25, 0.02, 64.0, 1.5, 0.25)
@@ -152,7 +154,7 @@ def test_what_the_camera_follows_by_a_turn_is_found_where_it_stays_in_the_image(
 
 def test_only_what_promises_to_have_moved_is_aligned_and_what_is_beside_that():
     now, then = moved_scene(np.random.default_rng(5), (2.4, -0.6), 0.0)
-    camera = Eye((90.0, 90.0), 47.5, 31.5, 47.5, 1, 9.0, 0.0, 16).at(0)
+    camera = ReferenceCamera((90.0, 90.0), 47.5, 31.5, 47.5, 1, 9.0, 0.0, 16).at(0)
     wanted, work = np.ones((16, 24), np.uint8), loops.Workspace()
 
     def aligned(coarse, promise):
@@ -200,14 +202,14 @@ def test_nothing_is_found_in_views_that_hold_hardly_a_patch(size):
     known = Movers()
     for time_s in (0.0, 0.1):
         now = Moment(pyramid(view, view), np.full(size, 4, np.float32), np.eye(4), time_s)
-        known, found, _ = see(known, now, EYE)
+        known, found, _ = see(known, now, CAMERA)
         assert found.shape == size
         assert not found.any()
 
 
 def test_what_stands_or_was_hidden_or_is_not_asked_for_has_no_shift():
     shape = 16, 24, loops.FIELDS
-    camera = Eye((90.0, 90.0), 47.5, 31.5, 47.5, 1, 9.0, 0.0, 16).at(0)
+    camera = ReferenceCamera((90.0, 90.0), 47.5, 31.5, 47.5, 1, 9.0, 0.0, 16).at(0)
     coarse, work = np.empty((0, 0, loops.FIELDS), np.float32), loops.Workspace()
     for shift, asked, hides in ((0.0, 1, 0.0), (2.0, 0, 0.0), (2.0, 1, 4.0)):
         now, then = moved_scene(np.random.default_rng(5), (shift, 0.0), 0.0)
@@ -351,7 +353,11 @@ def test_a_thing_has_to_move_on_as_it_did(places, size, wall_px, even):
     """
     rng = np.random.default_rng(3)
     wall, card = rough(rng, (120, 240), 2), rough(rng, (size, size), size / 20)
-    eye, movers, found = Eye((150.0, 150.0), 99.5, 59.5, 99.5, 1, 15.0, 0.0, 24), Movers(), []
+    camera, movers, found = (
+        ReferenceCamera((150.0, 150.0), 99.5, 59.5, 99.5, 1, 15.0, 0.0, 24),
+        Movers(),
+        [],
+    )
     for number, place in enumerate(places):
         moved_wall = np.roll(wall, number * wall_px, axis=0)
         view, other = moved_wall.copy(), np.roll(moved_wall, 4, axis=1)
@@ -365,7 +371,7 @@ def test_a_thing_has_to_move_on_as_it_did(places, size, wall_px, even):
         step = np.eye(4)
         step[1, 3] = -wall_px * 3.75 / 150
         now = Moment(pyramid(view, other), disparity, step, 0.1 * number)
-        movers, moved, velocity_mps = see(movers, now, eye)
+        movers, moved, velocity_mps = see(movers, now, camera)
         found.append(moved)
         known = np.isfinite(movers.disparity_px)
         assert known.all() if number else 0.1 < known.mean() < 1
@@ -394,7 +400,7 @@ def test_what_moved_is_remembered_where_it_is_expected(is_there):
     """A card crosses; then no grey is left to see, and only the disparity tells where it is."""
     rng = np.random.default_rng(3)
     wall, card = rough(rng, (120, 240), 2), rough(rng, (40, 40), 2)
-    eye, movers = Eye((150.0, 150.0), 99.5, 59.5, 99.5, 1, 15.0, 0.0, 24), Movers()
+    camera, movers = ReferenceCamera((150.0, 150.0), 99.5, 59.5, 99.5, 1, 15.0, 0.0, 24), Movers()
     ages = []
     for number in range(12):
         place = 60 + 4 * number
@@ -408,7 +414,7 @@ def test_what_moved_is_remembered_where_it_is_expected(is_there):
             if is_there:
                 disparity[40:80, place : place + 40] = 12
         now = Moment(pyramid(view, other), disparity, np.eye(4), 0.1 * number)
-        movers, moved, velocity_mps = see(movers, now, eye)
+        movers, moved, velocity_mps = see(movers, now, camera)
         known = np.isfinite(velocity_mps[..., 5])
         inside = np.zeros(wall.shape, np.bool_)
         inside[36:84, place - 4 : place + 44] = True

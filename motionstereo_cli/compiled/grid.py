@@ -13,7 +13,7 @@ EASIER = cython.declare(cython.float, 1e-3)
 
 @cython.cclass
 @cython.dataclasses.dataclass
-class Camera:
+class FloorCamera:
     """A camera on a floor plane, its images, and what it is trusted with.
 
     Attributes:
@@ -44,7 +44,7 @@ class Camera:
 def sight(
     x_m: cython.const[cython.float][::1],
     y_m: cython.const[cython.float][::1],
-    camera: Camera,
+    camera: FloorCamera,
     near: cython.const[cython.float][::1],
     solid: cython.const[cython.uchar][::1],
     far: cython.const[cython.float][::1],
@@ -95,7 +95,7 @@ def sight(
 def look_along(
     x: cython.float,
     y_m: cython.const[cython.float][::1],
-    camera: Camera,
+    camera: FloorCamera,
     bearings: cython.float,
     ahead: cython.float[::1],
     place: cython.float[::1],

@@ -13,7 +13,7 @@ if not cython.compiled:  # what is imported below is a plain module then
 
 from cython.cimports.motionstereo_cli.compiled.patches import (
     Block,
-    Moment,
+    FrameLevel,
     centre_patch,
     compare_cells,
     compare_patch,
@@ -37,8 +37,8 @@ HOPELESS = cython.declare(cython.double, 0.8)
 
 @cython.cclass
 @cython.dataclasses.dataclass
-class Camera:
-    """A camera of a rig; px are of the images that it comes with.
+class CameraLevel:
+    """The camera of a pyramid level.
 
     Attributes:
         focal_x, focal_y, cx, cy: in px.
@@ -98,7 +98,7 @@ class Workspace:
 
 @cython.cfunc
 def set_up(
-    block: Block, camera: Camera, motion: cython.const[cython.double][:, ::1], limits: Limits
+    block: Block, camera: CameraLevel, motion: cython.const[cython.double][:, ::1], limits: Limits
 ) -> cython.void:
     """Fill in what a block has to know of the camera and its motion."""
     numbers = [limits.jump_px, limits.jump_share, camera.doffs, camera.side]
@@ -110,22 +110,22 @@ def set_up(
 
 @cython.locals(row=cython.int, column=cython.int, cell=cython.int)
 def find(
-    now: Moment,
-    then: Moment,
-    camera: Camera,
+    now: FrameLevel,
+    then: FrameLevel,
+    camera: CameraLevel,
     motion: cython.const[cython.double][:, ::1],
     limits: Limits,
-    max_way: cython.double,
+    max_parallax: cython.double,
     work: Workspace,
     result: cython.uchar[:, ::1],
 ) -> None:
     """Mark the cells whose grey the rig's own motion does not explain.
 
     Args:
-        now, then, camera: two moments of a camera.
+        now, then, camera: two frames of a camera, at one level.
         motion: (4, 4) takes places in the camera of now to those in the earlier one.
         limits: what counts.
-        max_way: only where what stands came at most so far across the image, px, turns apart.
+        max_parallax: only where what stands moved at most so far in the image, px, but for turns.
         work: for the pixels of cells.
         result: (rows, columns) receives 1 for such cells, 0 for others and where that is unknown.
     """
@@ -145,7 +145,7 @@ def find(
                         result[row, column + cell] = 0
                         middle = now.disparity[(y + CELL_PX // 2) * now.width + x + CELL_PX // 2]
                     near: cython.double = middle + camera.doffs
-                    if near > 0 and way(camera, motion, x, y, near) <= max_way:
+                    if near > 0 and parallax(camera, motion, x, y, near) <= max_parallax:
                         some = True
                     else:
                         middle = cython.cast(cython.float, NAN)
@@ -165,9 +165,9 @@ def find(
 
 @cython.locals(row=cython.int, column=cython.int, k=cython.int)
 def align(
-    now: Moment,
-    then: Moment,
-    camera: Camera,
+    now: FrameLevel,
+    then: FrameLevel,
+    camera: CameraLevel,
     motion: cython.const[cython.double][:, ::1],
     limits: Limits,
     wanted: cython.const[cython.uchar][:, ::1],
@@ -185,7 +185,8 @@ def align(
         now, then, camera, motion, limits: as :func:`find` has them.
         wanted: cells that are asked for, (rows, columns), 0 or 1.
         coarse: the result at the next coarser level, of no rows = there is none.
-        promise: of cells with nothing around them that so surely moved, none is aligned; 0 = all.
+        promise: only cells are aligned with something around them that moved by so many squared
+            standard deviations; 0 = all.
         work: for the pixels of a patch.
         result: (rows, columns, :data:`FIELDS`) receives it, NaN where unknown.
     """
@@ -211,7 +212,9 @@ def align(
                 if 6 * count >= side * side and look_up(
                     then, camera, motion, limits, x, y, middle, work
                 ):
-                    one(then, camera, limits, middle, count, row, column, coarse, work, result)
+                    align_patch(
+                        then, camera, limits, middle, count, row, column, coarse, work, result
+                    )
 
 
 @cython.cfunc
@@ -242,14 +245,14 @@ def promising(
 @cython.cfunc
 @cython.nogil
 @cython.exceptval(check=False)
-def way(
-    camera: Camera,
+def parallax(
+    camera: CameraLevel,
     motion: cython.const[cython.double][:, ::1],
     x: cython.int,
     y: cython.int,
     near: cython.double,
 ) -> cython.double:
-    """Return how far a standing place came across the image because the camera changed place."""
+    """Return how far what stands moved in the image, in px, because the camera changed place."""
     axis: cython.int
     result: cython.double = 0
     across: cython.double = (x - camera.cx) / camera.focal_x
@@ -283,8 +286,8 @@ def along(
 @cython.nogil
 @cython.exceptval(check=False)
 def look_up(
-    then: Moment,
-    camera: Camera,
+    then: FrameLevel,
+    camera: CameraLevel,
     motion: cython.const[cython.double][:, ::1],
     limits: Limits,
     x: cython.int,
@@ -321,7 +324,7 @@ def look_up(
 @cython.cfunc
 @cython.nogil
 @cython.exceptval(check=False)
-def disparity_at(then: Moment, u: cython.double, v: cython.double) -> cython.double:
+def disparity_at(then: FrameLevel, u: cython.double, v: cython.double) -> cython.double:
     """Return the disparity at a place, NaN outside of the view."""
     if not (u >= 0 and v >= 0 and u < then.width - 1 and v < then.height - 1):
         return NAN
@@ -333,9 +336,9 @@ def disparity_at(then: Moment, u: cython.double, v: cython.double) -> cython.dou
 @cython.nogil
 @cython.exceptval(check=False)
 @cython.locals(k=cython.int, trial=cython.int)
-def one(
-    then: Moment,
-    camera: Camera,
+def align_patch(
+    then: FrameLevel,
+    camera: CameraLevel,
     limits: Limits,
     disparity: cython.double,
     count: cython.float,
@@ -364,7 +367,7 @@ def one(
                 work.trial[k] = work.middle[6 + k]
             elif trial >= 2:  # the one before it, and the one above
                 work.trial[k] = result[max(row + 2 - trial, 0), max(column - 3 + trial, 0), k]
-        if not (isfinite(work.trial[0]) and settled(then, camera, limits, count, first, work)):
+        if not (isfinite(work.trial[0]) and converged(then, camera, limits, count, first, work)):
             continue
         left: cython.double = misfit(then, camera, count, work.trial, work)
         if left < least:
@@ -390,15 +393,15 @@ def one(
 @cython.nogil
 @cython.exceptval(check=False)
 @cython.locals(i=cython.int, k=cython.int, steps=cython.int)
-def settled(
-    then: Moment,
-    camera: Camera,
+def converged(
+    then: FrameLevel,
+    camera: CameraLevel,
     limits: Limits,
     count: cython.float,
     first: cython.double,
     work: Workspace,
 ) -> cython.bint:
-    """Improve the trial until it rests, or return False; ``first`` is the misfit of none."""
+    """Improve the trial until it converges, or return False; ``first`` is the misfit of none."""
     rest: cython.double = 0
     for steps in range(8):
         left: cython.double = misfit(then, camera, count, work.trial, work)
@@ -447,8 +450,8 @@ def sureness(
 @cython.exceptval(check=False)
 @cython.locals(side=cython.int)
 def misfit(
-    then: Moment,
-    camera: Camera,
+    then: FrameLevel,
+    camera: CameraLevel,
     count: cython.float,
     moved: cython.const[cython.double][::1],
     work: Workspace,
@@ -475,7 +478,7 @@ def misfit(
 @cython.nogil
 @cython.exceptval(check=False)
 @cython.locals(side=cython.int, i=cython.int, k=cython.int)
-def equations(camera: Camera, count: cython.float, work: Workspace) -> cython.void:
+def equations(camera: CameraLevel, count: cython.float, work: Workspace) -> cython.void:
     """Centre the slopes, and fill in the equations and the inverse of them damped."""
     sums: cython.double[::1] = work.block.sums
     a: cython.double[:, ::1] = work.normal

@@ -1,4 +1,4 @@
-cdef class Moment:
+cdef class FrameLevel:
     cdef public const unsigned char[::1] view
     cdef public const unsigned char[::1] other
     cdef public const float[::1] disparity
@@ -17,7 +17,7 @@ cdef class Block:
 
 
 cdef void take_cell(Block block, Py_ssize_t cell, int x, int y, float middle) noexcept nogil
-cdef void compare_cells(Moment now, Moment then, Block block) noexcept nogil
-cdef float take_patch(Moment now, Block block, int x, int y, float middle) noexcept nogil
+cdef void compare_cells(FrameLevel now, FrameLevel then, Block block) noexcept nogil
+cdef float take_patch(FrameLevel now, Block block, int x, int y, float middle) noexcept nogil
 cdef void centre_patch(Block block, Py_ssize_t side, float count) noexcept nogil
-cdef void compare_patch(Moment then, Block block, Py_ssize_t side, float count, float right, float down) noexcept nogil
+cdef void compare_patch(FrameLevel then, Block block, Py_ssize_t side, float count, float right, float down) noexcept nogil

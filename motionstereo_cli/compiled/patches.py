@@ -1,8 +1,10 @@
 """Pixels of patches now and then: loops of :mod:`motionstereo_cli.compiled.movers`.
 
-They are taken in blocks of 64: the 8 of each of 8 cells of 4 px, a cell to a lane, or, in the first
-48, the 41 of a patch of 9 px: every second one, as on a chessboard. Each quantity is a row, see
-:func:`at`, of which compilers make vectors. Rows are
+A block holds 64 pixels. They are those of 8 cells of 4 x 4 px, 8 of each cell, where pixel n is of
+cell n modulo 8; or the first 41 are those of a patch of 9 x 9 px, the next 7 are outside of every
+image, and the rest is not used. Of cells and patches every second pixel is taken, as on a
+chessboard. Each quantity of the pixels is a row of 64 values, see :func:`at`, so that compilers
+make vectors of them. The rows of ``values`` are
 
 - 0: disparity in the middle of the patch, 1: of the pixel, 2: 1 = it counts, else 0
 - 3, 4: column in both views then, if it stands, 5: row, 6: share of a px in the other view
@@ -10,16 +12,17 @@ They are taken in blocks of 64: the 8 of each of 8 cells of 4 px, a cell to a la
   mean once they are centred, 11, 12: along y
 - 13, 14: shares of a px along x and y then, 15: difference of grey, 16 to 18: sums by lane
 
-and those of places: 0, 1: column and row now, 2, 3: index in the view and the other one, and then;
-at last grey now and what slopes are from.
+and those of ``places`` are 0, 1: column and row now, 2, 3: index in the view and in the other one.
+:func:`gather` then keeps grey and its differences in rows 0 to 2, and :func:`compare` the index in
+the earlier view in row 3.
 """
 
 import cython
 import numpy as np
 
 
-class Moment:
-    """What was seen at a moment.
+class FrameLevel:
+    """The views and the disparity of a frame at a pyramid level.
 
     Args:
         view, other: grey of the camera and of the other one, row by row, (height * width,) uint8.
@@ -33,13 +36,13 @@ class Moment:
 
 
 class Block:
-    """Pixels, used again and again.
+    """Pixels of cells or of a patch; a thread uses one again and again.
 
     Attributes:
-        values, places: see above.
-        pairs: greys beside each other.
+        values, places: 19 and 4 rows of 64, see above.
+        pairs: 5 rows of 64, greys beside each other, see :func:`pair_at`.
         aside, below: pixels of a patch, by where its chessboard begins, and of a cell.
-        numbers: of the camera and its motion; see :func:`stand`.
+        numbers: of the camera and its motion; see :func:`project`.
         sums: of a patch: squared differences, these by slopes along x and y; squares and products
             of slopes.
     """
@@ -72,7 +75,7 @@ def take_cell(
 
 
 @cython.locals(cell=cython.Py_ssize_t, side=cython.Py_ssize_t)
-def compare_cells(now: Moment, then: Moment, block: Block) -> cython.void:
+def compare_cells(now: FrameLevel, then: FrameLevel, block: Block) -> cython.void:
     """Fill in, by cell, squared differences of grey, a brighter view apart, pixels and slopes."""
     values: cython.float[::1] = block.values
     gather(now, block, 64, 64)
@@ -91,7 +94,7 @@ def compare_cells(now: Moment, then: Moment, block: Block) -> cython.void:
 
 @cython.locals(n=cython.Py_ssize_t)
 def take_patch(
-    now: Moment, block: Block, x: cython.int, y: cython.int, middle: cython.float
+    now: FrameLevel, block: Block, x: cython.int, y: cython.int, middle: cython.float
 ) -> cython.float:
     """Take the patch around a pixel of a disparity; return how many of its pixels count."""
     begin: cython.int = x + y & 1
@@ -118,7 +121,7 @@ def centre_patch(block: Block, side: cython.Py_ssize_t, count: cython.float) -> 
 
 
 def compare_patch(
-    then: Moment,
+    then: FrameLevel,
     block: Block,
     side: cython.Py_ssize_t,
     count: cython.float,
@@ -139,7 +142,7 @@ def compare_patch(
 @cython.exceptval(check=False)
 @cython.locals(n=cython.Py_ssize_t)
 def gather(
-    now: Moment,
+    now: FrameLevel,
     work: Block,
     pixels: cython.Py_ssize_t,
     count: cython.Py_ssize_t,
@@ -163,17 +166,17 @@ def gather(
         block[at(2, n)] = inside > 0
     for n in range(pixels):
         block[at(1, n)] = now.disparity[places[at(2, n)]]
-    stand(work.numbers, width, height, count, block, places)
+    project(work.numbers, width, height, count, block, places)
     for n in range(pixels):
         i: cython.Py_ssize_t = places[at(2, n)]
         places[at(0, n)] = now.view[i]
         places[at(1, n)] = grey(now.view, i + 1) - grey(now.view, i - 1)
         places[at(2, n)] = grey(now.view, i + below) - grey(now.view, i - below)
         i = places[at(3, n)]
-        pairs[at(1, n)] = two(now.other, i - 1)
-        pairs[at(2, n)] = two(now.other, i + 1)
-        pairs[at(3, n)] = two(now.other, i - below)
-        pairs[at(4, n)] = two(now.other, i + below)
+        pairs[at(1, n)] = pair_at(now.other, i - 1)
+        pairs[at(2, n)] = pair_at(now.other, i + 1)
+        pairs[at(3, n)] = pair_at(now.other, i - below)
+        pairs[at(4, n)] = pair_at(now.other, i + below)
     for n in range(count):
         a: cython.float = block[at(6, n)]
         half: cython.float = block[at(2, n)] * cython.cast(cython.float, 0.5)
@@ -184,22 +187,18 @@ def gather(
         after: cython.uint = pairs[at(2, n)]
         here: cython.float = byte(before, 8)
         next: cython.float = byte(after, 0)
-        block[at(8, n)] = between(here, next, a)
+        block[at(8, n)] = interpolated(here, next, a)
         block[at(10, n)] = half * (
-            between(next, byte(after, 8), a) - between(byte(before, 0), here, a)
+            interpolated(next, byte(after, 8), a) - interpolated(byte(before, 0), here, a)
         )
-        above: cython.uint = pairs[at(3, n)]
-        under: cython.uint = pairs[at(4, n)]
-        upper: cython.float = between(byte(above, 0), byte(above, 8), a)
-        lower: cython.float = between(byte(under, 0), byte(under, 8), a)
-        block[at(12, n)] = half * (lower - upper)
+        block[at(12, n)] = half * (within(pairs[at(4, n)], a) - within(pairs[at(3, n)], a))
 
 
 @cython.cfunc
 @cython.nogil
 @cython.exceptval(check=False)
 @cython.locals(n=cython.Py_ssize_t)
-def stand(  # noqa: PLR0915
+def project(  # noqa: PLR0915
     numbers: cython.const[cython.float][::1],
     width: cython.int,
     height: cython.int,
@@ -282,7 +281,7 @@ def stand(  # noqa: PLR0915
 @cython.exceptval(check=False)
 @cython.locals(n=cython.Py_ssize_t)
 def compare(
-    then: Moment,
+    then: FrameLevel,
     work: Block,
     side: cython.Py_ssize_t,
     right: cython.float,
@@ -310,15 +309,13 @@ def compare(
         block[at(14, n)] = v - row
     for n in range(pixels):
         i: cython.Py_ssize_t = places[at(3, n)]
-        pairs[at(0, n)] = two(view, i)
-        pairs[at(1, n)] = two(view, i + below)
+        pairs[at(0, n)] = pair_at(view, i)
+        pairs[at(1, n)] = pair_at(view, i + below)
     for n in range(count):
-        above: cython.uint = pairs[at(0, n)]
-        under: cython.uint = pairs[at(1, n)]
         a: cython.float = block[at(13, n)]
-        upper: cython.float = between(byte(above, 0), byte(above, 8), a)
-        lower: cython.float = between(byte(under, 0), byte(under, 8), a)
-        off: cython.float = between(upper, lower, block[at(14, n)]) - block[at(7 + side, n)]
+        upper: cython.float = within(pairs[at(0, n)], a)
+        lower: cython.float = within(pairs[at(1, n)], a)
+        off: cython.float = interpolated(upper, lower, block[at(14, n)]) - block[at(7 + side, n)]
         block[at(15, n)] = off * block[at(2, n)]
 
 
@@ -397,7 +394,7 @@ def grey(view: cython.const[cython.uchar][::1], i: cython.Py_ssize_t) -> cython.
 @cython.nogil
 @cython.inline
 @cython.exceptval(check=False)
-def two(view: cython.const[cython.uchar][::1], i: cython.Py_ssize_t) -> cython.uint:
+def pair_at(view: cython.const[cython.uchar][::1], i: cython.Py_ssize_t) -> cython.uint:
     """Return a grey and the next one: compilers load them together."""
     return cython.cast(cython.uint, view[i]) | cython.cast(cython.uint, view[i + 1]) << 8
 
@@ -406,6 +403,15 @@ def two(view: cython.const[cython.uchar][::1], i: cython.Py_ssize_t) -> cython.u
 @cython.nogil
 @cython.inline
 @cython.exceptval(check=False)
-def between(here: cython.float, next: cython.float, a: cython.float) -> cython.float:
+def interpolated(here: cython.float, next: cython.float, a: cython.float) -> cython.float:
     """Return the grey a share ``a`` from a pixel to the next one."""
     return here + a * (next - here)
+
+
+@cython.cfunc
+@cython.nogil
+@cython.inline
+@cython.exceptval(check=False)
+def within(pair: cython.uint, a: cython.float) -> cython.float:
+    """Return the grey a share ``a`` from the first to the second of a pair of greys."""
+    return interpolated(byte(pair, 0), byte(pair, 8), a)

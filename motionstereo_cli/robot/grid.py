@@ -146,7 +146,7 @@ def sighted(
         ((np.arange(count) + first + 0.5) * cell_m - place).astype(np.float32)
         for count, first, place in zip(shape, corner, (view.x_m, view.y_m), strict=True)
     )
-    camera: Any = loops.Camera(  # type: ignore[call-arg]
+    camera: Any = loops.FloorCamera(  # type: ignore[call-arg]
         *(math.cos(view.yaw_rad), math.sin(view.yaw_rad), view.cx_px, view.focal_px),
         *(view.focal_baseline, width, cell_m, reach_m, error_px, _FREE_ERROR_PX, 0.75 * cell_m),
     )

@@ -407,30 +407,9 @@ class MapGuide:
         if len(before.asked_rad) == ASKED_FRAMES:
             yaws = [each for _, _, each in trail[-TURN_FRAMES - 1 :]]
             course = taken_along(course, yaws, before.asked_rad)
-        directions = yaw + DIRECTIONS_RAD
-        middle = known.cells_of(pose.x_m, pose.y_m)
-        occupied, free = known.evidence > CERTAIN, known.evidence < -CERTAIN
-        if known.walks_frames:
-            near = cells_within(free.shape, middle, _NEAR_M, CELL_M)
-            occupied |= near & (known.evidence > ONE_HIT)
-        occupied |= self._foreseen(nearest_contact(objects), known)
-        around = middle, directions
-        turned = math.remainder(yaw - before.pose.yaw_rad, math.tau)
-        if s.goal_m is None:
-            ways = free_distances(
-                *(occupied, free, *around), cell_m=CELL_M, radius_m=s.robot_radius_m
-            )
-            course, free_m = plan(
-                *(course, yaw, *ways, directions), turned_rad=turned, walks=known.walks_frames > 0
-            )
-        else:
-            course, free_m = toward(
-                *(course, yaw, occupied, free, *around, known.cells_of(*s.goal_m)),
-                corner=known.corner,
-                turned_rad=turned,
-                cell_m=CELL_M,
-                radius_m=s.robot_radius_m,
-            )
+        turned_rad = math.remainder(yaw - before.pose.yaw_rad, math.tau)
+        contact = nearest_contact(objects)
+        course, free_m, is_known = self._planned(course, known, pose, turned_rad, contact)
         angle_rad = math.remainder(course.heading_rad - yaw, math.tau)
         place = steadied(before.place, self._place_of(angle_rad, width), s.steer_gain)
         half_way = s.robot_radius_m / self.rig.baseline_m
@@ -439,7 +418,7 @@ class MapGuide:
         steer_rad = _angle_rad(place, width, self.rig, s.reference)
         asked = (*before.asked_rad, steer_rad)[-ASKED_FRAMES:]
         after = replace(before, pose=pose, place=place, approach=approach)
-        if occupied.any() or free.any():  # until then it only looks around
+        if is_known:  # until then it only looks around
             after = replace(after, course=course, asked_rad=asked)
         if by_image is not None and self._is_open(by_image, seen_now, trail):
             return replace(after, place=image.place), by_image
@@ -451,6 +430,51 @@ class MapGuide:
             nearest_m=_depth_m(seen_now.nearest_px, self.rig),
             risk_s=approach.contact_s,
         )
+
+    def _planned(
+        self,
+        course: Course,
+        known: LocalMap,
+        pose: Pose,
+        turned_rad: float,
+        contact: MovingObject | None,
+    ) -> tuple[Course, float | None, bool]:
+        """Return the next course, the free distance on it in m, and whether any cell is known.
+
+        Args:
+            course: the last one.
+            known: the map.
+            pose: the rig's.
+            turned_rad: how far the rig has turned since the last frame.
+            contact: the object to keep clear of.
+        """
+        s, yaw_rad = self.settings, pose.yaw_rad
+        middle = known.cells_of(pose.x_m, pose.y_m)
+        occupied, free = known.evidence > CERTAIN, known.evidence < -CERTAIN
+        if known.walks_frames:
+            near = cells_within(free.shape, middle, _NEAR_M, CELL_M)
+            occupied |= near & (known.evidence > ONE_HIT)
+        occupied |= self._foreseen(contact, known)
+        is_known = bool(occupied.any() or free.any())
+        directions_rad = yaw_rad + DIRECTIONS_RAD
+        if s.goal_m is None:
+            ways = free_distances(
+                *(occupied, free, middle, directions_rad), cell_m=CELL_M, radius_m=s.robot_radius_m
+            )
+            walks = known.walks_frames > 0
+            planned = plan(
+                *(course, yaw_rad, *ways, directions_rad), turned_rad=turned_rad, walks=walks
+            )
+        else:
+            planned = toward(
+                *(course, yaw_rad, occupied, free, middle, directions_rad),
+                known.cells_of(*s.goal_m),
+                corner=known.corner,
+                turned_rad=turned_rad,
+                cell_m=CELL_M,
+                radius_m=s.robot_radius_m,
+            )
+        return (*planned, is_known)
 
     def _held(self, state: MapCourse | None, seen_now: MapProfile) -> Steering:
         """Return the heading of before, on which nothing is known to be free."""

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from motionstereo_cli.robot.movers import Eye, Moment, Movers, pyramid, see
+from motionstereo_cli.robot.movers import Moment, Movers, ReferenceCamera, pyramid, see
 from motionstereo_cli.types import Rig
 
 if TYPE_CHECKING:
@@ -59,16 +59,16 @@ class MoverFinder:
             step = self._of_reference(motion.before_from_now)
         view, other = (right, left) if self.reference == "right" else (left, right)
         now = Moment(pyramid(view, other), disparity_px, step, time_s)
-        after, found, velocity_mps = see(movers or Movers(), now, self.eye)
+        after, found, velocity_mps = see(movers or Movers(), now, self.camera)
         if stands(motion) and changed is not None:
             found = changed
         return after, found, velocity_mps
 
     @property
-    def eye(self) -> Eye:
+    def camera(self) -> ReferenceCamera:
         """The reference camera."""
         rig, right = self.rig, self.reference == "right"
-        return Eye(
+        return ReferenceCamera(
             focal_px=(rig.focal_px, rig.fy_px),
             cx_px=rig.cx_of(self.reference),
             cy_px=rig.cy,

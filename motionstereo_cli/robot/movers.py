@@ -93,7 +93,7 @@ RUN_IN_FRAMES = GAPS + 1 + _REMEMBERED_FRAMES
 
 
 @dataclass(frozen=True, slots=True)
-class Eye:
+class ReferenceCamera:
     """The camera whose view it is.
 
     Attributes:
@@ -129,7 +129,7 @@ class Eye:
     def at(self, level: int) -> Any:
         """Return the camera of a pyramid level for the loops."""
         q = 0.5**level
-        return loops.Camera(  # type: ignore[call-arg]
+        return loops.CameraLevel(  # type: ignore[call-arg]
             *(self.focal_px[0] * q, self.focal_px[1] * q, self.cx_px * q, self.cy_px * q),
             *(self.other_cx_px * q, self.side, self.focal_baseline * q, self.doffs_px * q),
         )
@@ -162,9 +162,9 @@ class Moment:
 
     def levels(self) -> list[Any]:
         """Return the moment at each level for the loops."""
-        moment: Any = patches.Moment
+        level: Any = patches.FrameLevel
         return [
-            moment(*views.reshape(2, -1), near_px.ravel(), *near_px.shape)
+            level(*views.reshape(2, -1), near_px.ravel(), *near_px.shape)
             for views, near_px in zip(
                 self.views, (self.disparity_px, *self.smaller_px), strict=True
             )
@@ -208,7 +208,9 @@ def pyramid(view: Grey, other: Grey) -> tuple[Grey, ...]:
     return tuple(levels)
 
 
-def see(movers: Movers, now: Moment, eye: Eye) -> tuple[Movers, NDArray[np.bool_], Real]:
+def see(
+    movers: Movers, now: Moment, camera: ReferenceCamera
+) -> tuple[Movers, NDArray[np.bool_], Real]:
     """Return what is known after a frame, where something moved by itself, and how fast.
 
     The second is (height, width) bool. The third, (rows, columns, 6), NaN = unknown, has the
@@ -221,44 +223,44 @@ def see(movers: Movers, now: Moment, eye: Eye) -> tuple[Movers, NDArray[np.bool_
     Args:
         movers: what was known before.
         now: the frame.
-        eye: the camera.
+        camera: the camera.
     """
     shape = now.disparity_px.shape
     rows, columns = (side // CELL_PX for side in shape)
     moving, (moved, lasting) = None, np.zeros((2, rows, columns), np.bool_)
     velocity_mps = np.full((rows, columns, 6), np.nan, np.float32)
     lately = np.empty((0, 7), np.float32)
-    now = now.filled(_filled(now, eye))
+    now = now.filled(_filled(now, camera))
     if movers.moments:
-        gap, levels = _gap(movers, now, eye), now.levels()
-        near = _in_cells(now.disparity_px) + np.float32(eye.doffs_px)
+        gap, levels = _gap(movers, now, camera), now.levels()
+        near = _in_cells(now.disparity_px) + np.float32(camera.doffs_px)
         near[np.isnan(near)] = 0
         farther = min(_FARTHER * gap, len(movers.moments))
         moving = np.full((rows, columns, 3), np.nan, np.float32)
-        ways_px = {farther: _SHORT_WAY * shape[1], gap: math.inf}
-        if _turn_rad(_motion(movers, now, gap)) * eye.focal_px[0] > _FOLLOWING * shape[1]:
-            ways_px[1] = math.inf
-        for back in sorted(ways_px):
+        parallaxes_px = {farther: _SHORT_WAY * shape[1], gap: math.inf}
+        if _turn_rad(_motion(movers, now, gap)) * camera.focal_px[0] > _FOLLOWING * shape[1]:
+            parallaxes_px[1] = math.inf
+        for back in sorted(parallaxes_px):
             then, motion = movers.moments[-back], _motion(movers, now, back)
-            found = _shifts(levels, motion, then, eye, ways_px[back])
+            found = _shifts(levels, motion, then, camera, parallaxes_px[back])
             new = _moved(found, near) & ~moved
             if not new.any():
                 continue
             moving[new] = found[new][:, :3] / np.float32(back)
             velocity_mps[new, :5] = _velocity_mps(
-                new, found[new], near[new], motion, eye, now.time_s - then.time_s
+                new, found[new], near[new], motion, camera, now.time_s - then.time_s
             )
             moved |= new
-        count, things = _things(moved, moving, near)
-        some = things > 0
+        count, labels = _labelled(moved, moving, near)
+        some = labels > 0
         moving[moved & ~some] = np.nan
         if movers.moving is not None and some.any():
             step = now.before_from_now
-            stood = _places_m(some, near[some], eye) @ step[:3, :3].T + step[:3, 3]
-            lasting = _lasting(count, things, moving, movers.moving, eye.in_view_px(stood))
+            stood = _places_m(some, near[some], camera) @ step[:3, :3].T + step[:3, 3]
+            lasting = _lasting(count, labels, moving, movers.moving, camera.in_view_px(stood))
         velocity_mps[moved & ~lasting] = np.nan
         velocity_mps[lasting, 5] = 0
-        again = _seen_again(movers.lately, now, lasting, eye)
+        again = _seen_again(movers.lately, now, lasting, camera)
         column, row = (again[:, :2] / CELL_PX).astype(np.intp).T
         velocity_mps[row, column, 5] = again[:, 6]
         lately = np.concatenate([_points(lasting, near, moving), again])
@@ -267,27 +269,42 @@ def see(movers: Movers, now: Moment, eye: Eye) -> tuple[Movers, NDArray[np.bool_
 
 
 def _points(lasting: NDArray[np.bool_], near: Real, shifts: Real) -> Real:
-    """Return the points of cells that move in this frame, as :class:`Movers` has them."""
+    """Return the points of cells that move in this frame, (n, 7), as :class:`Movers` has them.
+
+    Args:
+        lasting: these cells, (rows, columns).
+        near: nearness of cells in px, (rows, columns).
+        shifts: how cells moved by themselves, a frame, (rows, columns, 3) px.
+    """
     row, column = np.nonzero(lasting)
     places = np.stack([column, row], axis=1) * CELL_PX + CELL_PX // 2
     age_frames = np.zeros(len(row), np.float32)
     return np.column_stack([places, near[lasting], shifts[lasting], age_frames]).astype(np.float32)
 
 
-def _seen_again(lately: Real, now: Moment, lasting: NDArray[np.bool_], eye: Eye) -> Real:
-    """Return the points of the last frame that go on as they did, where none is found to move."""
+def _seen_again(
+    lately: Real, now: Moment, lasting: NDArray[np.bool_], camera: ReferenceCamera
+) -> Real:
+    """Return the points of the last frame that go on as they did, where none is found to move.
+
+    Args:
+        lately: the points of the last frame, (n, 7), as :class:`Movers` has them.
+        now: the frame.
+        lasting: the cells that are found to move in it, (rows, columns).
+        camera: the camera.
+    """
     step = now.before_from_now
-    stand_m = (eye.places_m(*lately[:, :3].T) - step[:3, 3]) @ step[:3, :3]
+    stand_m = (camera.places_m(*lately[:, :3].T) - step[:3, 3]) @ step[:3, :3]
     kept = (lately[:, 6] < _REMEMBERED_FRAMES) & (stand_m[:, 2] > 0)
     lately, stand_m = lately[kept], stand_m[kept]
-    there = np.column_stack([eye.in_view_px(stand_m), eye.focal_baseline / stand_m[:, 2]])
+    there = np.column_stack([camera.in_view_px(stand_m), camera.focal_baseline / stand_m[:, 2]])
     there -= lately[:, 3:6]
     height, width = (side * CELL_PX for side in lasting.shape)
     x, y = there[:, :2].T
     inside = (x >= 0) & (y >= 0) & (x < width) & (y < height)
     there, lately = there[inside], lately[inside]
     x, y = there[:, :2].astype(np.intp).T
-    near = now.disparity_px[y, x] + np.float32(eye.doffs_px)
+    near = now.disparity_px[y, x] + np.float32(camera.doffs_px)
     limit_px = np.maximum(_REMEMBERED_PX, _REMEMBERED_SHARE * near)
     kept = (np.abs(near - there[:, 2]) <= limit_px) & (near >= _MIN_REMEMBERED_PX)
     kept &= ~lasting[y // CELL_PX, x // CELL_PX]
@@ -295,13 +312,15 @@ def _seen_again(lately: Real, now: Moment, lasting: NDArray[np.bool_], eye: Eye)
     return np.column_stack(each).astype(np.float32)
 
 
-def _gap(movers: Movers, now: Moment, eye: Eye) -> int:
+def _gap(movers: Movers, now: Moment, camera: ReferenceCamera) -> int:
     """Return how many frames before the one is to compare with."""
-    near = now.disparity_px[::8, ::8] + np.float32(eye.doffs_px)
+    near = now.disparity_px[::8, ::8] + np.float32(camera.doffs_px)
     near = near[near > 0]
     typical = float(np.partition(near, near.size // 2)[near.size // 2]) if near.size else 1.0
-    max_turn_rad = _TURN * now.disparity_px.shape[1] / eye.focal_px[0]
-    wanted_m = _WAY * now.disparity_px.shape[1] / typical * eye.focal_baseline / eye.focal_px[0]
+    max_turn_rad = _TURN * now.disparity_px.shape[1] / camera.focal_px[0]
+    wanted_m = (
+        _WAY * now.disparity_px.shape[1] / typical * camera.focal_baseline / camera.focal_px[0]
+    )
     for gap in range(1, len(movers.moments)):
         if np.linalg.norm(_motion(movers, now, gap)[:3, 3]) >= wanted_m:
             return gap
@@ -323,8 +342,8 @@ def _motion(movers: Movers, now: Moment, gap: int) -> Reals:
     return np.ascontiguousarray(motion)
 
 
-def _filled(now: Moment, eye: Eye) -> Real:
-    """Return the disparity, also around edges where it is unknown because nothing changed.
+def _filled(now: Moment, camera: ReferenceCamera) -> Real:
+    """Return the disparity in px, (height, width), also around edges that did not change.
 
     A vehicle ahead at the speed of the rig hardly changes, and has no charge.
     """
@@ -335,18 +354,22 @@ def _filled(now: Moment, eye: Eye) -> Real:
     squares = point_disparity.edges(view, now.disparity_px, _EDGE_PX, _MIN_SLOPE, columns, places)
     places = places[:squares]
     there = places
-    if eye.side < 0:  # in a mirror the other camera is at the left
+    if camera.side < 0:  # in a mirror the other camera is at the left
         view, other = (np.ascontiguousarray(image[:, ::-1]) for image in (view, other))
         there = np.array([view.shape[1] - 1, 0], np.int32) + np.array([-1, 1], np.int32) * places
     found = np.empty((len(places), 2), np.float32)
-    work = np.empty((2, eye.range_px + 1), np.float32)
-    point_disparity.measure(view, other, there, eye.range_px, _NOISE[0], _SECOND_BEST, work, found)
+    work = np.empty((2, camera.range_px + 1), np.float32)
+    point_disparity.measure(
+        view, other, there, camera.range_px, _NOISE[0], _SECOND_BEST, work, found
+    )
     filled = now.disparity_px.copy()
     point_disparity.fill(places, found, _MAX_SIGMA_PX, _REACH_PX, now.disparity_px, filled)
     return filled
 
 
-def _shifts(now: list[Any], motion: Reals, then: Moment, eye: Eye, way_px: float) -> Real:
+def _shifts(
+    now: list[Any], motion: Reals, then: Moment, camera: ReferenceCamera, max_parallax_px: float
+) -> Real:
     """Return how patches moved since a frame, (rows, columns, fields), NaN = explained or unknown.
 
     Patches that differ at the second level are aligned at all levels, from coarse to fine.
@@ -355,8 +378,8 @@ def _shifts(now: list[Any], motion: Reals, then: Moment, eye: Eye, way_px: float
         now: the frame, at each level.
         motion: (4, 4) takes places in the camera of now to those in the earlier one.
         then: the earlier frame.
-        eye: the camera.
-        way_px: only where what stands came at most so far across the image.
+        camera: the camera.
+        max_parallax_px: only where what stands moved at most so far in the image, but for turns.
     """
     height, width = then.disparity_px.shape
     moments = list(zip(now, then.levels(), strict=True))
@@ -365,7 +388,7 @@ def _shifts(now: list[Any], motion: Reals, then: Moment, eye: Eye, way_px: float
     if not wanted.size:  # OpenCV resizes no empty image
         return np.full((height // CELL_PX, width // CELL_PX, loops.FIELDS), np.nan, np.float32)
     work: Any = reused(loops.Workspace)
-    loops.find(*moments[1], eye.at(1), motion, limits[1], way_px / 2, work, wanted)
+    loops.find(*moments[1], camera.at(1), motion, limits[1], max_parallax_px / 2, work, wanted)
     asked_at = {1: wanted}
     for level in range(2, LEVELS):
         shape = tuple(side // 2**level // CELL_PX for side in (height, width))
@@ -378,20 +401,21 @@ def _shifts(now: list[Any], motion: Reals, then: Moment, eye: Eye, way_px: float
             asked = cv2.resize(wanted, shape[::-1], interpolation=cv2.INTER_NEAREST)
         coarse, found = found, np.empty((*shape, loops.FIELDS), np.float32)
         loops.align(
-            *(*moments[level], eye.at(level), motion, limits[level]),
+            *(*moments[level], camera.at(level), motion, limits[level]),
             *(np.asarray(asked), coarse, 0.0 if level else _PROMISE, work, found),
         )
     return found
 
 
 def _any_of_four(wanted: Grey, shape: tuple[int, ...]) -> Grey:
-    """Return cells twice as large, with all that is wanted within them."""
+    """Return cells twice as large, (rows, columns), 1 where any of the four in them is wanted."""
     rows, columns = shape
     pairs = wanted[: 2 * rows : 2, : 2 * columns] | wanted[1 : 2 * rows : 2, : 2 * columns]
     return pairs[:, ::2] | pairs[:, 1::2]
 
 
 def _limits(level: int) -> Any:
+    """Return what counts as a difference at a pyramid level."""
     q = 0.5**level
     return loops.Limits(  # type: ignore[call-arg]
         *(_NOISE[level], _PER_SLOPE, _UNEXPLAINED, _JUMP_PX * q, _JUMP_SHARE),
@@ -401,7 +425,7 @@ def _limits(level: int) -> Any:
 
 
 def _in_cells(disparity_px: Real) -> Real:
-    """Return the disparity in the middle of each cell."""
+    """Return the disparity in the middle of each cell, (rows, columns) px."""
     rows, columns = (side // CELL_PX * CELL_PX for side in disparity_px.shape)
     half = CELL_PX // 2
     return disparity_px[half:rows:CELL_PX, half:columns:CELL_PX]
@@ -423,7 +447,12 @@ def _moved(shifts: Real, near: Real) -> NDArray[np.bool_]:
 
 
 def _velocity_mps(
-    where: NDArray[np.bool_], shift: Real, near: Real, motion: Reals, eye: Eye, apart_s: float
+    where: NDArray[np.bool_],
+    shift: Real,
+    near: Real,
+    motion: Reals,
+    camera: ReferenceCamera,
+    apart_s: float,
 ) -> Reals:
     """Return how fast cells moved over ground, (n, 5), as :func:`see` has it.
 
@@ -434,13 +463,13 @@ def _velocity_mps(
         where: the cells, (rows, columns).
         shift, near: how they moved since then, and their nearness now, (n, fields) and (n,).
         motion: (4, 4) takes places in the camera of now to those in the earlier one.
-        eye: the camera.
+        camera: the camera.
         apart_s: time since then in s.
     """
-    here = _places_m(where, near, eye)
+    here = _places_m(where, near, camera)
     stood = here @ motion[:3, :3].T + motion[:3, 3]
-    x_px, y_px = (eye.in_view_px(stood) + shift[:, :2]).T
-    there = eye.places_m(x_px, y_px, eye.focal_baseline / stood[:, 2] + shift[:, 2])
+    x_px, y_px = (camera.in_view_px(stood) + shift[:, :2]).T
+    there = camera.places_m(x_px, y_px, camera.focal_baseline / stood[:, 2] + shift[:, 2])
     moved_m = here - (there - motion[:3, 3]) @ motion[:3, :3]
     moved_m[:, 1] = moved_m @ _down(motion)
     rates = np.column_stack([moved_m, here[:, 2] / near]) / (apart_s or 1)
@@ -464,14 +493,14 @@ def _down(motion: Reals) -> Reals:
     return np.asarray(down / np.linalg.norm(down))
 
 
-def _places_m(where: NDArray[np.bool_], near: Real, eye: Eye) -> Reals:
+def _places_m(where: NDArray[np.bool_], near: Real, camera: ReferenceCamera) -> Reals:
     """Return the places in space of cells (rows, columns) with a nearness (n,), (n, 3)."""
     row, column = np.nonzero(where)
     half = CELL_PX // 2
-    return eye.places_m(column * CELL_PX + half, row * CELL_PX + half, near)
+    return camera.places_m(column * CELL_PX + half, row * CELL_PX + half, near)
 
 
-def _things(moved: NDArray[np.bool_], shifts: Real, near: Real) -> tuple[int, NDArray[np.int32]]:
+def _labelled(moved: NDArray[np.bool_], shifts: Real, near: Real) -> tuple[int, NDArray[np.int32]]:
     """Return the number of movers plus one, and the mover of each cell, 0 = none."""
     if not moved.any():
         return 1, np.zeros(moved.shape, np.int32)
@@ -484,12 +513,12 @@ def _things(moved: NDArray[np.bool_], shifts: Real, near: Real) -> tuple[int, ND
         row, column = np.nonzero(moved[here, there] & moved[down:, right:])
         alike = _alike(values[row, column], values[row + down, column + right])
         maze[2 * row + down, 2 * column + right] = alike
-    count, labels = cv2.connectedComponents(maze, connectivity=8)
-    things = np.array(labels[::2, ::2], np.int32)
-    small = np.bincount(things.ravel(), minlength=count) < _MIN_PATCHES
+    count, connected = cv2.connectedComponents(maze, connectivity=8)
+    labels = np.array(connected[::2, ::2], np.int32)
+    small = np.bincount(labels.ravel(), minlength=count) < _MIN_PATCHES
     small[0] = False
-    things[small[things]] = 0
-    return count, things
+    labels[small[labels]] = 0
+    return count, labels
 
 
 def _alike(one: Real, other: Real) -> NDArray[np.bool_]:
@@ -502,17 +531,17 @@ def _alike(one: Real, other: Real) -> NDArray[np.bool_]:
 
 
 def _lasting(
-    count: int, things: NDArray[np.int32], moving: Real, before: Real, stood_px: Reals
+    count: int, labels: NDArray[np.int32], moving: Real, before: Real, stood_px: Reals
 ) -> NDArray[np.bool_]:
-    """Return the cells of things that moved alike in the frame before.
+    """Return the cells of movers that moved alike in the frame before.
 
     Args:
-        count, things: of this frame.
+        count, labels: of this frame, see :func:`_labelled`.
         moving, before: of this frame and the one before, as :class:`Movers` has them.
-        stood_px: where the cells of things were then if they stand, x and y, (n, 2).
+        stood_px: where the cells of movers were then if they stand, x and y, (n, 2).
     """
-    row, column = np.nonzero(things)
-    shift, limits = moving[row, column], np.array(things.shape) - 1
+    row, column = np.nonzero(labels)
+    shift, limits = moving[row, column], np.array(labels.shape) - 1
     then = np.floor((stood_px + shift[:, :2]).T[::-1] / CELL_PX).astype(np.intp)
     alike_px = np.maximum(_LASTING_PX, _LASTING_SHARE * np.abs(shift).max(axis=1))
     alike = np.zeros(len(row), np.bool_)
@@ -521,13 +550,13 @@ def _lasting(
             at = np.clip(then + np.array([[down], [right]]), 0, limits[:, None])
             off = np.abs(before[at[0], at[1]] - shift).max(axis=1)
             alike |= off <= alike_px  # not where it is NaN
-    label = things[row, column]
+    label = labels[row, column]
     share = np.bincount(label, alike, count) / np.maximum(np.bincount(label, minlength=count), 1)
-    return np.asarray((share >= _LASTING)[things] & (things > 0))
+    return np.asarray((share >= _LASTING)[labels] & (labels > 0))
 
 
 def _in_pixels(cells: NDArray[np.bool_], shape: tuple[int, ...]) -> NDArray[np.bool_]:
-    """Return the pixels of cells."""
+    """Return the pixels of cells (rows, columns), (height, width)."""
     result = np.zeros(shape, np.bool_)
     rows, columns = (side * CELL_PX for side in cells.shape)
     if cells.any():

@@ -25,6 +25,7 @@ _BESIDE_M = 0.4
 #: How much more it costs up to the second distance from a place that the robot has looked at in
 #: vain, such as a plain wall, on which nothing is matched.
 _VAIN, _VAIN_M = 10.0, 0.7
+#: Most rounds of fast sweeping; nothing changes any more long before.
 _ROUNDS = 60
 #: Length of the way that is returned, and how far ahead is looked to along it.
 _AHEAD_M = 2.0
@@ -236,6 +237,10 @@ def first_unknown(
     """Return the first place on a way of which nothing is known, in cells.
 
     None if something stands before it, or there is none.
+
+    Args:
+        way: places in cells, (n, 2).
+        occupied, free: cells known to be so, (nx, ny) bool; the rest is unknown.
     """
     x, y = way.astype(np.intp).T
     closed = np.flatnonzero(~free[x, y])

@@ -76,14 +76,14 @@ class KittiFile(TableFile):
 
     Args:
         path: final name.
-        stream: the run's context; it has a rig.
+        context: the run's; it has a rig.
         since: continue from this checkpoint of an earlier table.
     """
 
-    def __init__(self, path: Path, stream: RunContext, since: KittiMark | None = None) -> None:
-        assert stream.rig is not None
+    def __init__(self, path: Path, context: RunContext, since: KittiMark | None = None) -> None:
+        assert context.rig is not None
         super().__init__(path, "", None if since is None else since[0])
-        self._to_left_m = stream.rig.baseline_m / 2
+        self._to_left_m = context.rig.baseline_m / 2
         self._lines = 0 if since is None else since[1]
         self._first = np.reshape(since[2], (4, 4)) if since is not None and since[2] else None
 
