@@ -1,10 +1,10 @@
 """The local map: a small map that moves with the robot and fades.
 
 A grid in the world's directions, centred on the robot. Each cell holds *evidence*: positive =
-occupied, negative = free, near 0 = unknown. A point
-seen in some direction makes its own cell occupied and those before it free, as in occupancy grids
-with an inverse sensor model (Thrun, Burgard and Fox, Probabilistic Robotics, chapter 9). Evidence
-halves in :data:`HALF_LIFE_FRAMES`, because objects may move away unseen.
+occupied, negative = free, near 0 = unknown. A point seen in some direction makes its own cell
+occupied and those before it free, as in occupancy grids with an inverse sensor model (Thrun,
+Burgard and Fox, Probabilistic Robotics, chapter 9). Evidence halves in :data:`HALF_LIFE_FRAMES`,
+because objects may move away unseen.
 
 A camera looks over low objects nearby. So a cell also holds the height of its object, and is not
 made free by a line of sight that passes above it. What is seen of its upper side from farther off
@@ -41,8 +41,9 @@ CERTAIN = 0.7
 
 #: Evidence of one frame, at least, that is not freed again.
 ONE_HIT = 0.3
-#: A cell has been free for long below this evidence. Where something enters so many of these, less
-#: than so many cells from the middle, somebody walks, and may for so many frames more.
+#: A cell has been free for long below this evidence. Where something enters so many such cells,
+#: within so many cells of the middle along both axes, somebody walks there, and is expected to for
+#: so many frames more.
 _LONG_FREE, _ENTERED, _AROUND, _WALKS_FRAMES = -2.0, 3, 30, 50
 
 #: Distance from the robot up to which points are marked as occupied.
@@ -82,8 +83,8 @@ class LocalMap:
         evidence: (CELLS, CELLS) float32, axis 0 along the world's x, axis 1 along its y.
         top_m: (CELLS, CELLS) float32, height above the cameras of what stands in the cell.
         corner: world cell of ``evidence[0, 0]``; world cell i spans i..i+1 times CELL_M.
-        walks_frames: for so many frames more somebody may walk there, who entered cells that had
-            been free for long.
+        walks_frames: number of further frames in which somebody is expected to walk there; 0 =
+            nobody.
     """
 
     evidence: Reals

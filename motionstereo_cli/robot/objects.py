@@ -97,8 +97,8 @@ class Region:
             are as near.
         moves: whether it is found to move in this frame, or is remembered from the last ones.
         cells: known share and nearness in px of the cells of its box, and their velocity if it is
-            measured, (2 or 8, height / 4, width / 4) float32, NaN = not in it; None where it is
-            remembered.
+            measured, (2 or 8, height / 4, width / 4) float32, NaN = not in it; None in an
+            :class:`Observation`.
     """
 
     x: int
@@ -181,8 +181,8 @@ def regions(
     known = _around(cells, nearness_px)
     wanted = np.ones(count, np.bool_)
     if velocity_mps is None:
-        nearer, farther, sides = _neighbours(labels, bridged, known, count)
-        wanted = (nearer <= _BEHIND_SHARE * sides) | (farther > _BEFORE_SHARE * sides)
+        behind, before, sides = _neighbours(labels, bridged, known, count)
+        wanted = (behind <= _BEHIND_SHARE * sides) | (before > _BEFORE_SHARE * sides)
     labels[np.isnan(cells)] = 0
     size, boxes = _boxes(labels, count)
     wanted &= size >= min_share * cells.size
@@ -199,9 +199,8 @@ def regions(
         *(_MIN_ALIKE_PX, np.empty((count, 4)), beside),
     )
     numbers = np.flatnonzero(wanted).tolist()
-    rows = [dict(zip(("nearer", "level"), beside[n].tolist(), strict=True)) for n in numbers]
-    found = [_region(labels, n, boxes[n].tolist(), each) for n in numbers]
-    return tuple(replace(one, **of) for one, of in zip(found, rows, strict=True))
+    found = ((_region(labels, n, boxes[n].tolist(), each), *beside[n].tolist()) for n in numbers)
+    return tuple(replace(region, nearer=near, level=level) for region, near, level in found)
 
 
 def uncovered(
@@ -299,9 +298,10 @@ def _around(cells: Reals, nearness_px: Reals) -> Reals:
 def _neighbours(
     labels: NDArray[np.int32], near: Reals, around: Reals, count: int
 ) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
-    """Return how often each region has a nearer one beside it in its rows, and any other end.
+    """Return counts of the sides of each region's rows, (count,) each.
 
-    Between these: how often something is farther there, whether or not it has moved.
+    They are the sides at which a nearer region lies, those at which something is farther, whether
+    or not it has moved, and all.
     """
     other = labels[:, :-1] != labels[:, 1:]
     left, right = labels[:, :-1][other], labels[:, 1:][other]

@@ -10,6 +10,7 @@ x right, y down, z forward, in m. Vectors of six are translations in m and rotat
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, NamedTuple
@@ -271,13 +272,17 @@ def _aligned(
                 unknown = np.diag([shift] * 3 + [turn] * 3 + [1.0] * 7 + [0.0])[:13]
                 there, quality = motion @ before.motion, (np.zeros(3), _MIN_SCORE, 0.0)
                 return Alignment(there, key.light, *quality, unknown, by_corners=True)
-    if best is not None:
-        back, enough = _inverse(best.motion), _RIVAL_SCORE * best.score
-        rivals = (each.motion @ back for each in others if each.score > enough)
-        most_px = _RIVAL_RAD * lens.focal_px[0]
-        if any(_flow_px(key, motion, lens) > most_px for motion in rivals):
-            best = replace(best, doubtful=True)
+    if best is not None and _has_rival(key, best, others, lens):
+        best = replace(best, doubtful=True)
     return best
+
+
+def _has_rival(key: Keyframe, best: Alignment, others: Iterable[Alignment], lens: Lens) -> bool:
+    """Return whether another alignment agrees nearly as well, but with another motion."""
+    back, enough = _inverse(best.motion), _RIVAL_SCORE * best.score
+    rivals = (each.motion @ back for each in others if each.score > enough)
+    most_px = _RIVAL_RAD * lens.focal_px[0]
+    return any(_flow_px(key, motion, lens) > most_px for motion in rivals)
 
 
 def _depth_m(key: Keyframe, lens: Lens) -> float:

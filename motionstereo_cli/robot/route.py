@@ -18,27 +18,29 @@ from motionstereo_cli.compiled import grid as loops
 from motionstereo_cli.robot.course import CLEARANCE_M, Course, free_distances, plan, wrapped
 from motionstereo_cli.robot.grid import cells_within
 
-#: What a metre costs where nothing is known, next to what stands, and where the robot does not fit.
-#: Up to the second distance beyond its radius it is more than 1.
+#: Cost of a metre where nothing is known, next to what stands, and where the robot does not fit; it
+#: is 1 on free floor that is farther from what stands than the robot's radius and this distance.
 _UNKNOWN, _BESIDE, _BLOCKED = 2.0, 4.0, 30.0
 _BESIDE_M = 0.4
-#: How much more it costs up to the second distance from a place that the robot has looked at in
-#: vain, such as a plain wall, on which nothing is matched.
+#: How much more a metre costs within this distance of a place that the robot has looked at in vain,
+#: such as a plain wall, on which nothing is matched.
 _VAIN, _VAIN_M = 10.0, 0.7
 #: Most rounds of fast sweeping; nothing changes any more long before.
 _ROUNDS = 60
 #: Length of the way that is returned, and how far ahead is looked to along it.
 _AHEAD_M = 2.0
 _TURN_M = 1.0
-#: What a metre to a place and a radian off the last heading count against the way left from there;
-#: by how much that is less, at least: as a rule, and for a robot that looks where the way leads.
+#: A direction is chosen for the least sum of the way left from a place on it, this share of the way
+#: to that place, and so many m for each radian off the last heading.
 _DRIVEN, _CHANGE_M = 0.8, 0.3
+#: By how much the way left has to become less: as a rule, and for a robot that looks where the way
+#: leads.
 _NEARER_M, _SEEN_M = 0.3, 1.0
-#: Clearance beside the robot and least free distance, but to the goal: as a rule, and where there
-#: is no other way.
+#: Clearance beside the robot, and least free distance unless the goal is nearer: as a rule, and
+#: where there is no other way.
 _CLEARANCES_M = (CLEARANCE_M, 0.9), (0.08, 0.5)
-#: Where the robot has turned by the first angle to see where the way leads, of which a frame makes
-#: the second, at least, it has looked in vain. So many such places are kept.
+#: The robot has looked in vain once it has turned by the first angle to see where the way leads. A
+#: frame counts as the second angle, at least. So many such places are kept.
 _LOOK_RAD, _LEAST_RAD = math.radians(60), math.radians(4)
 _MOST_VAIN = 12
 
@@ -71,8 +73,9 @@ def toward(
 ) -> tuple[Course, float | None]:
     """Return the next course to a goal, and the free distance on it in m; None while it looks.
 
-    It heads for where the robot can drive straight and the goal is nearest. Where that is not known
-    to be free, it turns to it; what it looks at in vain, it goes around.
+    It leads straight to where the goal is nearest, as far as cells are known to be free. Where the
+    way leads through unknown cells, the robot turns to them; what it looks at in vain, it goes
+    around.
 
     Args:
         course: the last one.
