@@ -86,6 +86,7 @@ def test_only_the_files_of_robot_that_keep_state_join_its_pure_ones():
     assert joins(pure) <= {
         "pipeline.py",
         "robot/__init__.py",  # which loads them when they are used
+        *("robot/bodies.py", "robot/speeds.py"),  # of objects
         "robot/guide.py",
         "robot/mapper.py",
         "robot/mover_finder.py",

@@ -29,14 +29,11 @@ from motionstereo_cli.robot.objects import (
     Observation,
     Region,
     Track,
-    by_itself,
     follow,
-    movement,
-    moves_surely,
     regions,
-    trust,
     uncovered,
 )
+from motionstereo_cli.robot.speeds import Movement, by_itself, movement, moves_surely, trust
 from motionstereo_cli.robot.tracker import MAX_CONTACT_S, Tracker, Tracks
 from motionstereo_cli.simulate.scenes import render_scene
 from motionstereo_cli.simulate.settings import SimulateSettings
@@ -340,7 +337,7 @@ class TestMovement:
         assert moves_surely(Track(1, (fast,), 3)) == possible
 
     def test_what_single_frames_show_is_by_itself_at_one_standard_deviation(self):
-        moves = objects.Movement((0.0, 0.0), (1.5, 0.0), 0.0, 1.0)
+        moves = Movement((0.0, 0.0), (1.5, 0.0), 0.0, 1.0)
         places = self.track([(1.0, 0.0)] * 6)
         assert not by_itself(places, moves)
         last = places.observations[-1]

@@ -1,8 +1,7 @@
 """Moving objects: regions of fresh motion, followed from frame to frame.
 
 A region is a connected patch of fresh disparity without a jump inside it. Each frame's regions
-are assigned to known objects at the least total cost (the Hungarian method). The speed of an object
-follows from its positions in the last frames.
+are assigned to known objects at the least total cost (the Hungarian method).
 """
 
 from __future__ import annotations
@@ -52,31 +51,23 @@ _MAX_SIZES = 1.0
 _MAX_FACTOR = 1.3
 #: Its path in the image is extrapolated from its last observations, but no farther than they span:
 #: objects that disappear have often just come to rest.
-_WAY_SIGHTINGS = 5
+WAY_SIGHTINGS = 5
+#: So many of its last observations are kept.
+KEPT = 12
 #: An object is dropped after it was out of sight for this many frames.
 _MAX_MISSED = 30
 #: An observation shows an object's usual area if it differs by at most this share.
 _USUAL_SHARE = 0.15
 
-#: Speeds are fitted to this many of the last observations, once there are as many as the second.
-_FITTED = 12
-_MIN_FITTED = 6
-_LATER, _EARLIER = np.tril_indices(_FITTED, -1)
 #: Of velocities by single frames: fewest cells that tell one; cells whose patches overlap; least
-#: standard deviation of a change of disparity; how much a velocity may change in a second.
+#: standard deviation of a change of disparity; so many standard deviations are significant.
 _MIN_CELLS, _CELLS_ALIKE = 3, 5.0
-_CELL_SIGMA_PX, _ACCELERATION_MPS2 = 0.1, 3.0
-#: What moves by itself is faster than the first over ground, and nothing than the second.
-_MIN_OVER_GROUND_MPS, _MAX_OVER_GROUND_MPS = 0.2, 50.0
-#: And than so many standard deviations by its places; by single frames, in mean and median.
-_SIGMAS, _MEAN_SIGMAS, _SURE_SIGMAS = 2.0, 1.0, 0.5
+_CELL_SIGMA_PX, _SIGMAS = 0.1, 2.0
 #: It moves along the ground: by a single frame it rises or sinks by no larger share of its speed,
 #: or of a speed that is not significant.
 _SLOPE, _LEAST_SLOPE = 0.1, 0.03
 #: Standard deviation over median absolute deviation of what is normally distributed.
-_NORMAL = 1.4826
-#: A fit that misses the nearness by so much, on average, is worth half.
-_HALF_WORTH_PX = 0.5
+NORMAL = 1.4826
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,6 +87,7 @@ class Region:
         nearer, level: rows of cells that are nearer than what is known beside them, and rows that
             are as near.
         moves: whether it is found to move in this frame, or is remembered from the last ones.
+        surface_px: up to which nearness one surface reaches that fills the view; None if none does.
         cells: known share and nearness in px of the cells of its box, and their velocity if it is
             measured, (2 or 8, height / 4, width / 4) float32, NaN = not in it; None in an
             :class:`Observation`.
@@ -116,6 +108,7 @@ class Region:
     nearer: int = 0
     level: int = 0
     moves: bool = True
+    surface_px: float | None = None
     cells: Reals | None = field(default=None, compare=False, repr=False)
 
 
@@ -149,12 +142,19 @@ class Track:
         observations: the last frames that it was seen in, oldest first.
         seen: frames that it has been found to move in.
         missed: frames since it was last seen; 0 = it is in the last frame.
+        part_of: the number of the oldest part of its body; None = it has not been compared.
     """
 
     number: int
     observations: tuple[Observation, ...]
     seen: int = 1
     missed: int = 0
+    part_of: int | None = None
+
+    @property
+    def body(self) -> int:
+        """The number of the body that it belongs to."""
+        return self.number if self.part_of is None else self.part_of
 
 
 def regions(
@@ -352,7 +352,7 @@ def region_of(left: int, top: int, cells: Reals) -> Region:
         height=cells.shape[1] * CELL_PX,
         middle_x=(left + float(weight @ column) / total + 0.5) * CELL_PX - 0.5,
         middle_y=(top + float(weight @ row) / total + 0.5) * CELL_PX - 0.5,
-        nearness_px=float(_median(cells[1, row, column])),
+        nearness_px=float(median(cells[1, row, column])),
         known=total / len(weight),
         velocity_mps=speed,
         sigma_mps=sigma_mps,
@@ -373,19 +373,19 @@ def _median_velocity(velocity_mps: Reals) -> tuple[tuple[float, float] | None, f
     if len(known) < _MIN_CELLS:
         return None, math.inf, 0.0
     each = known[:, [2, 0]] * (1, -1)
-    middle = _median(each)
-    spread = np.hypot(*(_NORMAL * _median(np.abs(each - middle))))
-    spread = np.hypot(spread, _CELL_SIGMA_PX * _median(known[:, 3]))
+    middle = median(each)
+    spread = np.hypot(*(NORMAL * median(np.abs(each - middle))))
+    spread = np.hypot(spread, _CELL_SIGMA_PX * median(known[:, 3]))
     own = math.sqrt(max(len(known) / _CELLS_ALIKE, 1.0))
     ahead, left = middle.tolist()
     speed_mps, sigma_mps = math.hypot(ahead, left), float(spread) / own
     down = known[:, 1]
-    sinks = float(_median(down))
-    sinks_sigma = float(_NORMAL * _median(np.abs(down - sinks))) / own
+    sinks = float(median(down))
+    sinks_sigma = float(NORMAL * median(np.abs(down - sinks))) / own
     slope = _SLOPE if speed_mps > _SIGMAS * sigma_mps else _LEAST_SLOPE
     if abs(sinks) > max(slope * speed_mps, sinks_sigma):
         return None, math.inf, 0.0
-    return (ahead, left), sigma_mps, float(_median(known[:, 4]))
+    return (ahead, left), sigma_mps, float(median(known[:, 4]))
 
 
 def follow(
@@ -403,8 +403,9 @@ def follow(
     result = []
     for index, track in enumerate(tracks):
         if index in pairs:
-            kept = (*track.observations, observations[pairs[index]])[-_FITTED:]
-            result.append(Track(track.number, kept, track.seen + kept[-1].region.moves))
+            kept = (*track.observations, observations[pairs[index]])[-KEPT:]
+            seen = track.seen + kept[-1].region.moves
+            result.append(replace(track, observations=kept, seen=seen, missed=0))
         elif track.missed < min(_MAX_MISSED, track.seen):
             result.append(replace(track, missed=track.missed + 1))
     new = (
@@ -439,7 +440,7 @@ def _measures(region: Region) -> tuple[float, ...]:
 
 def _expected(track: Track, time_s: float) -> tuple[float, ...]:
     """Return the expected measures of a track's region at a time."""
-    first, last = track.observations[-_WAY_SIGHTINGS:][0], track.observations[-1]
+    first, last = track.observations[-WAY_SIGHTINGS:][0], track.observations[-1]
     x, y, *rest = _measures(last.region)
     if first is not last:
         share = min((time_s - last.time_s) / (last.time_s - first.time_s), 1.0)
@@ -476,80 +477,6 @@ def expected_box(track: Track, time_s: float) -> tuple[float, ...]:
     return (x, y, width, height, last.nearness_px)
 
 
-@dataclass(frozen=True, slots=True)
-class Movement:
-    """The recent motion of an object, at constant velocity.
-
-    Attributes:
-        from_camera_mps: along the x and y axes of the world, as seen from the camera.
-        over_ground_mps: the same over ground.
-        residual: by how much its observations miss that, the median, as a share of its distance.
-        sigma_mps: standard deviation of the speed over ground, from these residuals.
-    """
-
-    from_camera_mps: tuple[float, float]
-    over_ground_mps: tuple[float, float]
-    residual: float
-    sigma_mps: float
-
-
-def movement(track: Track) -> Movement | None:
-    """Return the motion of an object; None while unknown.
-
-    The mean of its velocities by single frames, the less weight the older; where there are none,
-    the median of the slopes between all pairs of observations (Theil and Sen), of the middle and
-    of both ends of the box: what something before it hides moves one of these.
-    """
-    time_s = np.array([observation.time_s for observation in track.observations])
-    places = np.array([(*s.offset_m, *s.place_m) for s in track.observations])
-    measured = _mean_velocity(track.observations)
-    if measured is not None and len(time_s) > 1:
-        velocity_mps, sigma = measured
-        camera_m = (places[:, 2:] - places[:, :2])[-_WAY_SIGHTINGS:]
-        camera_mps = (camera_m[-1] - camera_m[0]) / (time_s[-1] - time_s[-len(camera_m)])
-        speed = np.concatenate([velocity_mps - camera_mps, velocity_mps])
-    elif len(time_s) >= _MIN_FITTED:
-        count = len(time_s) * (len(time_s) - 1) // 2
-        later, earlier = _LATER[:count], _EARLIER[:count]
-        apart_s = (time_s[later] - time_s[earlier])[:, None]
-        ends = np.array([(0, 0, *each.ends_m) for each in track.observations]).reshape(-1, 3, 2)
-        each = places[:, None] + np.tile(ends, 2)
-        speeds = _median((each[later] - each[earlier]) / apart_s[..., None])
-        speed = _median(speeds)
-        sigma = _slope_sigma(time_s, places[:, 2:] - speeds[0, 2:] * time_s[:, None])
-        sigma = math.hypot(sigma, *(np.ptp(speeds[:, 2:], axis=0) / 2))
-    else:
-        return None
-    offset = places[:, :2]
-    off = offset - speed[:2] * time_s[:, None]
-    off = np.abs(off - _median(off)).sum(axis=1)
-    residual = float(_median(off)) / float(np.abs(offset).sum(axis=1).min())
-    x, y, ground_x, ground_y = speed.tolist()
-    return Movement((x, y), (ground_x, ground_y), residual, sigma)
-
-
-def moves_surely(track: Track) -> bool:
-    """Return whether velocities by single frames are significant and possible, where there are any.
-
-    Not only their mean, which a single frame that is wrong may decide, but also their median.
-    """
-    mean = _mean_velocity(track.observations)
-    if mean is None:
-        return True
-    told = ((each.velocity_mps, each.region.sigma_mps) for each in track.observations)
-    sigmas = [math.hypot(*velocity) / sigma for velocity, sigma in told if velocity is not None]
-    speed_mps = math.hypot(*mean[0])
-    fast = max(_MIN_OVER_GROUND_MPS, _MEAN_SIGMAS * mean[1]) < speed_mps < _MAX_OVER_GROUND_MPS
-    return fast and float(_median(np.array(sigmas))) > _SURE_SIGMAS
-
-
-def by_itself(track: Track, moves: Movement) -> bool:
-    """Return whether an object moves over ground significantly."""
-    sigmas = _SIGMAS if _mean_velocity(track.observations) is None else _MEAN_SIGMAS
-    speed_mps = math.hypot(*moves.over_ground_mps)
-    return speed_mps > max(_MIN_OVER_GROUND_MPS, sigmas * moves.sigma_mps)
-
-
 def lies(track: Track) -> bool | None:
     """Return whether an object is as near as what is beside it, as a shadow is; None if unknown."""
     nearer = sum(each.region.nearer for each in track.observations)
@@ -557,44 +484,6 @@ def lies(track: Track) -> bool | None:
     return None if compared < _MIN_COMPARED else nearer <= _NEARER_ROWS * compared
 
 
-def _mean_velocity(
-    observations: Sequence[Observation],
-) -> tuple[NDArray[np.float64], float] | None:
-    """Return the weighted mean of the velocities by single frames, (2,), and its sigma.
-
-    Errors of single frames are independent; an acceleration since then is common to all.
-    """
-    known = [each for each in observations if each.velocity_mps is not None]
-    if not known:
-        return None
-    last_s = known[-1].time_s
-    changed_mps = _ACCELERATION_MPS2 * np.array([last_s - k.time_s + k.region.age_s for k in known])
-    sigma_mps = np.array([each.region.sigma_mps for each in known])
-    weight = 1 / np.square([sigma_mps, changed_mps]).sum(axis=0)
-    weight = weight / weight.sum()
-    velocity_mps = weight @ np.array([each.velocity_mps for each in known])
-    return velocity_mps, math.hypot(*(weight * sigma_mps), weight @ changed_mps)
-
-
-def _slope_sigma(time_s: NDArray[np.float64], left_m: NDArray[np.float64]) -> float:
-    """Return the standard deviation of a slope over (n,) times, from what it leaves, (n, 2)."""
-    off_m = np.abs(left_m - _median(left_m))
-    spread = float(np.hypot(*(_NORMAL * _median(off_m))))
-    along_s = time_s - time_s.mean()
-    return spread / float(np.sqrt(along_s @ along_s))
-
-
-def trust(track: Track, moves: Movement | None) -> float:
-    """Return the confidence of an object and its speed, 0..1.
-
-    The share of the fitted frames that it has been seen in, times the known share of its pixels,
-    times 1 / (1 + r / 0.5 px) for observations that miss the fitted movement by r, in disparity.
-    """
-    region = track.observations[-1].region
-    off_px = 0.0 if moves is None else moves.residual * region.nearness_px
-    return min(track.seen / _FITTED, 1) * region.known / (1 + off_px / _HALF_WORTH_PX)
-
-
-def _median(values: NDArray[Any]) -> NDArray[Any]:
+def median(values: NDArray[Any]) -> NDArray[Any]:
     """Return the median along the first axis, of an even number the lower; np.median is slow."""
     return np.asarray(np.sort(values, axis=0)[(len(values) - 1) // 2])

@@ -12,24 +12,22 @@ import numpy as np
 
 from motionstereo_cli.method.settings import Settings
 from motionstereo_cli.robot.approach import MAX_CONTACT_S
+from motionstereo_cli.robot.bodies import joined
 from motionstereo_cli.robot.free_space import MIN_KNOWN_SHARE, StripValues, level_surface
 from motionstereo_cli.robot.objects import (
     CELL_PX,
     Observation,
     Region,
     Track,
-    by_itself,
     expected_box,
     follow,
     lies,
-    movement,
-    moves_surely,
     region_of,
     regions,
-    trust,
     uncovered,
 )
 from motionstereo_cli.robot.separation import parts
+from motionstereo_cli.robot.speeds import by_itself, movement, moves_surely, trust
 from motionstereo_cli.types import (
     FrameTime,
     MovingObject,
@@ -120,7 +118,7 @@ class Tracker:
             return found
         # What moves on a surface that fills the view lies on it.
         return tuple(
-            each
+            replace(each, surface_px=surface_px)
             if each.nearness_px > surface_px
             else replace(each, nearer=0, level=each.height // CELL_PX)
             for each in found
@@ -195,12 +193,17 @@ class Tracker:
         observations = [self._observation(region, time_s, pose) for region in apart]
         each = follow(before, observations, time_s, tracks.last_id + 1)
         last_id = max([tracks.last_id, *(track.number for track in each)])
-        return Tracks(each, last_id, time_s), tuple(
-            self._object(track, pose, timed=frame.time_s is not None)
-            for track in each
-            if not track.missed and track.seen >= MIN_SEEN and moves_surely(track)
-            if track.observations[-1].region.moves or self._is_slow(track)
-        )
+        if self.rig is not None and frame.time_s is not None:
+            view = replace(self.rig, cx=self.rig.cx_of(self.settings.reference))
+            each = joined(each, view)
+        things: dict[int, list[MovingObject]] = {}
+        for track in each:
+            sure = not track.missed and track.seen >= MIN_SEEN and moves_surely(track)
+            if sure and (track.observations[-1].region.moves or self._is_slow(track)):
+                thing = self._object(track, pose, timed=frame.time_s is not None)
+                things.setdefault(track.body, []).append(thing)
+        bodies = tuple(_body(number, parts) for number, parts in sorted(things.items()))
+        return Tracks(each, last_id, time_s), bodies
 
     def _is_slow(self, track: Track) -> bool:
         """Return whether an object moves by a small part of its size from frame to frame."""
@@ -260,6 +263,16 @@ class Tracker:
         )
 
 
+def _body(number: int, each: Sequence[MovingObject]) -> MovingObject:
+    """Return parts as one object: the box around them, and else the nearest of them."""
+    nearest = min(each, key=lambda part: part.depth_m or 0.0)
+    left, top = min(part.x for part in each), min(part.y for part in each)
+    right = max(part.x + part.width for part in each)
+    bottom = max(part.y + part.height for part in each)
+    width, height = right - left, bottom - top
+    return replace(nearest, id=number, x=left, y=top, width=width, height=height)
+
+
 def _turned(ahead: float, left: float, pose: Pose) -> tuple[float, float]:
     """Return along the x and y axes of the world what is ahead and to the left of a pose."""
     cos, sin = math.cos(pose.yaw_rad), math.sin(pose.yaw_rad)
@@ -286,7 +299,10 @@ def _separated(
     result: list[Region] = []
     for region, each in zip(found, parts(places, expected), strict=True):
         if len(each) > 1:
-            result += [replace(region_of(*part), before=region.before) for part in each]
+            before, surface_px = region.before, region.surface_px
+            result += [
+                replace(region_of(*part), before=before, surface_px=surface_px) for part in each
+            ]
         else:
             result.append(region)
     return tuple(result)
