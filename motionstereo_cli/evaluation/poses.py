@@ -90,12 +90,12 @@ def evaluate_poses(found: str | Path, true: str | Path) -> PoseReport:
             "this recording"
         )
     rows = [[getattr(pose, name) for name in Pose.__slots__] for pose in truth if pose is not None]
-    report = compare(_matrices(one.poses[inside]), _matrices(np.array(rows)))
+    report = compare(matrices(one.poses[inside]), matrices(np.array(rows)))
     return replace(report, without_truth=int(np.count_nonzero(~inside)))
 
 
-def _matrices(poses: Reals) -> Reals:
-    """Return poses (n, 7) as matrices (n, 4, 4)."""
+def matrices(poses: Reals) -> Reals:
+    """Return poses (n, 7), place in m and quaternion as :class:`Pose` has them, as (n, 4, 4)."""
     result = np.tile(np.eye(4), (len(poses), 1, 1))
     result[:, :3, :3], result[:, :3, 3] = rotations(poses[:, 3:]), poses[:, :3]
     return result

@@ -21,9 +21,8 @@ from tqdm import tqdm
 
 from bench.drive import SETTINGS, steered
 from bench.markdown import table
-from motionstereo_cli.evaluation.poses import PoseReport, compare
+from motionstereo_cli.evaluation.poses import PoseReport, compare, matrices
 from motionstereo_cli.pipeline import process
-from motionstereo_cli.rig.pose_forms import rotations
 from motionstereo_cli.robot.odometer import Odometer
 from motionstereo_cli.simulate.drive import aimed, driven
 from motionstereo_cli.simulate.drive_world import world_of
@@ -253,10 +252,8 @@ def mean(values: Sequence[float]) -> float:
 
 
 def _matrices(poses: Sequence[Pose]) -> NDArray[np.float64]:
-    rows = np.array([[getattr(pose, name) for name in Pose.__slots__] for pose in poses])
-    result = np.tile(np.eye(4), (len(rows), 1, 1))
-    result[:, :3, :3], result[:, :3, 3] = rotations(rows[:, 3:]), rows[:, :3]
-    return result
+    rows = [[getattr(pose, name) for name in Pose.__slots__] for pose in poses]
+    return matrices(np.array(rows))
 
 
 def _scored(score: Score, result: FrameResult, shot: SceneFrame) -> int:
