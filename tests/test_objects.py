@@ -336,6 +336,16 @@ class TestMovement:
         fast = Observation(0.0, replace(region(60), sigma_mps=5.0), (2, 0), (2, 0), (speed_mps, 0))
         assert moves_surely(Track(1, (fast,), 3)) == possible
 
+    def test_what_is_slow_moves_surely_though_its_speed_may_have_changed_since(self):
+        """At 0.4 m/s, in a frame that shows what was a fifth of a second ago."""
+        shown = replace(region(60), sigma_mps=0.1, age_s=0.2)
+        seen = (Observation(n / 10, shown, (2, 0), (2, 0), (0.4, 0.0)) for n in range(4))
+        track = Track(1, tuple(seen), 4)
+        assert moves_surely(track)
+        moves = movement(track)
+        assert moves.sigma_mps > 0.4
+        assert by_itself(track, moves)
+
     def test_what_single_frames_show_is_by_itself_at_one_standard_deviation(self):
         moves = Movement((0.0, 0.0), (1.5, 0.0), 0.0, 1.0)
         places = self.track([(1.0, 0.0)] * 6)

@@ -52,7 +52,8 @@ def movement(track: Track) -> Movement | None:
     places = np.array([(*s.offset_m, *s.place_m) for s in track.observations])
     measured = _mean_velocity(track.observations)
     if measured is not None and len(time_s) > 1:
-        velocity_mps, sigma = measured
+        velocity_mps, *sigmas = measured
+        sigma = math.hypot(*sigmas)
         camera_m = (places[:, 2:] - places[:, :2])[-WAY_SIGHTINGS:]
         camera_mps = (camera_m[-1] - camera_m[0]) / (time_s[-1] - time_s[-len(camera_m)])
         speed = np.concatenate([velocity_mps - camera_mps, velocity_mps])
@@ -79,7 +80,8 @@ def movement(track: Track) -> Movement | None:
 def moves_surely(track: Track) -> bool:
     """Return whether velocities by single frames are significant and possible, where there are any.
 
-    Not only their mean, which a single frame that is wrong may decide, but also their median.
+    Not only their mean, which a single frame that is wrong may decide, but also their median. What
+    they may have changed by since does not count: it moved.
     """
     mean = _mean_velocity(track.observations)
     if mean is None:
@@ -93,17 +95,19 @@ def moves_surely(track: Track) -> bool:
 
 def by_itself(track: Track, moves: Movement) -> bool:
     """Return whether an object moves over ground significantly."""
-    sigmas = _SIGMAS if _mean_velocity(track.observations) is None else _MEAN_SIGMAS
+    if _mean_velocity(track.observations) is not None:
+        return moves_surely(track)
     speed_mps = math.hypot(*moves.over_ground_mps)
-    return speed_mps > max(_MIN_OVER_GROUND_MPS, sigmas * moves.sigma_mps)
+    return speed_mps > max(_MIN_OVER_GROUND_MPS, _SIGMAS * moves.sigma_mps)
 
 
 def _mean_velocity(
     observations: Sequence[Observation],
-) -> tuple[NDArray[np.float64], float] | None:
-    """Return the weighted mean of the velocities by single frames, (2,), and its sigma.
+) -> tuple[NDArray[np.float64], float, float] | None:
+    """Return the weighted mean of the velocities by single frames, (2,), and two sigmas.
 
-    Errors of single frames are independent; an acceleration since then is common to all.
+    That of their errors, which are independent, and that of an acceleration since then, which is
+    common to all.
     """
     known = [each for each in observations if each.velocity_mps is not None]
     if not known:
@@ -114,7 +118,7 @@ def _mean_velocity(
     weight = 1 / np.square([sigma_mps, changed_mps]).sum(axis=0)
     weight = weight / weight.sum()
     velocity_mps = weight @ np.array([each.velocity_mps for each in known])
-    return velocity_mps, math.hypot(*(weight * sigma_mps), weight @ changed_mps)
+    return velocity_mps, math.hypot(*(weight * sigma_mps)), float(weight @ changed_mps)
 
 
 def _slope_sigma(time_s: NDArray[np.float64], left_m: NDArray[np.float64]) -> float:
