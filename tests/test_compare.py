@@ -67,6 +67,10 @@ def written(folder):
         png(folder / f"depth/{frame:06d}.png", depth_mm)
         png(folder / f"disparity/{frame:06d}.png", np.full(SHAPE, 20 * 256, np.uint16))
     (folder / "charge.mp4").write_bytes(b"video")
+    (folder / "map.ply").write_bytes(b"points")
+    png(folder / "map.png", np.full(SHAPE, 254, np.uint8))
+    (folder / "map.yaml").write_text("image: map.png\nresolution: 0.1\norigin: [-1.5, 2.0, 0]\n")
+    png(folder / "map-sheet.png", np.full((*SHAPE, 3), 254, np.uint8))
     record(folder)
     return folder
 
@@ -261,6 +265,30 @@ DIFFERENCES = {
         lambda folder: (folder / "charge.mp4").unlink(),
         ("charge.mp4", "files", 1, None, None, "charge.mp4 is missing"),
     ),
+    "map black": (
+        painted("map.png", 0, 3),
+        ("map.png", "cells", 1, None, None, "1.50% differ (tolerance 1.00%)"),
+    ),
+    "map of another size": (
+        lambda folder: png(folder / "map.png", np.full((10, 21), 254, np.uint8)),
+        ("map.png", "size", 1, None, None, "21x10, golden 20x10"),
+    ),
+    "map missing": (
+        lambda folder: (folder / "map.png").unlink(),
+        ("map.png", "files", 1, None, None, "map.png"),
+    ),
+    "map elsewhere": (
+        edited("map.yaml", "-1.5", "-1.4"),
+        ("map.yaml", "origin.0", 1, None, None, "-1.4, golden -1.5"),
+    ),
+    "map's place missing": (
+        lambda folder: (folder / "map.yaml").unlink(),
+        ("map.yaml", "files", 1, None, None, "map.yaml"),
+    ),
+    "map's sheet missing": (
+        lambda folder: (folder / "map-sheet.png").unlink(),
+        ("map-sheet.png", "files", 1, None, None, "map-sheet.png is missing"),
+    ),
 }
 
 
@@ -291,9 +319,16 @@ def test_a_run_does_not_differ_from_itself(sides):
         ("depth/", 4),
         ("disparity/", 4),
         ("charge.mp4", 1),
+        ("map.ply", 1),
+        ("map.png", 200),
+        ("map.yaml", 5),
+        ("map-sheet.png", 1),
         ("run.json", 11),
     ]
-    assert report.notes == ("charge.mp4 must exist; its content is not compared",)
+    assert report.notes == tuple(
+        f"{name} must exist; its content is not compared"
+        for name in ("charge.mp4", "map.ply", "map-sheet.png")
+    )
     assert format_table(report).startswith("no difference in steering.csv (4 rows), depth/ (4 ")
 
 
@@ -320,7 +355,8 @@ def test_only_what_golden_has_is_compared(sides):
     actual, golden = sides
     for name in ("depth/000000.png", "depth/000001.png", "depth/000003.png", "run.json"):
         (golden / name).unlink()
-    for name in ("disparity", "charge.mp4"):
+    maps = ("map.ply", "map.png", "map.yaml", "map-sheet.png")
+    for name in ("disparity", "charge.mp4", *maps):
         shutil.rmtree(golden / name) if (golden / name).is_dir() else (golden / name).unlink()
     (golden / "notes.txt").write_text("none of ours")
     assert [(o.name, o.compared) for o in compare(actual, golden).outputs] == [
@@ -347,7 +383,7 @@ def test_versions_and_inputs_are_noted_and_do_not_count(sides):
     )
     report = compare(actual, golden)
     assert not report.differs
-    assert report.notes[1:] == (
+    assert report.notes[3:] == (
         "versions.numpy is '3.0.0', golden '2.0.0'",
         "inputs.left.sha256 is 34, golden 12",
     )
@@ -471,7 +507,7 @@ def test_junit_has_a_case_for_each_output_and_counts_failures(sides):
     for spoil in ("number", "text", "setting"):
         DIFFERENCES[spoil][0](actual)
     suite = ET.fromstring(format_junit(compare(actual, golden)))
-    assert (suite.tag, suite.get("tests"), suite.get("failures")) == ("testsuite", "5", "2")
+    assert (suite.tag, suite.get("tests"), suite.get("failures")) == ("testsuite", "9", "2")
     cases = {case.get("name"): case.find("failure") for case in suite.iter("testcase")}
     assert [name for name, failure in cases.items() if failure is not None] == [
         "steering.csv",

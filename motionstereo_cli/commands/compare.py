@@ -84,7 +84,8 @@ def compare(
 
     ACTUAL and GOLDEN are output folders of run. GOLDEN may be incomplete, such as steering.csv,
     run.json and every tenth depth image; only its files are compared. Tables, depth and disparity
-    images, and the settings and counts in run.json are compared; other files only have to exist.
+    images, the cells of map.png, the values of map.yaml, and the settings and counts in run.json
+    are compared; other files only have to exist.
     """
     from tqdm import tqdm
 

@@ -20,16 +20,25 @@ import numpy as np
 
 from motionstereo_cli.errors import InputError, SettingsError
 from motionstereo_cli.evaluation.settings import COLUMN_TOLERANCE, CompareSettings
-from motionstereo_cli.files.reading import check_regular, real
+from motionstereo_cli.files.reading import MAX_RECORD_BYTES, check_regular, read_text, real
 from motionstereo_cli.files.records import read_json, typed
-from motionstereo_cli.sinks.outputs import OUTPUTS, RECORD
-from motionstereo_cli.sinks.read_back import Maps, Table, read_record, shortened, size_of
+from motionstereo_cli.rig.structure import read_structure
+from motionstereo_cli.sinks.outputs import MAP_PICTURE, MAP_PLACE, OUTPUTS, RECORD
+from motionstereo_cli.sinks.read_back import (
+    Maps,
+    Table,
+    read_pixels,
+    read_record,
+    shortened,
+    size_of,
+)
 from motionstereo_cli.sinks.records import GROUPS, RunRecord, option_of
 from motionstereo_cli.sinks.scale import ENDS
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from motionstereo_cli.sinks.outputs import Output
     from motionstereo_cli.types import Real
 
     #: Rows of a frame by their id, each by column.
@@ -210,11 +219,22 @@ class _Comparison:
             elif save.kind == "table":
                 if os.path.lexists(path):
                     outputs[save.path] = self._table(save.path)
-            elif files := sorted(self._golden.glob(save.path.replace("{:06d}", "*"))):
-                outputs[save.shown] = self._presence(save.shown, files)
+            else:
+                outputs |= self._others(save)
         if os.path.lexists(self._golden / RECORD):
             outputs[RECORD] = self._record()
         return CompareReport(tuple(outputs.values()), tuple(self._notes), self._worst)
+
+    def _others(self, save: Output) -> Iterator[tuple[str, Compared]]:
+        """Yield each kind of file of an output that is neither images nor a table."""
+        special = {MAP_PICTURE: self._cells, MAP_PLACE: self._values}
+        for path in save.paths:
+            if path in special:
+                if os.path.lexists(self._golden / path):
+                    yield path, special[path](path)
+            elif files := sorted(self._golden.glob(path.replace("{:06d}", "*"))):
+                shown = path.partition("{")[0]
+                yield shown, self._presence(shown, files)
 
     def _check_regular(self, name: str) -> None:
         """Make sure that an output is no FIFO, folder or link to elsewhere, which ends it all."""
@@ -370,6 +390,50 @@ class _Comparison:
                 for content, path in these.items()
                 if content not in others
             ]
+
+    def _cells(self, name: str) -> Compared:
+        """Compare two pictures of a map, whose cells have one value of three."""
+        output = Compared(name, "cells")
+        self._check_regular(name)
+        try:
+            mine, theirs = (read_pixels(folder / name) for folder in (self._actual, self._golden))
+        except InputError as error:
+            output.differ("files", str(error))
+            return output
+        if mine.shape != theirs.shape:
+            output.differ("size", f"{size_of(mine)}, golden {size_of(theirs)}")
+            return output
+        output.compared = theirs.size
+        share = float(np.mean(mine != theirs))
+        if share > self._settings.max_differing:
+            limit = self._settings.max_differing
+            output.differ("cells", f"{share:.2%} differ (tolerance {limit:.2%})", worst=share)
+        return output
+
+    def _values(self, name: str) -> Compared:
+        """Compare two files of values by name, in YAML."""
+        output = Compared(name, "values")
+        self._check_regular(name)
+        try:
+            actual, golden = (
+                dict(
+                    _leaves(
+                        dict(read_structure(path, read_text(path, "the values", MAX_RECORD_BYTES)))
+                    )
+                )
+                for path in (self._actual / name, self._golden / name)
+            )
+        except InputError as error:
+            output.differ("files", str(error))
+            return output
+        output.compared = len(golden)
+        for key in dict.fromkeys((*golden, *actual)):
+            if not (key in actual and key in golden and _same(actual[key], golden[key])):
+                mine, theirs = (
+                    _given(side[key]) if key in side else "missing" for side in (actual, golden)
+                )
+                output.differ(key, f"{mine}, golden {theirs}")
+        return output
 
     def _presence(self, name: str, files: list[Path]) -> Compared:
         output = Compared(name, "files", len(files))

@@ -132,6 +132,9 @@ MAX_VIDEO_PX = 16_384 - 128
 #: The record of a run. Written last; until then its ``.part`` lists what is being written.
 RECORD = "run.json"
 
+#: The map's floor plane, and the place and scale of that picture.
+MAP_PICTURE, MAP_PLACE = "map.png", "map.yaml"
+
 #: Names follow one scheme: PNG images have the bare name of their content, other formats add a
 #: suffix, and -video is a video to look at. Only for the charge the bare name is the video.
 _DEPTH = ("depth_m",)
@@ -428,7 +431,7 @@ OUTPUTS = {
         shows_colours=True,
         needs_rig=True,
         needs_poses=True,
-        beside=("map.png", "map.yaml", "map-sheet.png"),
+        beside=(MAP_PICTURE, MAP_PLACE, "map-sheet.png"),
         takes="step",
         extras=_DEPTH,
         needs_movers=True,

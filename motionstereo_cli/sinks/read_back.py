@@ -204,12 +204,21 @@ def _unreadable(path: Path, error: DamagedImageError) -> InputError:
     return InputError(f"{path} cannot be read as an image ({error}): write it again")
 
 
-def read_mask(path: Path) -> NDArray[np.bool_]:
-    """Return where an image is not 0, (height, width) bool."""
+def read_pixels(path: Path) -> NDArray[Any]:
+    """Return an image as it is stored, (height, width) or (height, width, channels).
+
+    Raises:
+        InputError: it cannot be read.
+    """
     try:
-        mask = read_still(path).pixels
+        return read_still(path).pixels
     except DamagedImageError as error:
         raise _unreadable(path, error) from error
+
+
+def read_mask(path: Path) -> NDArray[np.bool_]:
+    """Return where an image is not 0, (height, width) bool."""
+    mask = read_pixels(path)
     return np.asarray(mask != 0 if mask.ndim == 2 else mask[..., :3].any(axis=2))
 
 
