@@ -10,6 +10,7 @@ import contextlib
 import errno
 import re
 from collections.abc import Iterator
+from pathlib import Path
 
 #: Exit codes beside 0 (done) and those of the errors below.
 DAMAGED_EXIT_CODE = 3
@@ -38,6 +39,18 @@ class InputError(MotionStereoError):
 
 class OutputError(MotionStereoError):
     """A result cannot be written."""
+
+
+class TakenError(OutputError):
+    """A file of others has the name of a result.
+
+    Attributes:
+        path: that file.
+    """
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(f"{path} is not from this run: move it, and give the command again")
+        self.path = path
 
 
 class BusyError(OutputError):

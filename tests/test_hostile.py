@@ -482,6 +482,9 @@ def test_no_planted_link_is_written_through(recording, monkeypatch, frame):
     for name in (*names, "charge.0001.mp4.part"):
         Path("out", name).unlink(missing_ok=True)
         Path("out", name).symlink_to(recording / "victim")
+    assert ran(*options, "--resume") == 1  # final names, which the run had not yet given
+    for name in ("steering.csv", "charge.mp4"):
+        Path("out", name).unlink()
     # Without a checkpoint it starts again, and an image that it had not written is not its own.
     assert ran(*options, "--resume") == (1 if frame == 2 else 0)
     assert Path("victim").read_text() == "precious"

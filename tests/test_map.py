@@ -33,6 +33,7 @@ from motionstereo_cli.robot.fused_map import (
 )
 from motionstereo_cli.robot.mapper import Floor, Mapper, apart_from, camera_points, standing
 from motionstereo_cli.robot.points import in_world, points
+from motionstereo_cli.runs.folder_files import NAMING
 from motionstereo_cli.simulate.camera import Pose as RobotPose
 from motionstereo_cli.simulate.camera import stereo_cameras
 from motionstereo_cli.simulate.corridor import FRAMES_PER_SIDE, Corridor
@@ -527,7 +528,7 @@ class TestFiles:
 
     def test_all_its_files_are_known_as_a_runs_own(self, tmp_path):
         prepared(tmp_path, ["map", "steering"])
-        for name in ("map.ply", "map.png"):
+        for name in (NAMING, "map.ply", "map.png"):
             (tmp_path / name).touch()
         part_of(tmp_path / "map.yaml").touch()
         prepared(tmp_path, ["steering"], overwrite=True)

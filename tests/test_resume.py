@@ -25,6 +25,7 @@ from motionstereo_cli.files.records import pack, unpack
 from motionstereo_cli.files.video import SegmentedVideo, VideoWriter
 from motionstereo_cli.method.settings import Settings
 from motionstereo_cli.pipeline import State, process
+from motionstereo_cli.runs import run as library
 from motionstereo_cli.runs.checkpoint import read_checkpoint, with_guided
 from motionstereo_cli.runs.folder_files import CHECKPOINT
 from motionstereo_cli.runs.interrupts import finishing
@@ -273,6 +274,45 @@ def test_the_table_of_somebody_else_is_not_taken_for_ours(command, tmp_path, cap
     assert main([*command, *args]) == 1
     assert "table.csv is there already" in capsys.readouterr().err
     assert (tmp_path / "table.csv").read_text() == "mine"
+
+
+@pytest.mark.parametrize("checkpoint", [True, False])
+@pytest.mark.parametrize("name", ["steering.csv", "map.yaml", "depth/000900.png"])
+def test_a_file_that_somebody_put_there_before_resume_stays(
+    half_done, tmp_path, capsys, name, checkpoint
+):
+    out = tmp_path / "out"
+    (out / name).write_text("mine")
+    if not checkpoint:
+        (out / CHECKPOINT).unlink()
+    before = {path: path.read_bytes() for path in out.rglob("*.*")}
+    assert main([*half_done, "--resume"]) == 1
+    assert f"{name} is not from an earlier run: move it" in capsys.readouterr().err
+    assert {path: path.read_bytes() for path in out.rglob("*.*")} == before
+
+
+@pytest.mark.parametrize("name", ["steering.csv", "charge.mp4", "map.png", "depth/000020.png"])
+def test_a_file_that_somebody_puts_there_during_a_run_stays(
+    command, undisturbed, tmp_path, capsys, monkeypatch, name
+):
+    out, whole = tmp_path / "out", library.steps
+
+    def disturbed(*args, **options):
+        for each in whole(*args, **options):
+            if each[0].index == 14:
+                (out / name).write_text("mine")
+            yield each
+
+    monkeypatch.setattr(library, "steps", disturbed)
+    args = [*command, "-o", str(out), "--csv", str(tmp_path / "table.csv")]
+    assert main(args) == 1
+    monkeypatch.undo()
+    assert f"{name} is not from this run: move it" in capsys.readouterr().err
+    assert (out / name).read_text() == "mine"
+    assert part_of(out / "steering.csv").exists()
+    (out / name).unlink()
+    assert main([*args, "--resume"]) == 0
+    assert contents(out) == contents(undisturbed)
 
 
 def test_overwrite_removes_what_a_killed_run_left(half_done, tmp_path):

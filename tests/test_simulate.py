@@ -668,6 +668,18 @@ def test_overwrite_does_not_touch_the_recordings_of_others(tmp_path):
     assert list(contents(tmp_path).values()) == [b"mine"]
 
 
+@pytest.mark.parametrize(
+    "name", ["left.mp4", "poses.txt", "rig.yaml", "objects.csv", "movers/000002.png"]
+)
+def test_a_file_that_somebody_puts_there_during_a_simulation_stays(tmp_path, name):
+    def put(_):
+        (tmp_path / name).write_text("mine")
+
+    with pytest.raises(OutputError, match=f"{name} is not from this run: move it"):
+        simulate(tmp_path, small(scene="cards", frames="3"), progress=put)
+    assert list(contents(tmp_path).values()) == [b"mine"]
+
+
 @pytest.mark.parametrize("failing", ["frame", "end"])
 @pytest.mark.parametrize("error", [KeyboardInterrupt, OutputError])
 def test_a_failure_leaves_no_file(tmp_path, monkeypatch, failing, error):

@@ -314,6 +314,7 @@ def join_pieces(plan: RunPlan, pieces: Sequence[Piece], home: Path, watcher: Wat
                 return report_of(sinks.finished, plan)
             folders = [folder_of(home, piece) for piece in pieces]
             _follow(job, folders, sinks, watcher)
+            sinks.begin_naming()
             for name in job.save:
                 if OUTPUTS[name].takes == "images":
                     _put_together(OUTPUTS[name].path, folders, plan.folder)

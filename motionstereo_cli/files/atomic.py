@@ -17,7 +17,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO, Self
 
-from motionstereo_cli.errors import OutputError
+from motionstereo_cli.errors import OutputError, TakenError
 
 #: Flags that not all systems have.
 _NO_LINK = getattr(os, "O_NOFOLLOW", 0)
@@ -187,6 +187,16 @@ def open_again(path: Path) -> int:
         OSError: there is no such file, or it cannot be opened.
     """
     return os.open(path, os.O_RDWR | _NO_LINK | _NO_WAIT | _BINARY)
+
+
+def check_free(path: Path) -> None:
+    """Make sure that nothing has a name that a run is about to give to a file of its own.
+
+    Raises:
+        TakenError: something has it.
+    """
+    if os.path.lexists(path):
+        raise TakenError(path)
 
 
 def name_part(path: Path) -> None:

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import contextlib
 import os
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence, Set
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
 from msgspec import structs
 
-from motionstereo_cli.errors import InputError, OutputError
+from motionstereo_cli.errors import InputError, OutputError, TakenError
 from motionstereo_cli.files.atomic import (
+    check_free,
     is_left_over,
     name_part,
     part_of,
@@ -31,6 +32,7 @@ from motionstereo_cli.runs.checkpoint import (
 )
 from motionstereo_cli.runs.folder_files import (
     CHECKPOINT,
+    NAMING,
     RUN,
     TABLE,
     FolderKind,
@@ -113,14 +115,14 @@ class RunFolder(Sinks):
             self._lock = held.pop_all()
         return self
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(self, *raised: object) -> None:
         with self._lock:
             self._thread.shutdown()
             if self.finished is None:
                 self._keep = self._keep and self._kind.keeps
                 super().__exit__()
                 if not self._complete:
-                    self._tidy()
+                    self._tidy({each.path for each in raised if isinstance(each, TakenError)})
 
     def checkpoint(self) -> None:
         """Begin to write what another process needs to continue after this frame.
@@ -139,7 +141,20 @@ class RunFolder(Sinks):
     def close(self) -> None:
         """Complete the outputs, see :meth:`Sinks.close`."""
         self._end_checkpoint()
+        self.begin_naming()
         super().close()
+
+    def begin_naming(self) -> None:
+        """Make sure that the final names of streams are free; from now on they are the run's.
+
+        Raises:
+            OutputError: another file has one, or the folder cannot be written.
+        """
+        paths = [path for name in self._outputs for path in self._kind.outputs[name]]
+        finals = {self.path / path for path in (*paths, self._kind.record) if "{" not in path}
+        for path in sorted(finals - written(self.path, self._kind)):
+            check_free(path)
+        write_whole(self.path / NAMING, b"")
 
     def _end_checkpoint(self) -> None:
         """Wait for the checkpoint that is being written."""
@@ -230,7 +245,7 @@ class RunFolder(Sinks):
                 if since := read_checkpoint(self.path / CHECKPOINT, self._identity, self._check):
                     self.state, self.totals = since.state, since.totals
                     self._marks, self._keep = since.sinks, True
-                    self._check_table()
+                    self._former_files()
                     return
         self.prepare()
 
@@ -250,10 +265,13 @@ class RunFolder(Sinks):
         with reported(self.path):
             if self._table is not None and os.path.lexists(self._table):
                 remove(self._table.parent, [self._table])
+            naming = self.path / NAMING
             if self._record in former:  # incomplete from now on, and still this program's
+                write_whole(naming, b"")
                 unname(self._record)
             # From the last image to the first: of an interrupted run, the images up to a gap count.
-            remove(self.path, sorted(former - {self._record, self._part}, reverse=True))
+            kept = {self._record, self._part, naming}
+            remove(self.path, [*sorted(former - kept, reverse=True), naming])
             remove_empty_folders(self.path, self._kind)
         write_whole(self._part, self._kind.format(self._identity))
 
@@ -329,11 +347,11 @@ class RunFolder(Sinks):
         with reported(self.path):
             remove(self.path, sorted(temporary(self.path, self._kind, names)))
 
-    def _tidy(self) -> None:
-        """Remove what a failed run left, if none of it is of use."""
+    def _tidy(self, foreign: Set[Path]) -> None:
+        """Remove what a failed run left, if none of it is of use, but no files of others."""
         with contextlib.suppress(OSError):
             if not self._kind.keeps or written(self.path, self._kind) == {self._part}:
-                _remove_all(self.path, self._kind)
+                _remove_all(self.path, self._kind, foreign)
 
 
 def record_of(out: Path, kind: FolderKind = RUN) -> FolderRecord | None:
@@ -357,9 +375,10 @@ def discard(out: Path, kind: FolderKind) -> None:
             remove_empty(out)
 
 
-def _remove_all(out: Path, kind: FolderKind) -> None:
-    """Remove what records list, and these last."""
-    found = written(out, kind)
-    records = [path for path in (out / kind.record, part_of(out / kind.record)) if path in found]
+def _remove_all(out: Path, kind: FolderKind, foreign: Set[Path] = frozenset()) -> None:
+    """Remove what records list, except files of others, and the records last."""
+    found = written(out, kind) - foreign
+    last = (out / NAMING, out / kind.record, part_of(out / kind.record))
+    records = [path for path in last if path in found]
     remove(out, [*sorted(found.difference(records), reverse=True), *records])
     remove_empty_folders(out, kind)

@@ -29,6 +29,9 @@ from motionstereo_cli.sinks.records import FolderRecord, OutputRecord, RunRecord
 #: The checkpoint; removed when the run is complete.
 CHECKPOINT = "run.checkpoint"
 
+#: There while outputs get or have their final names, until the run is complete.
+NAMING = "run.naming"
+
 #: The steering table for another place, until it is complete.
 TABLE = "table"
 
@@ -90,10 +93,14 @@ def written(out: Path, kind: FolderKind) -> set[Path]:
         frames = record.counts.written if record.counts else None
         first = record.first or 0
         at_least = frames_of(out / CHECKPOINT)
+        # Until then, a stream has no more than its .part name.
+        named = path.name == kind.record or os.path.lexists(out / NAMING)
         written.add(path)
         written |= temporary(out, kind, names)
         for target in (path for name in names for path in kind.outputs[name]):
             present = present_of(out, target)
+            if not named:
+                present.discard(out / target)
             written |= up_to(frames, present, at_least, first) if "{" in target else present
         if kind is RUN and is_report(out / PAGE):
             written.add(out / PAGE)  # of the command report
@@ -126,7 +133,7 @@ def temporary(out: Path, kind: FolderKind, outputs: Iterable[str]) -> set[Path]:
     """
     paths = [path for name in outputs for path in kind.outputs[name]]
     streams = [Path(path) for path in paths if "{" not in path]
-    names = {CHECKPOINT, *(part_of(path).name for path in (out / TABLE, *streams))}
+    names = {CHECKPOINT, NAMING, *(part_of(path).name for path in (out / TABLE, *streams))}
     folders = {(out / path).parent for path in paths} - {out}
     return {
         path

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from msgspec import UNSET
 
-from motionstereo_cli.files.atomic import write_whole
+from motionstereo_cli.files.atomic import check_free, write_whole
 from motionstereo_cli.files.encode import encode_png
 from motionstereo_cli.files.folders import make_folder
 from motionstereo_cli.files.video import VideoWriter
@@ -83,9 +83,12 @@ def simulate(
             for video, image in zip(videos, (shot.left, shot.right), strict=True):
                 video.write(image, number)
             truth = out / _DISPARITY.format(number)
+            check_free(truth)
             write_whole(truth, encode_png(disparity_png(shot.disparity_px)))
             if shot.mover is not None and objects is not None:
-                write_whole(out / _MOVERS.format(number), encode_png(shot.mover))
+                movers = out / _MOVERS.format(number)
+                check_free(movers)
+                write_whole(movers, encode_png(shot.mover))
                 objects.add(object_row(number, each) for each in shot.objects)
             poses.append(format_pose(number / settings.frame_rate, shot.pose.rig_pose))
             progress(shot)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import itertools
 import math
 import os
 from collections.abc import Callable, Iterable, Iterator
@@ -13,6 +14,7 @@ from pathlib import Path
 
 from motionstereo_cli.errors import OutputError
 from motionstereo_cli.files.atomic import (
+    check_free,
     name_part,
     open_again,
     open_new,
@@ -158,14 +160,19 @@ class NumberedFiles:
         self._path = path
         self._unsynced: list[Path] = []
         self._mark: FilesMark = (0, "")
+        self._kept = 0  # files of an earlier process have lower numbers; they are written again
         make_folder(path.parent)
         if since is not None:
             self._check(restored(since, FilesMark))
+            numbers = itertools.count(self._mark[0])
+            self._kept = next(n for n in numbers if not os.path.lexists(self._named(n)))
 
     def add(self, number: int, content: bytes) -> None:
         """Write the file of a frame."""
         self._check_folder()
         path = self._named(number)
+        if number >= self._kept:
+            check_free(path)
         with self._link_told():
             write_whole(path, content)
         self._unsynced.append(path)
