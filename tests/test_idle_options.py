@@ -202,8 +202,11 @@ class TestSaid:
     def test_by_figure(self, recording, tmp_path, capsys):
         views = [str(recording / "left.mp4"), str(recording / "right.mp4")]
         out = ["--frames", "1", "-o", str(tmp_path / "sheet.png"), "--charge-gain", "5"]
-        assert main(["figure", *views, *out]) == 0
-        assert self.NOTE in capsys.readouterr().err
+        no_advice = ["--robot-radius-m", "2", "--steer-gain", "0.9"]  # it has no --save
+        assert main(["figure", *views, *out, *no_advice]) == 0
+        said = capsys.readouterr().err
+        assert self.NOTE in said
+        assert said.count("has no effect") == 1
 
     def test_by_drive(self, tmp_path, capsys):
         words = [str(tmp_path / "out"), "--max-frames", "2", "--charge-gain", "5"]
@@ -246,7 +249,7 @@ class TestSaid:
 
 def test_a_condition_of_several_options():
     item = next(each for each in conditional(Settings) if each.name == "robot_radius_m")
-    assert item.missing({"--poses", "--save preview"}) == ""
-    assert item.missing({"--poses"}) == "--save steering, preview or bag"
-    assert item.missing({"--save preview"}) == "--poses"
+    assert item.missing({"--rig", "--save preview"}) == ""
+    assert item.missing({"--rig"}) == "--save steering, preview or bag"
+    assert item.missing({"--save preview"}) == "--rig"
     assert param(1, "A number.").metadata["help"] == "A number."

@@ -19,6 +19,7 @@ from motionstereo_cli.simulate.drive_world import MAX_FORWARD_M, Command, PlanWo
 from motionstereo_cli.simulate.floor_plan import plan_names, prisms, read_plan
 from motionstereo_cli.simulate.plan_scene import Outlines, PlanScene
 from motionstereo_cli.simulate.settings import DriveSettings
+from motionstereo_cli.simulate.truth import moving_objects
 
 PLAN = """
 about = "A room with one of each."
@@ -103,6 +104,9 @@ WRONG = [
         "robot.start: boxes[0] is nearer than the robot's radius",
     ),
     ("heading_deg = 20", "goal = [2, 0.5]", "the goal 2,0.5 lies in boxes[0]: give one that"),
+    ("heading_deg = 20", "goal = [1, -2]", "the goal 1,-2 lies in walls[0]"),
+    ("heading_deg = 20", "goal = [1.5, 1.4]", "the goal 1.5,1.4 lies in poles[0]"),
+    ("heading_deg = 20", "goal = [0.3, 0]", "the goal 0.3,0 is within 0.5 m of the start: give"),
     ("start = [0, 0]", "start = [0, 0, 0]", "robot.start: expected array of length 2"),
     ("heading_deg = 20", "latency_frames = 1.5", "robot.latency_frames: expected int, got float"),
     ("[4, 3], [-3, 3]", "[4, 3], [4, 3]", "walls[0].points: two follow one another"),
@@ -291,6 +295,19 @@ def test_latency_speed_and_drift_are_those_of_the_plan(tmp_path):
     assert straight.believed == straight.robot
 
 
+@pytest.mark.parametrize(("speed_mps", "contact_s"), [(1, 50), (0.5, None), (-1, None)])
+def test_no_true_time_to_contact_is_over_a_minute(speed_mps, contact_s):
+    (thing,) = moving_objects(
+        np.ones((2, 3), np.uint8),
+        np.full((2, 3), 50, np.float32),
+        0.0,
+        lambda _: FloorPose(0.0, 0.0, 0.0),
+        lambda time_s: {1: (50 - speed_mps * time_s, 0.0)},
+    )
+    assert thing.closing_mps == pytest.approx(speed_mps)
+    assert thing.time_to_contact_s == (contact_s and pytest.approx(contact_s))
+
+
 def test_a_goal_that_is_reached_ends_the_drive(tmp_path):
     one = world(tmp_path, PLAN.replace("heading_deg = 20", "heading_deg = 180\ngoal = [-2, 0]"))
     while one.ended is None:
@@ -305,8 +322,8 @@ def test_a_goal_on_the_command_line_comes_before_that_of_the_plan(tmp_path, caps
     path.write_text(PLAN.replace("heading_deg = 20", "heading_deg = 180\ngoal = [-2, 0]"))
     size = ["--width", "64", "--height", "48"]
     goal = ["--goal", "0.3,-0.2", "--max-frames", "3"]
-    assert main(["drive", str(tmp_path / "out"), "--world", str(path), *size, *goal]) == 0
-    assert "goal reached" in capsys.readouterr().err
+    assert main(["drive", str(tmp_path / "out"), "--world", str(path), *size, *goal]) == 1
+    assert "the goal 0.3,-0.2 is within 0.5 m of the start" in capsys.readouterr().err
     far = ["--goal", "-2,0", "--max-frames", "1", "--overwrite"]
     assert main(["drive", str(tmp_path / "out"), "--world", str(path), *size, *far]) == 0
     assert re.search(

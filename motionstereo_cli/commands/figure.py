@@ -82,7 +82,9 @@ def figure(
     with open_stereo(left, right, input_settings) as source:
         calibration = rectify_source(source, rig, rig_settings)
         present = settings.options | ({"--rig"} if calibration else set())
-        say_idle(present, input_settings, rig_settings, settings)
+        say_idle(present, input_settings, rig_settings)
+        # No advice to give options that it does not have.
+        say_idle(present | {"--rig", "--poses", "--save steering", "--save map"}, settings)
         for line in calibration.warnings if calibration else ():
             say("warning", line)
         inputs = (*source.paths, *rig, *config_files())

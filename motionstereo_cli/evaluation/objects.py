@@ -182,40 +182,53 @@ def read_objects(path: Path, settings: EvaluateSettings) -> list[ObjectBox]:
     return [replace(box, frame=numbering.of(box.frame)) for box in _of_table(path)]
 
 
+#: Largest number of a frame and largest side of a box that are taken for true.
+_MAX_FRAME, _MAX_PX = 10**9, 10**6
+
+
 def _of_table(path: Path) -> Iterator[ObjectBox]:
     seen: set[tuple[int, str]] = set()
     for frame, row in Table(path):
-        if frame < 0:
+        if not 0 <= frame <= _MAX_FRAME:
             raise InputError(f"{path}: {frame} is no frame of a recording: write it again")
         name = row.get("id", "")
         if (frame, name) in seen:
             raise InputError(f"{path}: object {name} comes twice in frame {frame}")
         seen.add((frame, name))
-        shadow = row.get("shadow", "")
-        if shadow not in ("", "0", "1"):
-            raise InputError(
-                f"{path}, frame {frame}: shadow is {shortened(shadow)}: give 0, 1, or nothing"
-            )
-        if shadow == "1":  # it says that this is no object
+        for column in ("shadow", "by_itself"):
+            if row.get(column, "") not in ("", "0", "1"):
+                said = shortened(row[column])
+                raise InputError(
+                    f"{path}, frame {frame}: {column} is {said}: give 0, 1, or nothing"
+                )
+        if row.get("shadow") == "1":  # it says that this is no object
             continue
 
         def number(column: str, row: dict[str, str] = row, frame: int = frame) -> float:
             cell = row.get(column, "")
+            if not cell:
+                return math.nan
             try:
-                return float(cell) if cell else math.nan
+                value = float(cell)
             except ValueError:
+                value = math.nan
+            if not math.isfinite(value):
                 raise InputError(
                     f"{path}, frame {frame}: {column} is {shortened(cell)}: give a number"
-                ) from None
+                )
+            return value
 
         x, y, width, height = (number(column) for column in ("x", "y", "width", "height"))
-        if not (math.isfinite(x + y) and width > 0 and height > 0):
+        if not (math.isfinite(x + y) and 0 < width <= _MAX_PX and 0 < height <= _MAX_PX):
             raise InputError(
                 f"{path}, frame {frame}: an object has no box: give x, y, width, height"
             )
+        depth_m = number("depth_m")
+        if depth_m < 0:
+            raise InputError(f"{path}, frame {frame}: depth_m is {depth_m:g}: give 0 or more")
         yield ObjectBox(
             *(frame, name, x, y, x + width, y + height),
-            *(number("depth_m"), number("closing_mps"), number("time_to_contact_s")),
+            *(depth_m, number("closing_mps"), number("time_to_contact_s")),
             number("over_ground_mps"),
             row.get("by_itself") != "0",
         )

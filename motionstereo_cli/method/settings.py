@@ -322,7 +322,7 @@ class Settings:
         low=0.05,
         high=5,
         group="Guidance",
-        only_with=f"--poses and {_STEERING}",
+        only_with=f"--rig and {_STEERING}",
     )
     robot_below_m: float = param(
         1.1,

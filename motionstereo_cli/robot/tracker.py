@@ -253,7 +253,7 @@ class Tracker:
             height=last.region.height,
             depth_m=ahead if self.rig else None,
             closing_mps=closing if self.rig else None,
-            time_to_contact_s=_contact_s(ahead, closing),
+            time_to_contact_s=contact_s(ahead, closing),
             confidence=trust(track, moves),
             place_m=last.place_m if in_world else None,
             velocity_mps=moves.over_ground_mps if in_world and moves else None,
@@ -331,7 +331,7 @@ def _is_part(region: Region, other: Region) -> bool:
     return inside and off_px <= _PART_SHARE * other.nearness_px
 
 
-def _contact_s(ahead: float, closing: float | None) -> float | None:
+def contact_s(ahead: float, closing: float | None) -> float | None:
     """Return the time to contact; None if the object does not approach, or it is too long."""
     if closing is None or closing * MAX_CONTACT_S < ahead:
         return None

@@ -60,6 +60,7 @@ PASSED_OVER_M = 0.1
 _KEPT_CLEAR_M = EYE_HEIGHT_M + Settings().robot_above_m
 #: A goal is reached within this distance.
 GOAL_M = 0.5
+_REACHED = "goal reached"
 
 #: Angle to its heading from which it only turns.
 _TURN_ONLY_RAD = math.radians(22)
@@ -165,6 +166,11 @@ class RobotWorld:
         self.nearest_pass_m = math.inf
         self.ended: str | None = None
         self._judge()
+        if goal is not None and self.ended == _REACHED:
+            raise InputError(
+                f"{settings.world}: the goal {goal[0]:g},{goal[1]:g} is within {GOAL_M:g} m of the "
+                "start: give one that is further away"
+            )
 
     @property
     def laps(self) -> float:
@@ -208,7 +214,7 @@ class RobotWorld:
     def _finished(self) -> str | None:
         """Return why the drive is over, although nothing was touched; None if it goes on."""
         away_m = self.to_goal_m
-        return "goal reached" if away_m is not None and away_m <= GOAL_M else None
+        return _REACHED if away_m is not None and away_m <= GOAL_M else None
 
     @property
     def to_goal_m(self) -> float | None:
@@ -469,7 +475,7 @@ class PlanWorld(RobotWorld):
             )
         if self.goal is not None and self._outlines is not None:
             away_m, what = self._outlines.nearest(*self.goal)
-            if away_m + GOAL_M <= ROBOT_RADIUS_M:
+            if away_m <= 0:
                 raise InputError(
                     f"{settings.world}: the goal {self.goal[0]:g},{self.goal[1]:g} lies in {what}: "
                     "give one that the robot can reach"

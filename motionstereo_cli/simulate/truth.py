@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from motionstereo_cli.robot.tracker import contact_s
 from motionstereo_cli.simulate.camera import FloorPose
 from motionstereo_cli.types import MovingObject
 
@@ -52,7 +53,7 @@ def moving_objects(
             height=int(np.ptp(rows)) + 1,
             depth_m=ahead_m,
             closing_mps=closing_mps,
-            time_to_contact_s=ahead_m / closing_mps if closing_mps > 0 else None,
+            time_to_contact_s=contact_s(ahead_m, closing_mps),
             confidence=1.0,
             place_m=(float(places[number][0]), float(places[number][1])),
             velocity_mps=(float(way_m[0]) / _MOMENT_S, float(way_m[1]) / _MOMENT_S),
