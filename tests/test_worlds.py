@@ -12,8 +12,10 @@ from click.testing import CliRunner
 from bench import drive as bench
 from motionstereo_cli.__main__ import main
 from motionstereo_cli.commands import cli
+from motionstereo_cli.errors import OutputError
 from motionstereo_cli.robot.mapper import Floor
 from motionstereo_cli.simulate.camera import EYE_HEIGHT_M, FloorPose, stereo_cameras
+from motionstereo_cli.simulate.drive import drive
 from motionstereo_cli.simulate.drive_plan import Plan, plan_sheet
 from motionstereo_cli.simulate.drive_world import MAX_FORWARD_M, Command, PlanWorld, world_of
 from motionstereo_cli.simulate.floor_plan import plan_names, prisms, read_plan
@@ -361,3 +363,20 @@ def test_the_table_of_plans_says_how_drives_ended(tmp_path, capsys):
     assert table[0] == "| world | true depth |"
     assert table[2].startswith(f"| {path} | 0.")
     assert table[3].endswith("touched in 0 of 1 |")
+
+
+@pytest.mark.parametrize("name", ["left.mkv", "steering.csv", "plan.png", "drive.json"])
+def test_a_file_that_somebody_puts_there_during_a_drive_stays(tmp_path, name):
+    out = tmp_path / "out"
+
+    def put(_):
+        (out / name).write_text("mine")
+        (out / "map.png").write_text("mine, too")
+
+    driven = world(tmp_path, PLAN, max_frames=2)
+    with pytest.raises(OutputError, match=f"({name}|map.png) is not from this run: move it"):
+        drive(out, driven, progress=put)
+    assert {path.name: path.read_text() for path in out.iterdir() if path.suffix} == {
+        name: "mine",
+        "map.png": "mine, too",
+    }
