@@ -138,8 +138,8 @@ class StreamContext(NamedTuple):
         guide: computes the headings.
         tracker: follows moving objects; None if not requested.
         odometer: finds the rig's own motion; None if not requested.
-        mover_finder: finds movers; None if not requested.
-        objects_are_movers: while the rig moves, only movers may be objects.
+        mover_finder: finds movers, of which objects then are, while the rig moves; None if not
+            requested.
         extras: which of :data:`EXTRAS` the images have.
         with_points: whether steps have points.
         poses_are_given: a frame without a pose is one in which the rig is lost.
@@ -151,7 +151,6 @@ class StreamContext(NamedTuple):
     tracker: Tracker | None
     odometer: robot.odometer.Odometer | None
     mover_finder: robot.mover_finder.MoverFinder | None
-    objects_are_movers: bool
     extras: frozenset[str]
     with_points: bool
     poses_are_given: bool
@@ -167,7 +166,6 @@ class StreamContext(NamedTuple):
         poses_are_given: bool = False,
         with_own_motion: bool = False,
         with_movers: bool = False,
-        objects_are_movers: bool = True,
         motion_offset_px: float = 0.0,
         extras: Collection[str] = EXTRAS,
         with_points: bool = False,
@@ -196,9 +194,8 @@ class StreamContext(NamedTuple):
                     mended, settings.reference, settings.max_disparity
                 )
         finders = tracker, odometer, mover_finder
-        objects_are_movers &= mover_finder is not None
         asked = frozenset(extras), with_points, poses_are_given
-        return cls(settings, rig, guide, *finders, objects_are_movers, *asked)
+        return cls(settings, rig, guide, *finders, *asked)
 
 
 def process(
@@ -221,9 +218,8 @@ def process(
         pose_of: returns the pose of the rig, None where it is lost; called once per frame, in
             order. With it and a rig, the guidance keeps a map of its surroundings. ``auto``: poses
             are found from the frames, in the robot frame of the first one.
-        with_objects: find moving objects; with poses, the guidance keeps clear of them. With poses
-            and a rig they are what moves by itself, as of ``run --save objects``: the rig's own
-            motion is found besides given poses to tell that.
+        with_objects: find moving objects. With poses and a rig they are what moves by itself, as of
+            ``run --save objects``: the rig's own motion is found besides given poses to tell that.
         extras: which of :data:`EXTRAS` the results have; the others are None, and take no time.
         jobs: frames matched at a time; with more than one, up to so many are read before a result
             is given.
@@ -334,7 +330,7 @@ def follow(
         # Where the rig is lost, nothing is known of places in the world.
         regions = () if is_lost else summary.regions
         tracks, objects = context.tracker.follow(tracks, regions, summary.time, pose)
-    seen = summary.profile, pose, objects, summary.time.time_s
+    seen = summary.profile, pose, summary.time.time_s
     guided, steering = context.guide.steer(tracking.guided, *seen)
     return TrackingState(guided, tracks, path), Step(
         time=summary.time,
@@ -441,11 +437,7 @@ def with_movers(
         time_s=summary.time.clock_s,
     )
     charge = charged(before.own_charge, moved, context.settings)
-    if (
-        context.tracker
-        and context.objects_are_movers
-        and not robot.mover_finder.stands(summary.motion)
-    ):
+    if context.tracker and not robot.mover_finder.stands(summary.motion):
         regions = context.tracker.moving_regions(movers.disparity_px, velocity_mps)
         summary = replace(summary, regions=regions)
     if summary.points is not None and context.rig is not None:
@@ -523,7 +515,7 @@ def described(
     """
     s, rig, disparity_px = context.settings, context.rig, found.disparity_px
     regions: tuple[Region, ...] = ()
-    if context.tracker and (not context.objects_are_movers or robot.mover_finder.stands(motion)):
+    if context.tracker and (context.mover_finder is None or robot.mover_finder.stands(motion)):
         fresh = age_of(shown, s) <= FRESH_FRAMES
         regions = context.tracker.regions(disparity_px, fresh, earlier, PARTS_PER_PX)
     images = FrameImages(

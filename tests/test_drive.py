@@ -290,6 +290,10 @@ def test_run_on_the_recordings_with_the_poses_gives_the_same_steering(drive_out,
     assert done.exit_code == 0, done.output
     steered = (tmp_path / "with" / "steering.csv").read_bytes()
     assert steered == (drive_out / "steering.csv").read_bytes()
+    # Whatever else is saved.
+    rest = ("--save", "objects,preview,report,map,own-charge", "-o", tmp_path / "all")
+    assert motionstereo("run", *recordings, *poses, *rest).exit_code == 0
+    assert (tmp_path / "all" / "steering.csv").read_bytes() == steered
     motionstereo("run", *recordings, "--save", "steering", "--no-check", "-o", tmp_path / "without")
     assert (tmp_path / "without" / "steering.csv").read_bytes() != steered
 

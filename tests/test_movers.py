@@ -259,11 +259,10 @@ def test_what_moves_by_itself_is_not_in_a_map_that_has_poses_and_the_heading_is_
         context = StreamContext.of(
             *(Settings(max_disparity=48), rig),
             with_poses=True,
-            with_objects=True,
+            with_objects=with_movers,
             poses_are_given=True,
             with_own_motion=with_movers,
             with_movers=with_movers,
-            objects_are_movers=False,
             extras=("depth_m",),
             with_points=True,
         )

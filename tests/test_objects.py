@@ -23,7 +23,6 @@ from motionstereo_cli.method.steady import in_parts
 from motionstereo_cli.pipeline import process
 from motionstereo_cli.robot import objects
 from motionstereo_cli.robot.assignment import assignment
-from motionstereo_cli.robot.guide import MapGuide, nearest_contact
 from motionstereo_cli.robot.objects import (
     CELL_PX,
     Observation,
@@ -461,69 +460,6 @@ class TestTracker:
             tracks, seen = tracker.follow(tracks, regions, frame(n, time_s).time)
             ids.append([one.id for one in seen])
         assert ids == [[], [], [1], [], [], [2]]
-
-
-def thing(number=1, *, there_s=2.0, confidence=0.5, depth_m=2.0, **rest):
-    box = {"x": 68, "y": 36, "width": 24, "height": 24}
-    return MovingObject(
-        number,
-        **{**box, "depth_m": depth_m, "closing_mps": 1.0, **rest},
-        time_to_contact_s=there_s,
-        confidence=confidence,
-    )
-
-
-class TestNearestContact:
-    def test_the_first_to_arrive_counts_if_it_is_soon_and_to_be_believed(self):
-        things = [
-            thing(1, there_s=None),
-            thing(2, there_s=2.5),
-            thing(3, there_s=1.5),
-            thing(4, there_s=0.5, confidence=0.1),
-            thing(5, there_s=0.5, shadow=True),
-        ]
-        assert nearest_contact(things).id == 3
-        assert nearest_contact(things[:1]) is None
-        assert nearest_contact([thing(there_s=3.5)]) is None
-        assert nearest_contact([]) is None
-
-    def way(self, *objects):
-        """Steer to a wall 6 m away, between others, that has been seen for long."""
-        guide, state = MapGuide(Settings(), RIG), None
-        near = np.full((HEIGHT, WIDTH), FB / 6, np.float32)
-        near[:, : WIDTH // 8] = near[:, -(WIDTH // 8) :] = FB / 4
-        fresh, pose = np.full(near.shape, True), Pose(0, 0, 0, 0, 0, 0, 1)
-        seen = guide.profile(near, fresh)
-        for number in range(20):
-            state, steering = guide.steer(state, seen, pose, objects if number >= 15 else ())
-        return steering
-
-    def walker(self, **changes):
-        """Who will be 1.5 m ahead within a second, and is now to the right of the way."""
-        at = {"place_m": (2.0, -0.8), "velocity_mps": (-0.5, 0.8), **changes}
-        return thing(**at)
-
-    def test_the_way_ends_where_it_will_be(self):
-        free = self.way()
-        assert free.depth_m > 3
-        assert abs(free.steer) < 0.1
-        careful = self.way(self.walker())
-        assert careful.depth_m is None or careful.depth_m < 1.5 or careful.steer > 0.3
-
-    @pytest.mark.parametrize(
-        "changes",
-        [
-            {"velocity_mps": (0.0, 0.1)},  # the map has what stands
-            {"velocity_mps": (-9.0, 0.0)},  # a mistake
-            {"y": 94, "height": 2, "depth_m": 4.0},  # on the floor
-            {"confidence": 0.1},
-            {"shadow": True},
-            {"there_s": None},
-            {"place_m": None},
-        ],
-    )
-    def test_what_is_none_of_that_changes_nothing(self, changes):
-        assert self.way(self.walker(**changes)) == self.way()
 
 
 def test_the_table_to_the_letter(tmp_path):

@@ -7,7 +7,6 @@ profiles it computes headings in order; its state is a value that is passed in a
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
 
@@ -53,26 +52,10 @@ from motionstereo_cli.robot.local_map import (
     seen,
 )
 from motionstereo_cli.robot.route import toward
-from motionstereo_cli.types import MovingObject, Pose, Rig, Steering
+from motionstereo_cli.types import Pose, Rig, Steering
 
 if TYPE_CHECKING:
     from motionstereo_cli.types import Real
-
-#: An object is a contact if its time to contact is below this, with at least this confidence. The
-#: robot keeps clear of the first contact's positions after each of these times.
-CONTACT_S = 3.0
-MIN_CONFIDENCE = 0.2
-FORESEEN_S = (0.5, 1.0)
-
-#: Standing objects are in the map: a contact moves over ground, faster than the first speed. Above
-#: the second it is a mistake. It is at most this wide.
-CONTACT_MPS = (0.3, 2.5)
-CONTACT_RADIUS_M = 0.5
-
-#: A contact is a standing object if the map has more evidence than this within this distance of it:
-#: a wall that the camera passes always shows new parts, as if it moved along.
-STANDS = 3.0
-STANDS_WITHIN_M = 0.25
 
 #: Where somebody walks, what one frame sees is an obstacle up to this distance: it is elsewhere in
 #: the next.
@@ -128,7 +111,6 @@ class Guide(Protocol, Generic[_Profile, _State]):
         state: _State | None,
         seen: _Profile,
         pose: Pose | None = None,
-        objects: Iterable[MovingObject] = (),
         time_s: float | None = None,
     ) -> tuple[_State | None, Steering]:
         """Return the state after a frame, and its heading.
@@ -137,7 +119,6 @@ class Guide(Protocol, Generic[_Profile, _State]):
             state: the state before; None at the first frame.
             seen: the profile of the frame.
             pose: the pose of the rig; None where it is lost, or nothing is known of poses.
-            objects: moving objects; the guide avoids the first to arrive.
             time_s: when it was taken; None where the source has no time.
         """
 
@@ -147,18 +128,6 @@ def guide_of(settings: Settings, rig: Rig | None, *, with_poses: bool) -> Guide[
     if rig is None or not with_poses:
         return ImageGuide(settings, rig)
     return MapGuide(settings, rig)
-
-
-def nearest_contact(objects: Iterable[MovingObject]) -> MovingObject | None:
-    """Return the object with the least time to contact, no shadow; None if none arrives soon."""
-    first, first_s = None, CONTACT_S
-    for each in objects:
-        there_s = each.time_to_contact_s
-        if each.shadow or each.confidence < MIN_CONFIDENCE:
-            continue
-        if there_s is not None and there_s < first_s:
-            first, first_s = each, there_s
-    return first
 
 
 @dataclass(frozen=True, slots=True)
@@ -229,7 +198,6 @@ class ImageGuide:
         state: ImageHeading | None,
         seen: ImageProfile,
         _: Pose | None = None,
-        __: Iterable[MovingObject] = (),
         time_s: float | None = None,
     ) -> tuple[ImageHeading, Steering]:
         """Return the last heading and the steering, see :meth:`Guide.steer`."""
@@ -375,7 +343,6 @@ class MapGuide:
         state: MapCourse | None,
         seen_now: MapProfile,
         pose: Pose | None = None,
-        objects: Iterable[MovingObject] = (),
         time_s: float | None = None,
     ) -> tuple[MapCourse | None, Steering]:
         """Return the map and the course after a frame, and the steering, see :meth:`Guide.steer`.
@@ -408,8 +375,7 @@ class MapGuide:
             yaws = [each for _, _, each in trail[-TURN_FRAMES - 1 :]]
             course = taken_along(course, yaws, before.asked_rad)
         turned_rad = math.remainder(yaw - before.pose.yaw_rad, math.tau)
-        contact = nearest_contact(objects)
-        course, free_m, is_known = self._planned(course, known, pose, turned_rad, contact)
+        course, free_m, is_known = self._planned(course, known, pose, turned_rad)
         angle_rad = math.remainder(course.heading_rad - yaw, math.tau)
         place = steadied(before.place, self._place_of(angle_rad, width), s.steer_gain)
         half_way = s.robot_radius_m / self.rig.baseline_m
@@ -432,12 +398,7 @@ class MapGuide:
         )
 
     def _planned(
-        self,
-        course: Course,
-        known: LocalMap,
-        pose: Pose,
-        turned_rad: float,
-        contact: MovingObject | None,
+        self, course: Course, known: LocalMap, pose: Pose, turned_rad: float
     ) -> tuple[Course, float | None, bool]:
         """Return the next course, the free distance on it in m, and whether any cell is known.
 
@@ -446,7 +407,6 @@ class MapGuide:
             known: the map.
             pose: the rig's.
             turned_rad: how far the rig has turned since the last frame.
-            contact: the object to keep clear of.
         """
         s, yaw_rad = self.settings, pose.yaw_rad
         middle = known.cells_of(pose.x_m, pose.y_m)
@@ -454,7 +414,6 @@ class MapGuide:
         if known.walks_frames:
             near = cells_within(free.shape, middle, _NEAR_M, CELL_M)
             occupied |= near & (known.evidence > ONE_HIT)
-        occupied |= self._foreseen(contact, known)
         is_known = bool(occupied.any() or free.any())
         directions_rad = yaw_rad + DIRECTIONS_RAD
         if s.goal_m is None:
@@ -521,31 +480,6 @@ class MapGuide:
                 slant = turned_rad / way_m * _ARC_AIM_M / 2
                 return self._place_of(math.atan(slant), width)
         return None
-
-    def _foreseen(self, contact: MovingObject | None, known: LocalMap) -> NDArray[np.bool_]:
-        """Return the cells of the map where a contact will be."""
-        cells = np.zeros(known.evidence.shape, np.bool_)
-        if contact is None or contact.depth_m is None:
-            return cells
-        if contact.place_m is None or contact.velocity_mps is None:
-            return cells
-        m_per_px = contact.depth_m / self.rig.focal_px
-        up_m = (self.rig.cy - contact.y - contact.height / 2) * (contact.depth_m / self.rig.fy_px)
-        in_way = -self.settings.robot_below_m < up_m < self.settings.robot_above_m
-        low_mps, high_mps = CONTACT_MPS
-        if not (in_way and low_mps <= math.hypot(*contact.velocity_mps) <= high_mps):
-            return cells
-        radius_m = min(contact.width * m_per_px / 2, CONTACT_RADIUS_M)
-        (x, y), (vx, vy) = contact.place_m, contact.velocity_mps
-
-        def around(after_s: float, radius_m: float) -> NDArray[np.bool_]:
-            there_m = x + vx * after_s, y + vy * after_s
-            return cells_within(cells.shape, known.cells_of(*there_m), radius_m, CELL_M)
-
-        if not (known.evidence[around(0, STANDS_WITHIN_M)] > STANDS).any():
-            for after_s in FORESEEN_S:
-                cells |= around(after_s, radius_m)
-        return cells
 
     def _place_of(self, angle_rad: float, width: int) -> float:
         """Return the position across the image of an angle, clipped to the image."""

@@ -125,17 +125,14 @@ class Job:
     def stream(self) -> StreamContext:
         """What the processing has to find for the outputs."""
         rows = [OUTPUTS[name] for name in self.save]
-        with_poses = self.plan.poses is not None
         return StreamContext.of(
             self.plan.settings,
             self.context.rig,
-            with_poses=with_poses,
-            with_objects=with_poses or any(row.needs_objects for row in rows),
+            with_poses=self.plan.poses is not None,
+            with_objects=any(row.needs_objects for row in rows),
             poses_are_given=self.poses is not None,
             with_own_motion=self.with_own_motion,
             with_movers=self.with_own_motion and any(row.needs_movers for row in rows),
-            # The heading is the same with a map and without.
-            objects_are_movers=any(row.needs_objects for row in rows),
             motion_offset_px=self.motion_offset_px,
             extras={extra for row in rows for extra in row.extras},
             with_points=any(row.needs_points for row in rows),

@@ -188,11 +188,10 @@ def driven(
     stream = StreamContext.of(
         *(settings, world.settings.rig),
         with_poses=True,
-        with_objects=True,
+        with_objects=False,
         poses_are_given=True,
         with_own_motion=with_map,
         with_movers=with_map,
-        objects_are_movers=False,
         with_points=with_map,
         extras=("depth_m",),
     )
