@@ -573,6 +573,30 @@ def test_shadows_on_the_floor_below_a_camera_lie_on_it():
     assert marks == {1.7: False, 2.7: True}
 
 
+@pytest.mark.parametrize(
+    ("opening", "deep_m", "marks"),
+    [
+        (0, 2.7, {True}),  # a shadow
+        (0, 3.1, {True}),  # a reflection in the floor
+        (60, 3.1, {False}),  # somebody in a doorway, behind whom it is 6 m
+    ],
+)
+def test_only_a_surface_that_fills_the_view_has_nothing_behind_it(opening, deep_m, marks):
+    """What was 1 m before the surface goes on as what lies on it, or deeper."""
+    moved = np.zeros((HEIGHT, WIDTH), np.bool_)
+    moved[20:50, 20:50] = True
+    near = np.full(moved.shape, FB / 2.7, np.float32)
+    near[:, 10 : 10 + opening] = FB / 6
+    tracker, tracks, seen = Tracker(Settings(), RIG), Tracks(), []
+    for n in range(12):
+        near[moved] = FB / min(1.7 + 0.15 * n, deep_m)
+        tracks, rows = tracker.follow(tracks, tracker.regions(near, moved), frame(n, n / 10).time)
+        seen += rows
+    assert {each.id for each in seen} == {1}
+    assert {each.shadow for each in seen if each.depth_m < 2.1} == {False}
+    assert {each.shadow for each in seen if each.depth_m > 2.65} == marks
+
+
 def beside(labels, cells, gap, reach, jump_px, jump_share, min_near):
     """Rows of each region that are nearer than what is beside them, and as near, cell by cell."""
     counts = np.zeros((labels.max() + 1, 2), np.int32)

@@ -111,6 +111,11 @@ class Region:
     surface_px: float | None = None
     cells: Reals | None = field(default=None, compare=False, repr=False)
 
+    @property
+    def on_surface(self) -> bool:
+        """Whether it lies on the surface that fills the view, or deeper, as a reflection in it."""
+        return self.surface_px is not None and self.nearness_px <= self.surface_px
+
 
 @dataclass(frozen=True, slots=True)
 class Observation:
@@ -478,7 +483,12 @@ def expected_box(track: Track, time_s: float) -> tuple[float, ...]:
 
 
 def lies(track: Track) -> bool | None:
-    """Return whether an object is as near as what is beside it, as a shadow is; None if unknown."""
+    """Return whether an object is as near as what is beside it, as a shadow is; None if unknown.
+
+    What now lies on the surface that fills the view is, whatever it was in the frames before.
+    """
+    if track.observations[-1].region.on_surface:
+        return True
     nearer = sum(each.region.nearer for each in track.observations)
     compared = nearer + sum(each.region.level for each in track.observations)
     return None if compared < _MIN_COMPARED else nearer <= _NEARER_ROWS * compared

@@ -117,10 +117,9 @@ class Tracker:
         if surface_px is None:
             return found
         # What moves on a surface that fills the view lies on it.
+        found = tuple(replace(each, surface_px=surface_px) for each in found)
         return tuple(
-            replace(each, surface_px=surface_px)
-            if each.nearness_px > surface_px
-            else replace(each, nearer=0, level=each.height // CELL_PX)
+            replace(each, nearer=0, level=each.height // CELL_PX) if each.on_surface else each
             for each in found
         )
 
